@@ -1,23 +1,161 @@
-"""Figure of an order table: loss against number of parameters."""
+"""Figures of nonparametric estimates, and of a table of orders."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armrig.numerics.criteria import Criterion
-from armrig.plots.captions import legend
-from armrig.plots.layout import BLUE, GREY, VERMILION, axes, finish, logarithmic
+from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.layout import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    SKY,
+    VERMILION,
+    axes,
+    bare_minor,
+    finish,
+    hertz,
+    logarithmic,
+    panels,
+    stems,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.estimation.nonparametric.correlation import Correlation
+    from armrig.estimation.nonparametric.impulse import ImpulseResponse
+    from armrig.estimation.nonparametric.sampling_time import SamplingTime
+    from armrig.estimation.nonparametric.step_analysis import StepAnalysis
     from armrig.estimation.order_table import OrderTable
 
 Vector = NDArray[np.float64]
-Integers = NDArray[np.int_]
+
+MIN_SHOWN_POWER = 1e-5
+"""Share of the largest power; a figure does not show power below this share."""
+
+
+def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+    """Plot the impulse response with its band about 0.
+
+    Coefficients outside the band are significant. If the output integrates, the upper panel shows
+    the response of the rate. The lower panel shows the running sum of this response, with a band
+    about the sum.
+    """
+    g, std = response.decaying
+    width = response.band(level)
+    scale = width / np.where(response.std > 0, response.std, 1.0)
+    if response.integrator:
+        ax, below = panels(ax, 0.42)
+        below.fill_between(
+            response.lags, response.g - width, response.g + width, color=SKY, alpha=0.4, lw=0
+        )
+        below.plot(response.lags, response.g, color=BLUE)
+        below.set_ylabel(f"$g$ of {_name(response.output)}\n[{gain_unit(response)}]")
+        below.set_xlabel("lag [samples]")
+    else:
+        ax, below = axes(ax), None
+        ax.set_xlabel("lag [samples]")
+    band = std * float(scale.max(initial=0.0))
+    name = f"{100 * level:g} % {response.band_name} band"
+    ax.fill_between(
+        response.lags, -band, band, step="mid", color=GREY, alpha=0.25, lw=0, label=name
+    )
+    stems(ax, response.lags, g, VERMILION)
+    if response.lags[0] < 0:
+        ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+    rate = f"rate of {_name(response.output)}" if response.integrator else _name(response.output)
+    ax.set_ylabel(f"$g$ of {rate}\n[{gain_unit(response, rate=response.integrator)}]")
+    how = f"{response.kernel.upper()} kernel" if response.kernel else "least squares"
+    finish(*(p for p in (ax, below) if p is not None))
+    if below is not None:
+        legend(below, f"running sum: impulse response of {_name(response.output)}")
+    return sign(ax, response.source, above=legend(ax, f"impulse response of {rate}, by {how}"))
+
+
+def plot_correlation(result: Correlation, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+    """Plot the result of a correlation analysis with the band for unrelated y and u."""
+    ax = axes(ax)
+    band = result.band(level)
+    ax.axhspan(-band, band, color=GREY, alpha=0.25, lw=0, label=f"{100 * level:g} %, no relation")
+    stems(ax, result.lags, result.g, VERMILION)
+    ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+    ax.set_xlabel("lag [samples], negative: y is earlier")
+    ax.set_ylabel(f"$R_{{yu}}/R_u(0)$, whitened [{gain_unit(result)}]")
+    finish(ax)
+    return sign(ax, result.source, above=legend(ax))
+
+
+def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
+    """Plot the mean response to a unit step, with final value, dead time and 63 % time."""
+    ax = axes(ax)
+    ax.plot(result.t, result.y, ".", color=GREY, ms=2.5, label="measured, mean of all steps")
+    t, y, std = (np.append(0.0, x) for x in (result.smooth_t, result.smooth, result.smooth_std))
+    ax.fill_between(t, y - 2 * std, y + 2 * std, color=SKY, alpha=0.4, lw=0, label="smoothed, 95 %")
+    ax.plot(t, y, color=BLUE, lw=1.1, label="smoothed from the step on")
+    ax.axhline(result.gain, color=INK, lw=0.8, ls=":", label=f"final value {result.gain:.3g}")
+    at = result.dead_time + result.tau
+    level = (1 - np.exp(-1)) * result.gain
+    if result.dead_time > 0:
+        ax.axvspan(0, result.dead_time, color=GREY, alpha=0.2, lw=0, label="dead time")
+    ax.plot([at, at], [0, level], color=VERMILION, lw=1.0, ls="--")
+    ax.plot([0, at], [level, level], color=VERMILION, lw=1.0, ls="--")
+    ax.plot(
+        at, level, "o", color=VERMILION, ms=4, label=rf"63 %: $\tau$ = {1e3 * result.tau:.3g} ms"
+    )
+    ax.set_xlabel("$t$ from the step [s]")
+    ax.set_ylabel(f"{_name(result.output)} [{gain_unit(result)}]")
+    end = min(float(result.t[-1]), 2.5 * max(result.settling, 2 * at))
+    finish(ax, xlim=(max(float(result.t[0]), -0.15 * end), end))
+    _about(ax, np.append(result.smooth[result.smooth_t <= end], [0.0, result.gain]))
+    return sign(ax, result.source, above=legend(ax))
+
+
+def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
+    """Plot the step response with the recommended samples, and the spectrum with its bandwidth."""
+    ax, below = panels(ax, 0.5, sharex=False)
+    end = 1.5 * result.settling
+    t, response = _with_gaps(result.t, result.response)
+    ax.plot(t, response, color=BLUE, lw=1.1, label="step response, smoothed")
+    grid = np.arange(0.0, min(end, float(result.t[-1])), result.Ts)
+    dots = np.interp(grid, t, response)
+    name = rf"recommended samples, every {1e3 * result.Ts:g} ms"
+    ax.plot(grid, dots, "o", color=VERMILION, ms=1.5, label=name)
+    ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0, label="final value ±5 %")
+    ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 % of the final value")
+    ax.set_xlim(0, end)
+    ax.set_xlabel("$t$ [s]")
+    ax.set_ylabel("response over\nits final value")
+    s = result.spectrum
+    # |G| below two standard deviations is noise and is not drawn.
+    known = np.isfinite(s.G) & (s.magnitude > 2 * np.nan_to_num(s.std_magnitude))
+    relative = np.where(known, s.magnitude, np.nan) / result.gain
+    below.plot(s.omega, relative, color=BLUE, lw=1.1, label="$|G|$, relative")
+    below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="power of the output")
+    below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":", label="−3 dB")
+    for w, name, colour, dash in (
+        (result.omega_step, r"$1/\tau$ of the step", GREEN, "-."),
+        (result.omega_spectrum, "bandwidth of $|G|$", VERMILION, "--"),
+        (np.pi / result.Ts, rf"Nyquist $\pi/T_s$ of {1e3 * result.Ts:g} ms", INK, "-"),
+    ):
+        below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
+    below.set_xscale("log")
+    below.set_yscale("log")
+    drawn = np.concatenate([relative[known], result.power, [np.sqrt(0.5), 1.0]])
+    drawn = drawn[drawn > MIN_SHOWN_POWER]
+    below.set_ylim(0.5 * float(drawn.min()), 2 * float(drawn.max()))
+    below.set_xlabel(r"$\omega$ [rad/s]")
+    below.set_ylabel("relative magnitude")
+    bare_minor(below.yaxis)
+    finish(ax)
+    finish(below, xlim=(float(s.omega[0]), max(float(s.omega[-1]), 1.2 * np.pi / result.Ts)))
+    legend(below, lift=hertz(below))
+    return sign(ax, result.source, above=legend(ax))
 
 
 def plot_orders(
@@ -62,3 +200,26 @@ def plot_orders(
     finish(ax)
     legend(ax)
     return ax
+
+
+def _with_gaps(t: Vector, y: Vector) -> tuple[Vector, Vector]:
+    """Return a curve with a NaN in each gap, so that no line crosses the gap."""
+    gaps = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1
+    return np.insert(t, gaps, t[gaps - 1] + 1e-9), np.insert(y, gaps, np.nan)
+
+
+def _about(ax: Axes, y: Vector) -> None:
+    """Limit the y axis to the range of a curve, so that noisy dots do not flatten the curve."""
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    room = 0.25 * (high - low) or 1.0
+    ax.set_ylim(low - room, high + room)
+
+
+def _name(output: str) -> str:
+    return NAMES.get(output, output)
+
+
+def gain_unit(result: Any, *, rate: bool = False) -> str:
+    """Return the unit of y per unit of u."""
+    unit = f"{result.unit}/s" if rate and result.unit else result.unit
+    return f"{unit or '–'}/{result.input_unit}" if result.input_unit else unit or "–"

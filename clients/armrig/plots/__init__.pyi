@@ -2,12 +2,11 @@ from armrig.data.figures import plot_data as plot_data
 from armrig.data.figures import plot_signals as plot_signals
 from armrig.data.figures import plot_spectrum as plot_spectrum
 from armrig.data.figures import plot_values as plot_values
+from armrig.estimation.figures import plot_correlation as plot_correlation
+from armrig.estimation.figures import plot_impulse as plot_impulse
 from armrig.estimation.figures import plot_orders as plot_orders
-from armrig.estimation.nonparametric.figures import plot_correlation as plot_correlation
-from armrig.estimation.nonparametric.figures import plot_impulse as plot_impulse
-from armrig.estimation.nonparametric.figures import plot_sampling_time as plot_sampling_time
-from armrig.estimation.nonparametric.figures import plot_step_analysis as plot_step_analysis
-from armrig.estimation.nonparametric.figures import plot_structure as plot_structure
+from armrig.estimation.figures import plot_sampling_time as plot_sampling_time
+from armrig.estimation.figures import plot_step_analysis as plot_step_analysis
 from armrig.excitation.input_description import plot_input as plot_input
 from armrig.models.figures import plot_bode as plot_bode
 from armrig.models.figures import plot_fit as plot_fit
@@ -42,3 +41,4 @@ from armrig.validation.feedback_and_delay.figures import plot_open_loop as plot_
 from armrig.validation.figures import plot_compare as plot_compare
 from armrig.validation.figures import plot_residuals as plot_residuals
 from armrig.validation.figures import plot_search as plot_search
+from armrig.validation.figures import plot_structure as plot_structure

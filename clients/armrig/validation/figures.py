@@ -1,4 +1,4 @@
-"""Figures of models against data: outputs, errors, residuals, and the search over structures."""
+"""Figures of models against data, of the search over structures, and of structure hints."""
 
 from __future__ import annotations
 
@@ -7,10 +7,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.estimation.figures import gain_unit
 from armrig.models.fit import Fit
 from armrig.models.labels import Labels
-from armrig.plots.captions import legend
-from armrig.plots.layout import COLOURS, GREY, INK, axes, finish, logarithmic
+from armrig.numerics.quantities import minus
+from armrig.plots.captions import legend, sign
+from armrig.plots.layout import (
+    BLUE,
+    COLOURS,
+    GREY,
+    INK,
+    SKY,
+    VERMILION,
+    axes,
+    decibel_ticks,
+    decibels,
+    finish,
+    hertz,
+    logarithmic,
+    panels,
+)
 from armrig.validation.comparison import ComparisonTable, compare
 from armrig.validation.comparison_figure import plot_comparison
 from armrig.validation.residual_figure import plot_residual_test
@@ -22,6 +38,7 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.validation.search_result import SearchResult
+    from armrig.validation.structure_hints import StructureHints
 
 Vector = NDArray[np.float64]
 
@@ -58,6 +75,56 @@ def plot_residuals(
     See `armrig.validation.residual_figure.plot_residual_test`.
     """
     return plot_residual_test(residuals(fit, data, lags), ax=ax)
+
+
+def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
+    """Plot the frequency response with resonances and slopes, and Hankel singular values."""
+    ax, below = panels(ax, 0.4, sharex=False)
+    s = hints.spectrum
+    known = np.isfinite(s.G) & (s.omega > 0)
+    w, magnitude = s.omega[known], s.magnitude[known]
+    trusted = max(hints.trusted, float(w[0]))
+    ax.plot(w, decibels(magnitude), color=BLUE, lw=1.1, label="$|G|$, spectral analysis")
+    for slope, at, name, dash in (
+        (hints.low_slope, float(w[0]), "low", "--"),
+        (hints.high_slope, trusted / 2, "high", "-."),
+    ):
+        if slope is None:
+            continue
+        reach = at * np.array([1.0, 4.0]) if name == "low" else at * np.array([0.6, 2.0])
+        level = float(np.interp(at, w, magnitude)) * (1.6 if name == "low" else 1.9)
+        line = level * (reach / at) ** (slope / 20)
+        text = f"slope {minus(f'{slope:.0f}')} dB/decade"
+        ax.plot(reach, decibels(line), color=INK, ls=dash, lw=1.0, label=text)
+    for marks, marker, name in (
+        (hints.resonances, "^", "resonance"),
+        (hints.antiresonances, "v", "antiresonance"),
+    ):
+        x = np.asarray(marks, dtype=np.float64)
+        if x.size:
+            at_marks = decibels(np.interp(x, w, magnitude))
+            ax.plot(x, at_marks, marker, color=VERMILION, ms=6, ls="none", label=name)
+    unexplained = (trusted, max(float(w[-1]), trusted))
+    ax.axvspan(*unexplained, color=GREY, alpha=0.2, lw=0, label="not explained by the input")
+    ax.set_xscale("log")
+    seen = decibels(magnitude[w <= trusted])
+    ax.set_ylim(float(seen.min()) - 12, float(decibels(magnitude).max()) + 12)
+    decibel_ticks(ax)
+    ax.set_xlabel(r"$\omega$ [rad/s]")
+    ax.set_ylabel(f"$|G|$ [dB re 1 {gain_unit(s)}]")
+    values = hints.singular_values[:12]
+    index = np.arange(1, values.size + 1)
+    below.bar(index, values, color=SKY, edgecolor=BLUE, lw=0.5)
+    name = "from noise alone, 95 %"
+    below.axhline(hints.threshold, color=VERMILION, ls="--", lw=1.0, label=name)
+    below.set_yscale("log")
+    below.set_xticks(index)
+    below.set_xlabel("state, strongest first")
+    below.set_ylabel("Hankel singular\nvalue, relative")
+    finish(ax, xlim=(float(w[0]), float(w[-1])))
+    finish(below)
+    legend(below)
+    return sign(ax, s.source, above=legend(ax, lift=hertz(ax)))
 
 
 def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:

@@ -133,8 +133,8 @@ class StructureHints:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of |G| with slopes and extremes: see `armrig.plots.plot_structure`."""
-        from armrig.estimation.nonparametric.figures import plot_structure
         from armrig.plots.layout import figure_of
+        from armrig.validation.figures import plot_structure
 
         return figure_of(plot_structure(self, ax=ax))
 

@@ -63,7 +63,7 @@ class Correlation:
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
         """Return the figure drawn by `armrig.plots.plot_correlation`: g and its band."""
-        from armrig.estimation.nonparametric.figures import plot_correlation
+        from armrig.estimation.figures import plot_correlation
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_correlation(self, level=level, ax=ax))

@@ -175,7 +175,7 @@ class ImpulseResponse:
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
         """Return the figure drawn by `armrig.plots.plot_impulse`: g and its band about 0."""
-        from armrig.estimation.nonparametric.figures import plot_impulse
+        from armrig.estimation.figures import plot_impulse
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_impulse(self, level=level, ax=ax))

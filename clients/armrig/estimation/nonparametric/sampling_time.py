@@ -100,7 +100,7 @@ class SamplingTime:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return the figure of step response and spectrum (`armrig.plots.plot_sampling_time`)."""
-        from armrig.estimation.nonparametric.figures import plot_sampling_time
+        from armrig.estimation.figures import plot_sampling_time
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_sampling_time(self, ax=ax))

@@ -110,7 +110,7 @@ class StepAnalysis:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return the figure of the step response, drawn by `armrig.plots.plot_step_analysis`."""
-        from armrig.estimation.nonparametric.figures import plot_step_analysis
+        from armrig.estimation.figures import plot_step_analysis
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_step_analysis(self, ax=ax))

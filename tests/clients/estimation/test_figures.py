@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from armrig.estimation.nonparametric.figures import (
-    _gain,
+from armrig.estimation.figures import (
     _with_gaps,
+    gain_unit,
 )
 
 
@@ -22,10 +22,10 @@ from armrig.estimation.nonparametric.figures import (
         ("", "", False, "–"),
     ],
 )
-def test_the_unit_of_a_gain_is_that_of_y_per_unit_of_u(
+def test_the_unit_of_again_unit_is_that_of_y_per_unit_of_u(
     unit: str, input_unit: str, rate: bool, text: str
 ) -> None:
-    assert _gain(SimpleNamespace(unit=unit, input_unit=input_unit), rate=rate) == text
+    assert gain_unit(SimpleNamespace(unit=unit, input_unit=input_unit), rate=rate) == text
 
 
 def test_lines_of_a_figure_are_interrupted_by_gaps() -> None:
