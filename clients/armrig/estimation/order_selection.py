@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from armrig.data.argument import as_dataset, takes_data
+from armrig.data.argument import as_dataset, as_signals, takes_data
 from armrig.data.dataset import Dataset, Signals
-from armrig.estimation.order_table import OrderTable, order_table, require_same_rate
+from armrig.estimation.order_table import OrderTable, asked_orders, order_table, require_same_rate
 from armrig.estimation.orders import Integers, by_channel
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.polynomial import Array
@@ -67,16 +67,6 @@ class OrderTables:
                 lines.append(f"{name}: given delays {', '.join(map(str, self.delays[name]))}")
             lines.append(f"{name}:\n{table.explain()}")
         return "\n".join(lines)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Row:
-    """Inputs and one output of an experiment."""
-
-    u: Array
-    """Delayed inputs (N, nu), NaN before the first known value."""
-    y: Array
-    """Output (N,), NaN where it is missing."""
 
 
 @takes_data
@@ -144,48 +134,35 @@ def select_orders(
     - na=5 is the highest that was tried: try higher values
     - nb=5 is the highest that was tried: try higher values
     """
-    if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
-        data = data.dataset()
-    if isinstance(data, Dataset):
-        other = None if validation is None else as_dataset(validation)
-        if other is not None:
-            require_same_rate(data.Ts, other.Ts)
-        on_other = None if other is None else list(other.experiments())
-        return order_table(list(data.experiments()), na, nb, cast("Iterable[int]", nk), on_other)
-    return _of_outputs(data, [*na], [*nb], nk, cast("Signals | None", validation))
-
-
-def _of_outputs(
-    data: Signals,
-    na: list[int],
-    nb: list[int],
-    nk: Iterable[int] | Mapping[tuple[str, str], int],
-    validation: Signals | None,
-) -> OrderTables:
-    """Return a table for each output."""
-    if validation is not None:
-        require_same_rate(data.equidistant(), validation.equidistant())
-    given = by_channel("nk", nk, data, least=0) if isinstance(nk, Mapping) else None
-    nks = [*nk] if given is None else []
+    signals = data.signals()
+    one = (signals.nu, signals.ny) == (1, 1)
+    taken = as_dataset if one else as_signals
+    other = None if validation is None else taken(validation).signals()
+    if other is not None:
+        require_same_rate(signals.equidistant(), other.equidistant())
+    given = None
+    if isinstance(nk, Mapping):
+        given, nk = by_channel("nk", nk, data, least=0), [0]
+    nas, nbs, nks = asked_orders(na=na, nb=nb, nk=nk)
     tables = {}
-    for i, output in enumerate(data.outputs):
-        delays = np.zeros(data.nu, dtype=np.int_) if given is None else given[i]
-        least = int(delays.min())
-        other = None if validation is None else _rows(validation, i, delays - least)
-        rows = _rows(data, i, delays - least)
-        tables[output] = order_table(rows, na, nb, nks if given is None else [least], other)
-    delays_by_output = {} if given is None else dict(zip(data.outputs, given.tolist(), strict=True))
-    return OrderTables(
-        tables=tables, delays={name: tuple(row) for name, row in delays_by_output.items()}
-    )
+    for i, output in enumerate(signals.outputs):
+        delays = np.zeros(signals.nu, dtype=np.int_) if given is None else given[i]
+        first = delays.min(keepdims=True)
+        rows = _rows(signals, i, delays - first)
+        on_other = None if other is None else _rows(other, i, delays - first)
+        tables[output] = order_table(rows, nas, nbs, nks + first, on_other)
+    if one:
+        return tables[signals.outputs[0]]
+    rows_of_delays = [] if given is None else zip(signals.outputs, given.tolist(), strict=True)
+    return OrderTables(tables=tables, delays={name: tuple(row) for name, row in rows_of_delays})
 
 
-def _rows(data: Signals, i: int, delays: Integers) -> list[_Row]:
-    """Return the delayed inputs and output i of each experiment."""
+def _rows(data: Signals, i: int, delays: Integers) -> list[tuple[Array, Array]]:
+    """Return the delayed inputs (N, nu) and output i (N,) of each experiment, NaN if unknown."""
     return [
-        _Row(
-            u=np.hstack([past(u, [lag]) for u, lag in zip(part.u.T, delays.tolist(), strict=True)]),
-            y=np.where(part.valid[:, i], part.y[:, i], np.nan),
+        (
+            np.hstack([past(u, [lag]) for u, lag in zip(part.u.T, delays.tolist(), strict=True)]),
+            part.y[:, i],
         )
         for part in data.experiments()
     ]

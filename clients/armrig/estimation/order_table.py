@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -25,7 +25,7 @@ from armrig.numerics.criteria import (
 )
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.polynomial import Array
-from armrig.numerics.regressors import arx_rows, complete, in_blocks, past
+from armrig.numerics.regressors import complete, in_blocks, past
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Integers = NDArray[np.int_]
+Parts = Sequence[tuple[Array, Array]]
+"""Inputs (N, nu) and output (N,) of each experiment; an unknown value is NaN."""
 
 _MIN_INDEPENDENT_SHARE = 1e-10  # least share of a column that earlier columns do not explain
 _BLOCK_ROWS = 4096  # rows decomposed at once; they fit into the cache
@@ -261,29 +263,12 @@ class OrderTable:
         return "\n".join(lines)
 
 
-class Experiment(Protocol):
-    """Experiment with one output and one or several inputs."""
-
-    @property
-    def u(self) -> Array:
-        """Input (N,), or inputs (N, nu)."""
-
-    @property
-    def y(self) -> Array:
-        """Output (N,), NaN where it is missing."""
-
-
 def order_table(
-    data: Sequence[Experiment],
-    na: Iterable[int],
-    nb: Iterable[int],
-    nk: Iterable[int],
-    validation: Sequence[Experiment] | None,
+    data: Parts, nas: Integers, nbs: Integers, nks: Integers, validation: Parts | None
 ) -> OrderTable:
     """Return the table of `select_orders` for one output and one or several inputs."""
-    nas, nbs, nks = _asked(na=na, nb=nb, nk=nk)
     lags = range(int(nks[0]), int(nks[-1] + nbs[-1]))
-    nu = 1 if data[0].u.ndim == 1 else int(data[0].u.shape[1])
+    nu = int(data[0][0].shape[1])
     blocks, N, variance = _regressors(data, int(nas[-1]), lags)
     R = triangle(blocks, int(nas[-1]) + nu * len(lags) + 1)
     asked = f"na to {nas[-1]}, nb to {nbs[-1]}, nk to {nks[-1]}"
@@ -315,7 +300,7 @@ def order_table(
     )
 
 
-def _asked(**orders: Iterable[int]) -> list[Integers]:
+def asked_orders(**orders: Iterable[int]) -> list[Integers]:
     """Return the values of na, nb and nk to try, each in rising order."""
     wanted = [np.unique(several(name, values)) for name, values in orders.items()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
@@ -333,28 +318,20 @@ def require_same_rate(Ts: float, validation_Ts: float) -> None:
         )
 
 
-def _regressors(data: Sequence[Experiment], na: int, lags: range) -> tuple[list[Array], int, float]:
+def _regressors(data: Parts, na: int, lags: range) -> tuple[list[Array], int, float]:
     """Return blocks of rows [-y lagged, u lagged, y], the number of rows, and the variance of y.
 
     With several inputs, the values of all inputs at one lag precede the values at the next lag.
     """
     blocks, known = [], []
-    for part in data:
-        whole = _rows(part, na, lags)
+    for u, y in data:
+        inputs = np.stack([past(x, lags) for x in u.T], axis=-1).reshape(y.size, -1)
+        block = np.hstack([-past(y, range(1, na + 1)), inputs, y[:, None]])
+        whole = block[complete(block)]
         known.append(whole[:, -1])
         blocks += list(in_blocks(whole, _BLOCK_ROWS))
     y = np.concatenate(known)
     return blocks, y.size, float(np.var(y)) if y.size else float("nan")
-
-
-def _rows(part: Experiment, na: int, lags: range) -> Array:
-    """Return the complete rows [-y lagged, u lagged, y] of one experiment."""
-    if part.u.ndim == 1:
-        rows = arx_rows(part.u, part.y, na=na, lags=lags)
-        return rows.block[rows.usable]
-    inputs = np.stack([past(u, lags) for u in part.u.T], axis=-1).reshape(part.y.size, -1)
-    block = np.hstack([-past(part.y, range(1, na + 1)), inputs, part.y[:, None]])
-    return np.asarray(block[complete(block)])
 
 
 def _batches(M: Array) -> tuple[Array, Integers]:
