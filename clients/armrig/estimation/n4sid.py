@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -40,17 +40,14 @@ from armrig.estimation.subspace_estimate import (
     for_simulation,
     weights_of,
 )
-from armrig.estimation.subspace_horizon import (
-    least_horizon,
-    require_windows,
-)
+from armrig.estimation.subspace_horizon import least_horizon, require_windows
+from armrig.models.estimate import Form
 from armrig.models.fit import Fit
+from armrig.models.polynomials import Polynomials
 from armrig.models.structure_table import Focus, Weights
 from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import Inference, OutputQuality
-from armrig.numerics.polynomial import (
-    Array,
-)
+from armrig.numerics.polynomial import Array
 
 _REPLICATES = 100  # by default, for several outputs
 _STEP = 1e-6  # change of a parameter for a numerical derivative
@@ -221,10 +218,7 @@ def n4sid(
         both = (np.real(np.poly(A)) for A in (found.free, found.model.A))
         notes += reflection_warnings(*both)
     notes += [] if replicates > 1 else [warning("bound", _BOUND_TEXT)]
-    if data.nu == data.ny == 1:
-        scale = float(su[0]), float(sy[0])
-        return _one_channel(data.dataset(), found, by, delays[0], options, inferred, notes, scale)
-    return _several(data, found, by, delays, options, inferred, notes, (su, sy))
+    return _fit(data, found, by, delays, options, inferred, notes, (su, sy))
 
 
 def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
@@ -277,72 +271,7 @@ def _replicated(
     return np.asarray(theta @ theta.T / (replicates - 1))
 
 
-def _one_channel(
-    data: Dataset,
-    found: SubspaceEstimate,
-    by: Derivatives,
-    nk: int,
-    options: SubspaceOptions,
-    inferred: Inference,
-    notes: Sequence[EstimateFinding],
-    scale: tuple[float, float],
-) -> Fit:
-    """Return the model as A y = B u + C e; the polynomials are entries of the observer form."""
-    at, (quality,), (su, sy) = found.at, inferred.quality, scale
-    A, C = np.append(1.0, -found.model.A[:, 0]), np.append(1.0, -at.Abar[:, 0])
-    D, gain = at.D[0, 0], sy / su
-    b = (at.Bbar + at.K @ at.D)[:, 0] + A[1:] * D
-    by_a, by_D = -by.A[:, :, 0], by.D[:, 0]
-    by_b = by.B[:, :, 0] + by_D * A[1:] + by_a * D
-    if options.direct:
-        b, by_b = np.append(D, b), np.hstack([by_D, by_b])
-    T = np.hstack([by_a, gain * by_b, -by.Abar[:, :, 0]]).T
-    inferred = inferred.transformed(T)
-    integrator = options.integrator
-    residuals = [e[:, 0] * sy for e in found.errors]
-    coloured = [warning("coloured", _COLOURED_TEXT)] if quality.white.coloured else []
-    way_out = "" if integrator else NO_OPTION
-    return Fit.of_channel(
-        structure="n4sid",
-        A=A,
-        B=np.append(np.zeros(nk), gain * b),
-        C=C,
-        nk=nk,
-        integrator=integrator,
-        offset=integrator,
-        Ts=data.Ts,
-        **inferred.fields(),
-        **_projected(found, options, sy),
-        findings=(
-            *notes,
-            *_warnings(data, A, inferred.covariance, integrator=integrator),
-            *coloured,
-            *data_faults(data, residuals, way_out=way_out),
-        ),
-        **data.origin(),
-    )
-
-
-def _projected(
-    found: SubspaceEstimate, options: SubspaceOptions, scale: float = 1.0
-) -> dict[str, Any]:
-    """Return the results of the projection as fields of a fit.
-
-    Except for the weights "cva", the singular values have the unit of y; `scale` is y's standard
-    deviation, or 1 for several outputs, whose signals have the variance 1.
-    """
-    return {
-        "weights": options.weights,
-        "horizon": found.model.horizon,
-        "singular_values": found.model.singular_values
-        * (scale if options.weights != "cva" else 1.0),
-        "canonical_correlations": found.canonical_correlations,
-        "suggested_order": found.suggested_order,
-        "converged": found.settled,
-    }
-
-
-def _several(
+def _fit(
     data: Signals,
     found: SubspaceEstimate,
     by: Derivatives,
@@ -352,18 +281,66 @@ def _several(
     notes: Sequence[EstimateFinding],
     scales: tuple[Array, Array],
 ) -> Fit:
-    """Return the model as matrices."""
-    form, T = matrices(found.at, by, *scales, delays)
-    nk = delays[0] if len(set(delays)) == 1 else list(delays)
+    """Return the model: polynomials for one input and one output, otherwise matrices."""
+    model, singular_values, specification = found.model, found.model.singular_values, ""
+    one, facts = data.nu == data.ny == 1, origin(data)
+    form: Form
+    if one:
+        (su,), (sy,) = scales
+        form, T = _observer_form(found, by, delays[0], options, sy / su)
+        inferred = inferred.transformed(T)
+        alone, facts = data.dataset(), origin(data.dataset())
+        residuals = [e[:, 0] * sy for e in found.errors]
+        way_out = "" if options.integrator else NO_OPTION
+        coloured = inferred.quality[0].white.coloured
+        notes = [
+            *notes,
+            *_warnings(alone, form.A[0][0], inferred.covariance, integrator=options.integrator),
+            *([warning("coloured", _COLOURED_TEXT)] if coloured else []),
+            *data_faults(alone, residuals, way_out=way_out),
+        ]
+        # Except for the weights "cva", the singular values have the unit of y.
+        singular_values = singular_values * (sy if options.weights != "cva" else 1.0)
+    else:
+        form, T = matrices(found.at, by, *scales, delays)
+        inferred = inferred.transformed(T)
+        notes = [*notes, *instability(form), *_poor_fits(data, inferred.quality)]
+        nk = delays[0] if len(set(delays)) == 1 else list(delays)
+        specification = f"order={len(form.A)}, nk={nk}"
     return Fit(
         structure="n4sid",
-        specification=f"order={len(form.A)}, nk={nk}",
+        specification=specification,
         form=form,
-        **_projected(found, options),
-        findings=(*notes, *instability(form), *_poor_fits(data, inferred.quality)),
-        **inferred.transformed(T).fields(),
-        **origin(data),
+        offset=one and options.integrator,
+        weights=options.weights,
+        horizon=model.horizon,
+        singular_values=singular_values,
+        canonical_correlations=found.canonical_correlations,
+        suggested_order=found.suggested_order,
+        converged=found.settled,
+        findings=tuple(notes),
+        **inferred.fields(),
+        **facts,
     )
+
+
+def _observer_form(
+    found: SubspaceEstimate, by: Derivatives, nk: int, options: SubspaceOptions, gain: float
+) -> tuple[Polynomials, Array]:
+    """Return A y = B u + C e, whose polynomials are entries of the observer form.
+
+    Then return the derivatives of its theta. `gain` is the scale of y divided by the scale of u.
+    """
+    at = found.at
+    A, C = np.append(1.0, -found.model.A[:, 0]), np.append(1.0, -at.Abar[:, 0])
+    D, by_a, by_D = at.D[0, 0], -by.A[:, :, 0], by.D[:, 0]
+    b = at.B[:, 0] + A[1:] * D
+    by_b = by.B[:, :, 0] + by_D * A[1:] + by_a * D
+    if options.direct:
+        b, by_b = np.append(D, b), np.hstack([by_D, by_b])
+    B = np.append(np.zeros(nk), gain * b)
+    form = Polynomials.of_channel(A=A, B=B, C=C, nk=nk, integrator=options.integrator)
+    return form, np.hstack([by_a, gain * by_b, -by.Abar[:, :, 0]]).T
 
 
 def _warnings(
