@@ -12,12 +12,7 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding
-from armrig.estimation.data_faults import (
-    NO_OPTION,
-    data_faults,
-    require_informative,
-    undetermined,
-)
+from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative, undetermined
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.orders import Integers, as_text, by_channel, by_pair, require_samples
 from armrig.estimation.stability import (

@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 from scipy.linalg import block_diag
 
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.experiments import Experiments
 from armrig.data.finding import EstimateFinding, warning
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
@@ -37,18 +38,14 @@ from armrig.estimation.search import (
     searched_together,
     weighted_by,
 )
-from armrig.estimation.stability import (
-    instability,
-    with_stability_warning,
-    with_stable_poles,
-)
+from armrig.estimation.stability import instability, with_stability_warning, with_stable_poles
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, prepared
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.covariance import unspread
-from armrig.numerics.inference import OutputResiduals, Score
+from armrig.numerics.inference import OutputResiduals
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
@@ -71,9 +68,11 @@ class SearchOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Options:
-    """Options of a search that are the same for all outputs."""
+class _Task:
+    """Data, and options of a search that are the same for all outputs."""
 
+    data: Dataset | Signals
+    orders: str
     initial: Initial
     stable: bool
     thorough: bool
@@ -95,6 +94,19 @@ class _Estimated:
     def parameters(self) -> int:
         """Number of estimated coefficients."""
         return self.problem.linear_size + self.theta.size
+
+    def starts(self, prefix: str = "") -> Iterator[Start]:
+        """Yield the result from each start value.
+
+        The loss is the mean square of the errors, which are whitened if outputs share a polynomial.
+        """
+        for name, o in self.ends:
+            yield Start(
+                name=prefix + name,
+                loss=o.cost / self.problem.N,
+                iterations=o.iterations,
+                converged=o.converged,
+            )
 
 
 def estimated(
@@ -144,69 +156,53 @@ def estimated(
         require_informative(data)
     elif constant_input(data) and (rows[0].trend or not data.u.any()):
         raise InputError(CONSTANT_INPUT)
-    options = _Options(initial=initial, stable=stable, thorough=starts == "many")
+    text, thorough = as_text(**given), starts == "many"
+    task = _Task(data=data, orders=text, initial=initial, stable=stable, thorough=thorough)
     groups = [tuple(range(len(rows)))] if shared else [(i,) for i in range(len(rows))]
-    text = as_text(**given)
-    found = [_chosen(data, text, [rows[i] for i in group], group, options) for group in groups]
-    if isinstance(data, Dataset):
-        return _fit(data, found[0], name)
+    found = [_chosen(task, [rows[i] for i in group], group) for group in groups]
     estimates, W = _outputs(data, found)
-    fit = fit_of_outputs(
-        data,
-        estimates,
-        W,
-        structure=name,
-        score=_score(found),
-        specification=text,
-        offset=offset,
-        shared=bool(shared),
-        converged=all(one.ends[0][1].converged for one in found),
-        starts=tuple(start for one in found for start in _starts(data, one)),
-    )
-    notes = [note for one in found for note in one.findings]
-    notes += [*_unfinished(data, found), *instability(fit.form)]
-    return replace(fit, findings=tuple(notes))
+    white = all(n.white for n in rows)
+    fields: dict[str, Any] = {
+        "structure": name,
+        "score": "exogenous" if white else "correlated",
+        "converged": all(one.ends[0][1].converged for one in found),
+    }
+    if isinstance(data, Dataset):
+        return _fit(data, found[0], estimates[0], W, **fields)
+    fields |= {"specification": text, "offset": offset, "shared": bool(shared)}
+    notes, starts_ = [note for one in found for note in one.findings], list[Start]()
+    for one in found:
+        of, best = ", ".join(data.outputs[i] for i in one.outputs), one.ends[0][1]
+        starts_ += one.starts(f"{of}: ")
+        if not best.converged:
+            said = f"the search of {of} did not converge in {best.iterations} steps"
+            notes.append(warning("not_converged", said, steps=best.iterations))
+    fit = fit_of_outputs(data, estimates, W, starts=tuple(starts_), **fields)
+    return replace(fit, findings=(*notes, *instability(fit.form)))
 
 
-def _score(found: Sequence[_Estimated]) -> Score:
-    """Return how the influences of the residuals depend on the noise."""
-    white = all(n.white for one in found for n in one.problem.rows)
-    return "exogenous" if white else "correlated"
-
-
-def _chosen(
-    data: Dataset | Signals,
-    orders: str,
-    rows: Sequence[Structure],
-    outputs: tuple[int, ...],
-    options: _Options,
-) -> _Estimated:
+def _chosen(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> _Estimated:
     """Return the estimate; with initial="auto" an F-test chooses the treatment of the state."""
-    if options.initial != "auto":
-        rows = [replace(n, at_rest=options.initial == "zero") for n in rows]
-        return _searched(data, orders, rows, outputs, options)
-    free, at_rest = (
-        _searched(data, orders, [replace(n, at_rest=rest) for n in rows], outputs, options)
-        for rest in (False, True)
-    )
-    return free if _state_matters(free, at_rest) else at_rest
+    free, at_rest = ([replace(n, at_rest=rest) for n in rows] for rest in (False, True))
+    if task.initial != "auto":
+        return _searched(task, at_rest if task.initial == "zero" else free, outputs)
+    found, simpler = _searched(task, free, outputs), _searched(task, at_rest, outputs)
+    return found if _state_matters(found, simpler) else simpler
 
 
-def _searched(
-    data: Dataset | Signals,
-    orders: str,
-    rows: Sequence[Structure],
-    outputs: tuple[int, ...],
-    options: _Options,
-) -> _Estimated:
+def _searched(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> _Estimated:
+    data, orders = task.data, task.orders
     problem = _problem(data, rows, outputs)
     measured = sum(int(np.isfinite(_output(data, i)).sum()) for i in outputs)
     require_samples(orders, needed=_size(problem) + 1 + _nuisance(problem), got=measured)
     if len(rows) == 1:
         part = _part(data, rows, outputs)
-        ends = searched_minimum(problem, part, thorough=options.thorough)
+        ends = searched_minimum(problem, part, thorough=task.thorough)
     else:
         problem, ends = searched_together(problem)
+    # A search also counts as converged if its cost consists only of rounding errors.
+    floor = rounding_floor(problem)
+    ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in ends]
     theta = ends[0][1].theta
     solution = problem.solve(theta)
     d = problem.linear_size
@@ -218,7 +214,7 @@ def _searched(
             f"lower {'nb' if no_a else 'the orders'} or excite with a richer input"
         )
     notes: tuple[EstimateFinding, ...] = ()
-    if options.stable:
+    if task.stable:
         theta, solution, notes = with_stable_poles(problem, solution, theta)
     return _Estimated(
         outputs=outputs, problem=problem, solution=solution, theta=theta, ends=ends, findings=notes
@@ -239,9 +235,9 @@ def _problem(
     return weighted_by(problem, np.diag([float(np.nanvar(_output(data, i))) for i in outputs]))
 
 
-def _output(data: Any, i: int) -> Array:
+def _output(data: Experiments, i: int) -> Array:
     """Return output i (N,), NaN where it is missing."""
-    return np.asarray(data.y.reshape(data.N, -1)[:, i])
+    return data.signals().y[:, i]
 
 
 def _part(
@@ -250,7 +246,7 @@ def _part(
     """Return the problem for the part of the data in which u moves most; None for short data."""
     if data.N <= 2 * PART_SAMPLES:
         return None
-    u = data.u.reshape(data.N, -1)
+    u = data.signals().u
     begins = np.linspace(0, data.N - PART_SAMPLES, 8).astype(int)
     steps = np.abs(np.diff(u, axis=0, prepend=u[:1]))
     moves = np.concatenate(
@@ -295,31 +291,21 @@ def _state_matters(free: _Estimated, at_rest: _Estimated) -> bool:
 
 def _degrees(one: _Estimated) -> int:
     """Return the degrees of freedom of the errors."""
-    errors = sum(int(np.count_nonzero(x.rows)) for of in one.problem.experiments for x in of)
-    return errors - one.parameters - sum(past.rank for past in one.solution.past)
+    return one.problem.N - one.parameters - sum(past.rank for past in one.solution.past)
 
 
-def _fit(data: Dataset, one: _Estimated, name: str) -> Fit:
+def _fit(data: Dataset, one: _Estimated, estimate: EstimatedOutput, W: Array, **fields: Any) -> Fit:
     """Return the model of one input and one output."""
-    # A search also counts as converged if its cost consists only of rounding errors.
     problem, solution, theta = one.problem, one.solution, one.theta
-    floor = rounding_floor(problem)
-    ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in one.ends]
-    n, best = problem.rows[0], ends[0][1]
-    p = problem.named(solution.ab, theta)
-    [estimate], W = _outputs(data, [one])
+    floor, n, best = rounding_floor(problem), problem.rows[0], one.ends[0][1]
+    p, starts = problem.named(solution.ab, theta), tuple(one.starts())
     curved = 0.0
     if best.cost > floor:
         variance = float(solution.e @ solution.e) / max(_degrees(one), 1)
         own = W[problem.linear_size :]
         curved = curvature(problem, theta, variance * own @ own.T, variance)
-    agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
-    N = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
-    starts = tuple(
-        Start(name=start, loss=o.cost / N, iterations=o.iterations, converged=o.converged)
-        for start, o in ends
-    )
-    responses = [
+    agreed = same_minimum(problem, best.cost, one.ends[-1][1].cost)
+    free = [
         _free_response(n, p, part, s)
         for part, (s,) in zip(data.experiments(), solution.parts, strict=True)
     ]
@@ -327,24 +313,20 @@ def _fit(data: Dataset, one: _Estimated, name: str) -> Fit:
         data,
         [estimate],
         W,
-        structure=name,
-        score=_score([one]),
         rounding=floor,
         offset=bool(n.trend),
-        converged=best.converged,
         starts=starts if len(starts) > 1 else (),
         agreed=agreed,
-        free=tuple(responses),
+        free=tuple(free),
         curvature=curved,
+        **fields,
     )
+    residuals = [r.e for r in estimate.residuals]
+    way_out = "" if n.trend else "estimate it, too (option offset)"
     findings = (
         *search_warnings(best, starts, agreed=agreed),
         *parameter_warnings(W, fit.white, p["C"], curved),
-        *data_faults(
-            data,
-            [r.e for r in estimate.residuals],
-            way_out="" if n.trend else "estimate it, too (option offset)",
-        ),
+        *data_faults(data, residuals, way_out=way_out),
         *one.findings,
     )
     return with_stability_warning(replace(fit, findings=findings))
@@ -446,29 +428,3 @@ def _with_root(n: Structure, p: dict[str, Any]) -> tuple[Array, list[Array]]:
     root = np.array([1.0, -1.0])
     A = np.convolve(root, p["A"]) if n.integrator == "a" else p["A"]
     return A, [np.convolve(root, F) for F in p["F"]] if n.integrator == "f" else p["F"]
-
-
-def _unfinished(data: Signals, found: Sequence[_Estimated]) -> Iterator[EstimateFinding]:
-    """Yield a warning for each search that did not converge."""
-    for one in found:
-        best = one.ends[0][1]
-        if not best.converged:
-            names = ", ".join(data.outputs[i] for i in one.outputs)
-            text = f"the search of {names} did not converge in {best.iterations} steps"
-            yield warning("not_converged", text, steps=best.iterations)
-
-
-def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:
-    """Yield the result from each start value.
-
-    The loss is the mean square of the errors, which are whitened if the outputs share a polynomial.
-    """
-    names = ", ".join(data.outputs[i] for i in one.outputs)
-    errors = sum(int(np.count_nonzero(x.rows)) for of in one.problem.experiments for x in of)
-    for name, o in one.ends:
-        yield Start(
-            name=f"{names}: {name}",
-            loss=o.cost / errors,
-            iterations=o.iterations,
-            converged=o.converged,
-        )

@@ -23,13 +23,7 @@ from armrig.models.structure import Structure
 from armrig.numerics.covariance import spread, spread_apart
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
-from armrig.numerics.polynomial import (
-    Array,
-    drawn_to_edge,
-    monic,
-    outward_normals,
-    stable,
-)
+from armrig.numerics.polynomial import Array, drawn_to_edge, monic, outward_normals, stable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,6 +154,11 @@ class PolynomialProblem:
         gaps = any(x.gaps for of in self.experiments for x in of)
         layout = _layout(self.rows, gaps and any(n.na for n in self.rows))
         object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
+
+    @property
+    def N(self) -> int:
+        """Number of errors of all experiments and rows."""
+        return sum(int(np.count_nonzero(x.rows)) for of in self.experiments for x in of)
 
     @property
     def size(self) -> int:

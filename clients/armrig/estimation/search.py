@@ -48,7 +48,6 @@ _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from 
 _END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
 _MAX_MOVES = 3  # largest number of rounds in which a mode of several outputs is moved
 _MOVED_STARTS = 3  # start values with a moved mode in each of these rounds
-_LEAST_COST = 1e-300  # so that a cost of 0 has a logarithm
 
 
 def searched_minimum(
@@ -475,8 +474,3 @@ def ranked(ends: Iterable[End], criterion: Callable[[End], float]) -> list[End]:
     steps = np.zeros(values.size)
     steps[higher] = np.rint((values[higher] - values.min()) / SAME_COST_TOLERANCE)
     return [found[i] for i in np.argsort(steps, kind="stable")]
-
-
-def log_cost(cost: float) -> float:
-    """Return the logarithm of a sum of squares."""
-    return float(np.log(max(cost, _LEAST_COST)))

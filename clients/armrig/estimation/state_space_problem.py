@@ -41,12 +41,7 @@ from armrig.numerics.covariance import whitening
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
-from armrig.numerics.recursion import (
-    in_observer_form,
-    outputs,
-    recursion,
-    responses,
-)
+from armrig.numerics.recursion import in_observer_form, outputs, recursion, responses
 
 _MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
 _ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error

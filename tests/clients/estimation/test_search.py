@@ -336,8 +336,7 @@ def test_the_state_at_the_start_matters_from_the_5_per_cent_point_of_f_on(
 
     def estimated(sse: float, degrees: int) -> Any:
         solution = SimpleNamespace(e=np.array([np.sqrt(sse)]), past=[SimpleNamespace(rank=2)])
-        errors = SimpleNamespace(rows=np.ones(degrees + 6, bool))
-        problem = SimpleNamespace(experiments=[[errors]], rows=[0], solve=lambda _: solution)
+        problem = SimpleNamespace(N=degrees + 6, rows=[0], solve=lambda _: solution)
         return SimpleNamespace(problem=problem, solution=solution, theta=np.zeros(0), parameters=4)
 
     of_free, at_rest = estimated(90.0, free), estimated(90.0 + 2 * F, 92)
