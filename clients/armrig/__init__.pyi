@@ -80,7 +80,7 @@ from armrig.rig.client import Rig as Rig
 from armrig.rig.session import RigError as RigError
 from armrig.rig.telemetry_stream import LiveGap as LiveGap
 from armrig.rig.telemetry_stream import stream as stream
-from armrig.validation.advice.advice import advice as advice
+from armrig.validation.advice import advice as advice
 from armrig.validation.comparison import compare as compare
 from armrig.validation.feedback_and_delay.delay import delay as delay
 from armrig.validation.feedback_and_delay.open_loop import open_loop as open_loop

@@ -167,7 +167,7 @@ def hints(
     response, the spectra and the Hankel matrix, which assume no structure. With several signals, it
     looks at each pair of an input and an output.
     """
-    from armrig.validation.advice.data_advice import data_doubts
+    from armrig.validation.data_advice import data_doubts
     from armrig.validation.structure_hints import structure_hints
 
     out.check(file)

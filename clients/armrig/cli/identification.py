@@ -234,7 +234,7 @@ class Found:
     def _all(self) -> Iterator[Sequence[str]]:
         """Yield all details of the search, the model and its validation."""
         from armrig.cli import model_output
-        from armrig.validation.advice.advice import advice
+        from armrig.validation.advice import advice
 
         if self.search is not None:
             yield model_output.search_lines(self.search)
@@ -306,7 +306,7 @@ def _estimated(
 
 
 def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple[Finding, ...]:
-    from armrig.validation.advice.data_advice import examine_fit_of
+    from armrig.validation.data_advice import examine_fit_of
 
     with spinner("testing the data"):
         return tuple(examine_fit_of(data, fit, integrator))

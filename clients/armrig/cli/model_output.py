@@ -20,12 +20,11 @@ from armrig.models.equation import (
 )
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import NBSP, listed, near_one, p_relation, places, with_std
-from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation.advice.advice import advice
+from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
+from armrig.validation.advice import advice
 from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED
 from armrig.validation.comparison import Comparison
 from armrig.validation.feedback_and_delay.by_channel import ByChannel
-from armrig.validation.residual_figure import BAND_99_PERCENT
 from armrig.validation.residual_test import ResidualTest
 
 if TYPE_CHECKING:

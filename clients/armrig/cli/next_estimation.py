@@ -195,7 +195,7 @@ def options_after(
 
 def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
     """Return the orders, lowered by the number of cancelling pairs; noise orders do not change."""
-    from armrig.validation.advice.model_advice import cancelling
+    from armrig.validation.advice import cancelling
 
     many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1
     least = {"nb": 1, STRUCTURES[fit.structure].poles: 1 + integrator}

@@ -208,8 +208,7 @@ def simulate(
         return
     from armrig.models.model_file import load_fit
     from armrig.physics.systems import physical_model
-    from armrig.validation.comparison import compare
-    from armrig.validation.figures import plot_compare
+    from armrig.validation.comparison import compare, plot_compare
 
     data = part.recordings(file)[0].dataset()
     saved = map(load_fit, model or ())

@@ -69,7 +69,7 @@ def validate(
     from armrig.plots.captions import signature
     from armrig.validation.answer import simulation, tests_sentence
     from armrig.validation.comparison import compare as compared
-    from armrig.validation.residual_figure import COLUMN_WIDTH, ROW_HEIGHT, plot_residual_test
+    from armrig.validation.figures import COLUMN_WIDTH, ROW_HEIGHT, plot_residual_test
     from armrig.validation.residuals import residuals
 
     out.check(file, model)

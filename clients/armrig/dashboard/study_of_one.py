@@ -20,10 +20,10 @@ from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import shown_path
 from armrig.recordings.usability import data_verdict
-from armrig.validation.advice.advice import advice
-from armrig.validation.advice.data_advice import examine_fit_of
+from armrig.validation.advice import advice
 from armrig.validation.answer import answer
 from armrig.validation.comparison import compare
+from armrig.validation.data_advice import examine_fit_of
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 

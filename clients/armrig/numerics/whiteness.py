@@ -20,6 +20,8 @@ Vector = NDArray[np.float64]
 
 WHITE_LEVEL = 0.01
 """Each test of residuals in this package rejects whiteness if the p value is below this number."""
+BAND_99_PERCENT = 2.58
+"""Two-sided 99 % quantile of the normal distribution."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
 _MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the portmanteau test

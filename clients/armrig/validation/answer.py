@@ -11,7 +11,7 @@ from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation.advice.model_advice import COLOURED
+from armrig.validation.advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
 from armrig.validation.residual_test import ResidualTest
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from armrig.data.finding import Finding
-    from armrig.validation.residual_test import ResidualTest
 
 _DATA_FIRST = "correct the data first, see below"
 OF_DATA = frozenset({"outliers", "level"})

@@ -12,11 +12,12 @@ from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_data
-from armrig.data.dataset import Dataset, Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import EstimateFinding
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.fit import Fit
+from armrig.models.labels import Labels
 from armrig.models.prediction import findings_on_own_data
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _OWN = "  (estimation data)"
@@ -120,18 +120,16 @@ class ComparisonTable:
     def table(self, *, brief: bool = False) -> str:
         """Return a table of gain, resonances, bandwidth, step response and poles of the models.
 
-        A brief table contains no poles. If a range is computed from draws, a brief table contains
-        the range instead of the value. Each of several outputs has a table.
+        A brief table contains no poles, and ranges from draws replace values. Each of several
+        outputs has a table.
         """
         return self._of_each(lambda rows: table(rows, brief=brief))
 
     def explain(self, *, brief: bool = False) -> str:
         """Return the closest model and the significant differences from the reference, as text.
 
-        A brief text contains no causes of the differences.
-
         The reference is the physical model, `armrig.physical_model(p, data)` (handout, assignment
-        3.4). Without a physical model, the reference is the last model.
+        3.4), or else the last model. A brief text contains no causes of the differences.
         """
         return self._of_each(lambda rows: explanation(rows, brief=brief))
 
@@ -144,7 +142,7 @@ class ComparisonTable:
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of data, models and errors: see `armrig.plots.plot_compare`."""
         from armrig.plots.layout import figure_of
-        from armrig.validation.comparison_figure import plot_comparison
+        from armrig.validation.figures import plot_comparison
 
         return figure_of(plot_comparison(self.data, self.rows, ax=ax))
 
@@ -247,15 +245,14 @@ def compare(
         raise InputError(
             f"{len(names)} labels for {len(models)} models; give one label for each model"
         )
+    several = isinstance(data, Signals) and (data.ny, data.nu) != (1, 1)
     for model, name in zip(models, names, strict=True):
-        several = isinstance(data, Signals) and (data.ny, data.nu) != (1, 1)
         if several and (model.ny, model.nu) == (1, 1):
             raise InputTypeError(
                 f"{name} has one output; compare it with signals.dataset(output, input)"
             )
     integrators = [model.form.integrators for model in models]
-    offset = any(any(of_model) for of_model in integrators)
-    note = "initial state" + " and input offset" * offset
+    note = "initial state" + " and input offset" * bool(np.any(integrators))
     rows = [
         _compared(data, model, name, horizon, np.any(integrators, axis=0))
         for model, name in zip(models, names, strict=True)
@@ -310,3 +307,22 @@ def _misfit(measured: Vector, modelled: Vector) -> tuple[float, float]:
         return float("nan"), float("nan")
     sse = float(np.sum((measured[both] - modelled[both]) ** 2))
     return fit_percent(measured[both], sse), sqrt(sse / np.count_nonzero(both))
+
+
+def plot_compare(
+    data: Dataset | Signals,
+    *models: Fit,
+    horizon: int | None = None,
+    labels: Labels = None,
+    table: ComparisonTable | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Show the measured outputs and the models' outputs, simulated unless a horizon is given.
+
+    See `armrig.validation.figures.plot_comparison`. If `table` is given, the comparison
+    is not computed again.
+    """
+    from armrig.validation.figures import plot_comparison
+
+    table = compare(data, *models, horizon=horizon, labels=labels) if table is None else table
+    return plot_comparison(data, table.rows, labels=labels, ax=ax)

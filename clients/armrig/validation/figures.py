@@ -1,22 +1,25 @@
-"""Figures of models against data, of the search over structures, and of structure hints."""
+"""Figures of comparisons, of tests of residuals, of a search, and of structure hints."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armrig.data.dataset import Signals
+from armrig.data.figures import without_ramp
 from armrig.estimation.figures import gain_unit
-from armrig.models.fit import Fit
 from armrig.models.labels import Labels
-from armrig.numerics.quantities import minus
-from armrig.plots.captions import legend, sign
+from armrig.numerics.quantities import NBSP, error, minus, p_relation
+from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
+from armrig.plots.captions import legend, named, sign
 from armrig.plots.layout import (
     BLUE,
     COLOURS,
     GREY,
     INK,
+    MISSING,
     SKY,
     VERMILION,
     axes,
@@ -24,57 +27,262 @@ from armrig.plots.layout import (
     decibels,
     finish,
     hertz,
+    high_axes,
     logarithmic,
     panels,
+    pens,
+    rows,
+    shade,
+    stems,
 )
-from armrig.validation.comparison import ComparisonTable, compare
-from armrig.validation.comparison_figure import plot_comparison
-from armrig.validation.residual_figure import plot_residual_test
-from armrig.validation.residuals import residuals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.dataset import Dataset, Signals
-    from armrig.models.fit import Fit
+    from armrig.data.dataset import Dataset
+    from armrig.numerics.polynomial import Array
+    from armrig.validation.comparison import Comparison
+    from armrig.validation.residual_test import ResidualTest
     from armrig.validation.search_result import SearchResult
     from armrig.validation.structure_hints import StructureHints
 
-Vector = NDArray[np.float64]
 
+BAND = "99 % band of each lag"
+COLUMN_WIDTH, ROW_HEIGHT = 2.6, 1.9
+"""Size in inches of one panel of several outputs or inputs."""
+_HEAD_POINTS = 22.0  # height of two lines above a panel
+_JOINT = f"joint test, level {100 * WHITE_LEVEL:g}{NBSP}%"
 _MARKERS = "osD^vP"
 _MOST = 1000.0  # models with a larger multiple of the least error are counted, but not drawn
+_MAX_NAMED = 3  # largest number of models in a figure whose legend names the differences
+_MIN_DISTANCE_PT = 16.0  # least distance of two tick labels, before the layout lowers the panel
 
 
-def plot_compare(
+def plot_comparison(
     data: Dataset | Signals,
-    *models: Fit,
-    horizon: int | None = None,
-    labels: Labels = None,
-    table: ComparisonTable | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Show the measured outputs and the models' outputs, simulated unless a horizon is given.
-
-    See `armrig.validation.comparison_figure.plot_comparison`. If `table` is given, the comparison
-    is not computed again.
-    """
-    table = compare(data, *models, horizon=horizon, labels=labels) if table is None else table
-    return plot_comparison(data, table.rows, labels=labels, ax=ax)
-
-
-def plot_residuals(
-    fit: Fit,
-    data: Dataset | Signals,
+    compared: Sequence[Comparison],
     *,
-    lags: int | None = None,
+    labels: Labels = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show how a model's residuals correlate with each other and with the inputs.
+    """Plot the measured output and the models, and the differences from the best model.
 
-    See `armrig.validation.residual_figure.plot_residual_test`.
+    The lower panel shows the data and the other models, minus the best model. The best model has
+    the least rms error. The data are dots, so that a difference smaller than the noise is visible.
+    If another model is far worse, the scale is linear up to about three times the least error.
+    Dotted lines mark this limit. Beyond the limit the scale is logarithmic. A ramp of the output is
+    removed: see `armrig.data.figures.without_ramp`. Several outputs have a panel each, which shows
+    the data and the models.
     """
-    return plot_residual_test(residuals(fit, data, lags), ax=ax)
+    outputs = list(dict.fromkeys(row.output for row in compared))
+    if len(outputs) > 1:
+        return _plot_outputs(data, compared, outputs, labels, ax)
+    if isinstance(data, Signals):
+        data = data.dataset(outputs[0], data.inputs[0])
+    ax, below = panels(ax, 0.5)
+    names = labels or [row.name for row in compared]
+    best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
+    reference = compared[best].y
+    ramp, label, notes = without_ramp(data)
+    ax.plot(data.t, data.y - ramp, color=MISSING, lw=6.0, label="measured")
+    for i, (row, name, pen) in enumerate(zip(compared, names, pens(len(names)), strict=True)):
+        text = f"{name}, rms error {error(row.rms_error, data.unit)}"
+        ax.plot(data.t, row.y - ramp, label=text, **pen)
+        if i != best:
+            thin = pen | {"lw": 0.6 * pen["lw"]}
+            difference = f"{name} − {names[best]}" if len(names) <= _MAX_NAMED else None
+            below.plot(data.t, row.y - reference, label=difference, **thin)
+    below.plot(data.t, data.y - reference, ".", color=GREY, ms=1.2, zorder=3)
+    below.plot([], [], ".", color=GREY, ms=5, label=f"measured − {names[best]}")
+    below.axhline(0, color=INK, lw=0.6)
+    linear = _limit_errors(below, data, compared, best)
+    # Not autoscaled: at missing samples the initial transient of a model may be far off.
+    shown = np.concatenate([(y - ramp)[data.valid] for y in (data.y, *(r.y for r in compared))])
+    measured, all_ = _range(data.y - ramp), _range(shown[np.isfinite(shown)])
+    span = measured[1] - measured[0] or 1.0
+    ax.set_ylim(
+        max(all_[0], measured[0] - span) - 0.05 * span,
+        min(all_[1], measured[1] + span) + 0.05 * span,
+    )
+    ax.set_ylabel(label)
+    below.set_ylabel(f"difference\n[{data.unit or '–'}]")
+    below.set_xlabel("$t$ [s]")
+    unit = f" {data.unit}" if data.unit else ""
+    legend(below, *([f"scale logarithmic beyond ±{linear:g}{unit}, dotted"] if linear else []))
+    for panel in (ax, below):  # the upper legend names the shading
+        shade(panel, data.valid, data.Ts)
+    finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
+    return sign(ax, data.source, above=legend(ax, *notes))
+
+
+def _plot_outputs(
+    data: Dataset | Signals,
+    compared: Sequence[Comparison],
+    outputs: Sequence[str],
+    labels: Labels,
+    ax: Axes | None,
+) -> Axes:
+    """Plot each measured output and the outputs of all models against time."""
+    shown = rows(ax or high_axes(len(outputs)), len(outputs))
+    for i, (panel, output) in enumerate(zip(shown, outputs, strict=True)):
+        of_output = [row for row in compared if row.output == output]
+        names = labels or [row.name for row in of_output]
+        y = data.y[:, data.outputs.index(output)] if isinstance(data, Signals) else data.y
+        panel.plot(data.t, y, color=MISSING, lw=4.5, label="measured")
+        for row, name, pen in zip(of_output, names, pens(len(of_output)), strict=True):
+            panel.plot(data.t, row.y, label=None if i else name, **pen)
+        panel.set_ylabel(named(output, of_output[0].unit))
+        fits = ", ".join(f"{row.fit_percent:.1f} %" for row in of_output)
+        panel.annotate(
+            f"fit {fits}",
+            (1.0, 1.0),
+            xycoords="axes fraction",
+            ha="right",
+            va="bottom",
+            fontsize="small",
+        )
+    shown[-1].set_xlabel("$t$ [s]")
+    finish(*shown, xlim=(float(np.min(data.t)), float(np.max(data.t)) or 1.0))
+    return sign(shown[0], data.source, above=legend(shown[0]))
+
+
+def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int) -> float:
+    """Make the scale logarithmic beyond three times the least error, if errors differ widely.
+
+    Return the limit of the linear part; 0 if the whole scale is linear.
+    """
+    sizes = [r.rms_error for r in rows if np.isfinite(r.rms_error) and r.rms_error > 0]
+    if not sizes or max(sizes) <= 8 * min(sizes):
+        return 0.0
+    linear = float(f"{3 * min(sizes):.1g}")
+    others = [np.abs(row.y - rows[best].y)[data.valid] for row in rows]
+    largest = max(float(np.nanmax(e, initial=linear)) for e in others if np.isfinite(e).any())
+    ax.set_yscale("symlog", linthresh=linear, linscale=1.0)
+    ax.set_ylim(-2 * largest, 2 * largest)
+    for edge in (-linear, linear):
+        ax.axhline(edge, color=INK, lw=0.9, ls=":", zorder=4)
+    # The panel may be as low as three lines of text. The limit is labelled only if it is far enough
+    # from 0 and from the end of the scale.
+    steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.floor(np.log10(largest))
+    highest = max(float(steps[steps <= largest].max(initial=0.0)), linear)
+    places = ax.transData.transform([(0.0, 0.0), (0.0, linear), (0.0, highest)])[:, 1]
+    apart = np.diff(places).min() * 72 / ax.figure.dpi > _MIN_DISTANCE_PT
+    ticks = (-highest, -linear, 0, linear, highest) if apart else (-highest, 0, highest)
+    ax.set_yticks(ticks, [minus(f"{v:g}") for v in ticks])
+    decades = 10.0 ** np.arange(np.ceil(np.log10(linear)), np.log10(highest))
+    ax.set_yticks([*-decades, -linear, linear, *decades], minor=True)
+    return linear
+
+
+def _size(x: float) -> float:
+    """Return x as a sort key: infinity if x is not finite."""
+    return x if np.isfinite(x) else np.inf
+
+
+def _range(x: Array) -> tuple[float, float]:
+    return (float(np.nanmin(x)), float(np.nanmax(x))) if x.size else (0.0, 1.0)
+
+
+def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
+    """Show the autocorrelation of the residuals, and their correlation with the inputs.
+
+    If the residuals are white, the value at each lag is inside the upper band with a probability of
+    99 %. If the residuals are independent of the input, the value at each lag is inside the lower
+    band with a probability of 99 %. On average one of 100 values is outside its band by chance, so
+    a test of all lags together decides. A correlation at negative lags indicates feedback. A
+    correlation at positive lags indicates missing dynamics. Several outputs have a row each, with a
+    panel for each input; the p values above a panel are from the tests of all its lags together.
+    """
+    if test.missing_dynamics_by_pair.size > 1:
+        return _plot_rows(test, ax)
+    ax, below = panels(ax, 0.5, sharex=False)
+    band = float(test.autocorrelation_band)
+    ax.axhspan(-band, band, color=GREY, alpha=0.25, lw=0, label=BAND)
+    _draw(ax, test.lags[1:], test.autocorrelation[1:], band, BLUE)
+    ax.set_ylabel("$r_e$(lag)")
+    width = BAND_99_PERCENT * test.cross_std
+    _draw_in_band(below, test.cross_lags, test.cross_correlation, width, VERMILION)
+    below.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+    below.set_ylabel("$r_{eu}$(lag)")
+    for panel in (ax, below):
+        panel.set_xlabel("lag [samples]")
+        finish(panel)
+    legend(
+        below,
+        f"no feedback: {_p(test.feedback)}; no dynamics missing: {_p(test.missing_dynamics)} "
+        f"({_JOINT})",
+    )
+    return sign(ax, test.source, above=legend(ax, _verdict(test.white)))
+
+
+def _verdict(found: Whiteness) -> str:
+    """Return whether the residuals are white, with the p value and the level, as text."""
+    if np.isnan(found.p_value):
+        return f"residuals {found}"
+    verdict = "coloured" if found.coloured else "white"
+    return f"residuals {verdict}: {_p(found.p_value)} ({_JOINT})"
+
+
+def _p(p: float) -> str:
+    return f"p {p_relation(p)}".replace(" ", NBSP)
+
+
+def _plot_rows(test: ResidualTest, ax: Axes | None) -> Axes:
+    """Show a row for each output: residual autocorrelation, and correlation with each input."""
+    own = ax is None
+    ax = axes(ax)
+    if own:
+        size = COLUMN_WIDTH * (1 + len(test.inputs)), ROW_HEIGHT * len(test.outputs) + 0.4
+        ax.figure.figure.set_size_inches(*size)
+    place: Any = ax.get_subplotspec()
+    grid = place.subgridspec(len(test.outputs), 1 + len(test.inputs))
+    ax.set_subplotspec(grid[0, 0])
+    panels = []
+    for i, output in enumerate(test.outputs):
+        panel = ax if i == 0 else ax.figure.add_subplot(grid[i, 0])
+        width = np.full(test.lags.size - 1, np.atleast_1d(test.autocorrelation_band)[i])
+        white = test.white_by_output[i].p_value
+        _draw_in_band(panel, test.lags[1:], test.autocorrelation[i, i, 1:], width, BLUE)
+        _head(panel, f"white: p {p_relation(white)}")
+        panel.set_ylabel(f"residuals of\n{output}")
+        panels.append(panel)
+        for j, input in enumerate(test.inputs):
+            panel = ax.figure.add_subplot(grid[i, 1 + j])
+            width = BAND_99_PERCENT * test.cross_std[i, j]
+            _draw_in_band(panel, test.cross_lags, test.cross_correlation[i, j], width, VERMILION)
+            panel.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+            dynamics = p_relation(float(test.missing_dynamics_by_pair[i, j]))
+            feedback = p_relation(float(test.feedback_by_pair[i, j]))
+            _head(panel, f"dynamics from {input}: p {dynamics}\nfeedback: p {feedback}")
+            panels.append(panel)
+    for panel in panels[-1 - len(test.inputs) :]:
+        panel.set_xlabel("lag [samples]")
+    finish(*panels)
+    return sign(panels[len(test.inputs)], test.source, above=_HEAD_POINTS)
+
+
+def _head(panel: Axes, text: str) -> None:
+    """Write the p values above a panel, to the right of its letter."""
+    panel.annotate(
+        text,
+        (0.0, 1.0),
+        xycoords="axes fraction",
+        xytext=(4.0, 3.0),
+        textcoords="offset points",
+        va="bottom",
+        fontsize="x-small",
+    )
+
+
+def _draw_in_band(panel: Axes, lags: Array, values: Array, width: Array, colour: str) -> None:
+    panel.fill_between(lags, -width, width, step="mid", color=GREY, alpha=0.25, lw=0, label=BAND)
+    _draw(panel, lags, values, float(np.nanmax(width, initial=0.0)), colour)
+
+
+def _draw(panel: Axes, lags: Array, values: Array, width: float, colour: str) -> None:
+    stems(panel, lags, values, colour)
+    reach = 1.15 * max(float(np.nanmax(np.abs(values), initial=0.0)), width, 1e-12)
+    panel.set_ylim(-reach, reach)
 
 
 def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:

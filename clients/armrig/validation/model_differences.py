@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
-from armrig.models.fit import Fit
 from armrig.numerics.quantities import minus, places, with_range, with_std
+
+if TYPE_CHECKING:
+    from armrig.validation.comparison import Comparison
 
 SURE = 2.58  # least significant difference, in standard deviations, at the level 1 %
 _MIN_BETTER_RATIO = 2.0  # least ratio of rms errors at which a model is called better
@@ -40,22 +42,7 @@ _BECAUSE = {
 }
 
 
-class Row(Protocol):
-    """One model of a comparison."""
-
-    @property
-    def name(self) -> str: ...  # noqa: D102
-    @property
-    def channel(self) -> Fit: ...  # noqa: D102
-    @property
-    def characteristics(self) -> ModelCharacteristics: ...  # noqa: D102
-    @property
-    def rms_error(self) -> float: ...  # noqa: D102
-    @property
-    def on_estimation_data(self) -> bool: ...  # noqa: D102
-
-
-def table(rows: Sequence[Row], *, brief: bool) -> list[str]:
+def table(rows: Sequence[Comparison], *, brief: bool) -> list[str]:
     """Return a table of the characteristics of all models, a column for each model.
 
     If the linearisation is poor, a 95 % range from draws of the parameters replaces the standard
@@ -114,7 +101,7 @@ def _cell(t: ModelCharacteristics, name: str, *, brief: bool) -> str:
     return (text.partition("(")[2].rstrip(")") if brief else text) + "*"
 
 
-def explanation(rows: Sequence[Row], *, brief: bool = False) -> list[str]:
+def explanation(rows: Sequence[Comparison], *, brief: bool = False) -> list[str]:
     """Return sentences on the best model, and on each model's differences from the reference.
 
     The reference is the physical model, because its parameters were not estimated from data. If
@@ -137,7 +124,7 @@ def explanation(rows: Sequence[Row], *, brief: bool = False) -> list[str]:
     return lines
 
 
-def _best(rows: Sequence[Row]) -> str:
+def _best(rows: Sequence[Comparison]) -> str:
     ranked = sorted(rows, key=lambda row: row.rms_error)
     best, next_ = ranked[0], ranked[min(1, len(ranked) - 1)]
     if len(rows) == 1:
@@ -155,7 +142,7 @@ def _best(rows: Sequence[Row]) -> str:
     return f"{said}."
 
 
-def _hopeless(row: Row, reference: Row, *, brief: bool) -> str:
+def _hopeless(row: Comparison, reference: Comparison, *, brief: bool) -> str:
     """Return the reason why the characteristics of a poor model do not describe the rig."""
     said = f"{row.name} has {row.rms_error / reference.rms_error:.3g} times the error of "
     said += f"{reference.name}: its characteristics differ because the model is poor"
@@ -168,7 +155,9 @@ def _hopeless(row: Row, reference: Row, *, brief: bool) -> str:
     return f"{said}. Look at its orders and its delay."
 
 
-def _apart(row: Row, reference: Row, b: ModelCharacteristics, *, brief: bool) -> Iterator[str]:
+def _apart(
+    row: Comparison, reference: Comparison, b: ModelCharacteristics, *, brief: bool
+) -> Iterator[str]:
     """Yield a sentence for each characteristic that differs significantly from the reference b."""
     a = row.characteristics
     if a.integrating != b.integrating:

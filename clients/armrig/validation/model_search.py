@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from armrig_core.errors import InputError
 from msgspec import structs
-from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset, takes_data
-from armrig.data.dataset import Dataset, Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.estimation.data_faults import level_without_input
+from armrig.estimation.data_faults import CONSTANT_INPUT, level_without_input
 from armrig.estimation.orders import integrating_outputs
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
@@ -24,19 +24,20 @@ from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
-from armrig.validation.advice.data_advice import Tested, doubts, doubts_of_channels, tested
-from armrig.validation.data_parts import estimation_and_validation
+from armrig.validation.data_advice import Tested, doubts, doubts_of_channels, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
 from armrig.validation.search_result import Candidate, Scored, SearchResult
 
-Vector = NDArray[np.float64]
+Data = TypeVar("Data", Dataset, Signals)
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
 _CIRCLE_TOLERANCE = 1e-6
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
+_MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of u in the data
+_MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
 
 
 @takes_data
@@ -62,28 +63,26 @@ def search(
     correlated, so the standard error is computed from 30 batch means. Of the candidates that are as
     good as the best, the candidate with the fewest parameters is chosen.
 
-    An output-error system of order 3 was simulated in 200 runs. Each run had N = 1000 samples to
-    estimate, N = 1000 samples to validate, and candidates of orders 1 to 5. The chosen model had
-    the true order in 82 % of the runs. The best candidate had the true order in 48 % of the runs.
-    In the remaining runs the order was too high.
+    An output-error system of order 3 was simulated in 200 runs, with 1000 samples to estimate, 1000
+    to validate, and candidates of orders 1 to 5. The chosen model had the true order in 82 % of the
+    runs, and the best candidate in 48 %. In the remaining runs the order was too high.
 
     No candidate has a pole on or outside the unit circle, except a known integrator. The estimators
     are called with `stable=True`. If a pole was moved into the unit circle, the findings of the
     chosen model report this.
 
     For several outputs, the squared error is the sum over the outputs of (y - ŷ)² / var y. For
-    several signals, a candidate of order n has n poles; an output with an integrator has one more
-    pole, and one more numerator coefficient for each input. "oe" has a shared denominator. If
-    samples are missing, "ss" has no K.
+    several signals, an output with an integrator has one pole more than n, and one more numerator
+    coefficient for each input. "oe" has a shared denominator. If samples are missing, "ss" has
+    no K.
 
     Parameters
     ----------
     data : Dataset or Signals
         Data to estimate from.
     validation : Dataset or Signals, optional
-        Data to rank the models on; by default the second half of `data`. Then only the first half
-        is used for estimation. If u rests in one half, `data` are cut at another sample, so that u
-        moves in both parts.
+        Data to rank the models on; by default the second half of `data`, and only the first half is
+        used for estimation. If u rests in one half, the cut is elsewhere.
     families : sequence of str, optional
         Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
         default contains only structures whose noise model prevents a bias by feedback. For several
@@ -93,19 +92,18 @@ def search(
         Numbers of poles to try, >= 1, including the pole of an integrator; by default 1 to 5. For
         several signals the poles of integrators do not count, and the default is 1 to 8.
     nk : int or iterable of int, optional
-        Numbers of samples before u affects y; each number is tried. By default the nk that `delay`
-        finds, at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In closed
-        loop 0 is not tried, because a controller causes an apparent direct term. If the data do not
-        distinguish feedback from a direct term, 0 is tried, and `doubts` contains this finding.
-        For several signals the default is 1.
+        Numbers of samples before u affects y; each number is tried. The default is the nk that
+        `delay` finds, at least 1; for several signals 1. If a direct term is not ruled out, 0 is
+        tried, too, but not in closed loop, because a controller causes an apparent direct term. If
+        the data do not distinguish the two, 0 is tried, and `doubts` contains this finding.
     integrator : bool, str or sequence of str, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
-        theta_1. For any other output, a test decides whether the output integrates. For several
-        signals: the outputs with a pole at 1, by default theta_1 if "oe" is tried.
+        theta_1; for any other output a test decides. For several signals: the outputs with a pole
+        at 1, by default theta_1 if "oe" is tried.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
-        True if y has a constant part that u does not explain. This part must exceed 2 standard
-        deviations in one of the two data sets.
+        True if y has a constant part, above 2 standard deviations in one of the two data sets,
+        that u does not explain.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
         estimated with `focus="simulation"`. In closed loop the default for one input and output is
@@ -146,48 +144,37 @@ def search(
         data = data.dataset()
     if orders is None:
         orders = range(1, 9) if isinstance(data, Signals) else range(1, 6)
-    orders = several("orders", orders)
-    halved = validation is None
+    halved, orders = validation is None, several("orders", orders)
     if validation is None:
-        data, validation = estimation_and_validation(data)  # type: ignore[type-var]
-    if isinstance(data, Signals):
-        if offset is not None:
-            raise InputError(
-                "offset= is for one input and one output; for several signals, remove the means "
-                "with detrend"
-            )
-        plan = _planned_for_several(
-            data, families, orders, nk, integrator, simulated=horizon is None
-        )
-    else:
+        data, validation = _estimation_and_validation(data)  # type: ignore[type-var]
+    if isinstance(data, Dataset):
         validation = as_dataset(validation)
-        plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
-        horizon = plan.horizon
-    score = partial(_score, data=data, validation=validation, horizon=horizon)
+    plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
+    score = partial(_score, data=data, validation=validation, horizon=plan.horizon)
     coming = (map if executor is None else executor.map)(score, plan.candidates)
     scored = _counted(coming, [c.name for c in plan.candidates], progress)
-    ranking = _ranked(scored, validation)
+    ranked, rms, excess, excess_std = _ranked(scored, validation)
+    chosen = simplest_as_good(excess, excess_std, [s.parameters for s in ranked])
+    tests = residuals(ranked[chosen].model, validation)
+    request = ranked[chosen].candidate.request_for(data)
+    if request.replicates is not None:
+        fit = structs.replace(request, replicates=None).estimated(data)
+        ranked[chosen] = replace(ranked[chosen], fit=fit)
+    outputs = validation.signals()
     return SearchResult(
-        ranked=tuple(_with_covariance(ranking, data)),
-        rms=ranking.rms,
-        excess=ranking.excess,
-        excess_std=ranking.excess_std,
-        chosen_index=ranking.chosen,
+        ranked=tuple(ranked),
+        rms=rms,
+        excess=excess,
+        excess_std=excess_std,
+        chosen_index=chosen,
         failed=tuple(j for j in scored if j.reason),
         doubts=plan.doubts,
         notes=plan.notes,
         halved=halved,
-        tests=residuals(ranking.fit, validation),
-        horizon=horizon,
-        unit=_unit(validation),
+        tests=tests,
+        horizon=plan.horizon,
+        unit="σ" if outputs.ny > 1 else outputs.units[0],
     )
-
-
-def _unit(data: Dataset | Signals) -> str:
-    """Return the unit of the errors; the errors of several outputs are in standard deviations."""
-    if isinstance(data, Dataset):
-        return data.unit
-    return "σ" if data.ny > 1 else data.units[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,14 +182,14 @@ class _Plan:
     """Candidates of a search, and the findings that led to them."""
 
     candidates: list[Candidate]
-    horizon: int | None = None
-    doubts: tuple[Finding, ...] = ()
-    notes: tuple[str, ...] = ()
+    horizon: int | None
+    doubts: tuple[Finding, ...]
+    notes: tuple[str, ...]
 
 
 def _planned(
-    data: Dataset,
-    validation: Dataset,
+    data: Dataset | Signals,
+    validation: Dataset | Signals,
     families: Sequence[OfferedName] | None,
     orders: list[int],
     nk: int | Iterable[int] | None,
@@ -210,90 +197,59 @@ def _planned(
     offset: bool | None,
     horizon: int | None,
 ) -> _Plan:
-    """Test the data, and return the candidates for one input and one output."""
-    if isinstance(integrator, Sequence):
-        integrator = data.output in ([integrator] if isinstance(integrator, str) else integrator)
-    known = tested(data, integrator)
-    if nk is None:
-        nk = _likely_delays(known)
-    delays = several("nk", nk) if isinstance(nk, Iterable) else [nk]
-    offered = several_of(
-        "families", _offered(known) if families is None else families, OFFERED_NAMES
-    )
-    if horizon is None and known.closed:
-        horizon = 1
-    against = doubts(data, known)
-    offset, against, notes = _offset(data, validation, known, offset, offered, against)
-    candidates = _candidates(
-        offered,
-        orders,
-        delays,
-        integrator=known.integration.integrates,
-        offset=offset,
-        simulated=horizon is None,
-    )
-    return _Plan(
-        candidates=list(candidates),
-        horizon=horizon,
-        doubts=tuple(against),
-        notes=(*known.integration.notes, *notes),
-    )
-
-
-def _planned_for_several(
-    data: Signals,
-    families: Sequence[OfferedName] | None,
-    orders: list[int],
-    nk: int | Iterable[int] | None,
-    integrator: bool | str | Sequence[str] | None,
-    *,
-    simulated: bool,
-) -> _Plan:
-    """Return the candidates for several signals."""
-    if integrator is None:
-        able = families is None or "oe" in families
-        integrator = [name for name in data.outputs if able and name in INTEGRATING_OUTPUTS]
-    marks = zip(data.outputs, integrating_outputs(integrator, data), strict=True)
-    integrating = tuple(output for output, integrates in marks if integrates)
-    tried = [name for name, row in OFFERED.items() if row.searched_of_several]
-    names: list[OfferedName] = several_of(
-        "families", tried if families is None else families, tried
-    )
-    if integrating:
-        names = ["oe"]
-    delays = several("nk", nk) if isinstance(nk, Iterable) else [1 if nk is None else nk]
-    _require_orders(orders, delays)
+    """Test the data, and return the candidates."""
+    notes: list[str] = []
+    if isinstance(data, Dataset):
+        if isinstance(integrator, Sequence):
+            names = [integrator] if isinstance(integrator, str) else integrator
+            integrator = data.output in names
+        known = tested(data, integrator)
+        fixed: bool | tuple[str, ...] = known.integration.integrates
+        likely = _likely_delays(known)
+        if families is None:
+            open_loop = not known.closed
+            rows = [(name, row) for name, row in OFFERED.items() if row.searched]
+            families = [name for name, row in rows if open_loop or row.closed_loop]
+        offered = several_of("families", families, OFFERED_NAMES)
+        offset, against, notes = _offset(
+            data, as_dataset(validation), known, offset, offered, doubts(data, known)
+        )
+        notes = [*known.integration.notes, *notes]
+        horizon = 1 if horizon is None and known.closed else horizon
+    else:
+        if offset is not None:
+            raise InputError(
+                "offset= is for one input and one output; for several signals, remove the means "
+                "with detrend"
+            )
+        if integrator is None:
+            able = families is None or "oe" in families
+            integrator = [name for name in data.outputs if able and name in INTEGRATING_OUTPUTS]
+        marks = integrating_outputs(integrator, data)
+        fixed = tuple(name for name, mark in zip(data.outputs, marks, strict=True) if mark)
+        likely, allowed = [1], [name for name, row in OFFERED.items() if row.searched_of_several]
+        offered = several_of("families", allowed if families is None else families, allowed)
+        offered = ["oe"] if fixed else offered
+        against = [*doubts_of_channels(data)]
+    delays = likely if nk is None else several("nk", nk) if isinstance(nk, Iterable) else [nk]
+    for n in orders:
+        require_integers(orders=(n, 1))
+    for k in delays:
+        require_integers(nk=(k, 0))
     candidates = [
         Candidate(
             family=family,
-            orders=(*dict.fromkeys(OFFERED[family].orders, n).items(), ("nk", k)),
-            integrator=integrating or False,
-            simulates=simulated and "focus" in OFFERED[family].takes,
+            orders=(*named.items(), ("nk", k)),
+            integrator=(fixed or False) if "integrator" in OFFERED[family].takes else False,
+            offset=bool(offset) and "offset" in OFFERED[family].takes,
+            simulates=horizon is None and "focus" in OFFERED[family].takes,
         )
-        for family in names
+        for family in offered
         for k in delays
         for n in orders
+        for named in _orders(family, n)
     ]
-    return _Plan(candidates=candidates, doubts=tuple(doubts_of_channels(data)))
-
-
-def _with_covariance(ranking: _Ranking, data: Dataset | Signals) -> Iterator[Scored]:
-    """Yield the ranked candidates; the chosen model's covariance is computed from replicates."""
-    for k, scored in enumerate(ranking.usable):
-        request = scored.candidate.request_for(data)
-        if k == ranking.chosen and request.replicates is not None:
-            yield replace(scored, fit=structs.replace(request, replicates=None).estimated(data))
-        else:
-            yield scored
-
-
-def _offered(known: Tested) -> list[OfferedName]:
-    """Return the structures that are searched by default, given the tests of the data."""
-    return [
-        name
-        for name, kind in OFFERED.items()
-        if kind.searched and (kind.closed_loop or not known.closed)
-    ]
+    return _Plan(candidates=candidates, horizon=horizon, doubts=tuple(against), notes=tuple(notes))
 
 
 def _offset(
@@ -333,37 +289,6 @@ def _counted(
         scored.append(next(following))
     tell(len(names), len(names), "")
     return scored
-
-
-def _candidates(
-    families: list[OfferedName],
-    orders: list[int],
-    delays: list[int],
-    *,
-    integrator: bool,
-    offset: bool,
-    simulated: bool,
-) -> Iterator[Candidate]:
-    _require_orders(orders, delays)
-    for family in families:
-        kind = OFFERED[family]
-        for nk in delays:
-            for n in orders:
-                for named in _orders(family, n):
-                    yield Candidate(
-                        family=family,
-                        orders=(*named.items(), ("nk", nk)),
-                        integrator=integrator and "integrator" in kind.takes,
-                        offset=offset and "offset" in kind.takes,
-                        simulates=simulated and "focus" in kind.takes,
-                    )
-
-
-def _require_orders(orders: list[int], delays: list[int]) -> None:
-    for n in orders:
-        require_integers(orders=(n, 1))
-    for nk in delays:
-        require_integers(nk=(nk, 0))
 
 
 def _likely_delays(known: Tested) -> list[int]:
@@ -415,20 +340,10 @@ def _largest_unstable(fit: Fit) -> float:
     return largest if largest > 1 + _CIRCLE_TOLERANCE else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Ranking:
-    """The usable candidates, best first."""
-
-    usable: list[Scored]
-    rms: Vector
-    excess: Vector
-    excess_std: Vector
-    chosen: int
-    fit: Fit
-    """The chosen model."""
-
-
-def _ranked(scored: list[Scored], validation: Dataset | Signals) -> _Ranking:
+def _ranked(
+    scored: list[Scored], validation: Dataset | Signals
+) -> tuple[list[Scored], Vector, Vector, Vector]:
+    """Return the usable candidates, best first, and their rms, excess and its standard error."""
     usable = [j for j in scored if not j.reason]
     if not usable:
         first = scored[0]
@@ -446,22 +361,37 @@ def _ranked(scored: list[Scored], validation: Dataset | Signals) -> _Ranking:
     squared = np.sum(np.where(both, errors, 0.0) ** 2, axis=2)[:, both.any(axis=1)]
     order = np.argsort(squared.mean(axis=1), kind="stable")
     squared, usable = squared[order], [usable[i] for i in order]
+    for one in usable:
+        one.error.flags.writeable = False
     difference = squared - squared[0]
     excess_std = standard_error(np.array([batch_means(d) for d in difference]))
     rounding = _ROUNDING**2 * float(np.nanmean((y / std) ** 2))
-    excess_std = np.maximum(excess_std, rounding)
-    excess = difference.mean(axis=1)
-    chosen = simplest_as_good(excess, excess_std, [s.parameters for s in usable])
-    return _Ranking(
-        usable=[replace(j, error=_frozen(j.error)) for j in usable],
-        rms=np.sqrt(squared.mean(axis=1)),
-        excess=excess,
-        excess_std=excess_std,
-        chosen=chosen,
-        fit=usable[chosen].model,
-    )
+    rms, excess = np.sqrt(squared.mean(axis=1)), difference.mean(axis=1)
+    return usable, rms, excess, np.maximum(excess_std, rounding)
 
 
-def _frozen(x: Vector) -> Vector:
-    x.flags.writeable = False
-    return x
+def _estimation_and_validation(data: Data) -> tuple[Data, Data]:
+    """Return two parts in which each input moves, cut as near to the middle as possible.
+
+    Without an input that moves, a part does not distinguish models.
+    """
+    u = data.u.reshape(data.N, -1)
+    if not np.ptp(u):
+        raise InputError(CONSTANT_INPUT)
+    least = _MIN_RANGE_SHARE * np.ptp(u, axis=0)
+    before, after = _range(u) >= least, _range(u[::-1])[::-1] >= least
+    cuts = 1 + np.flatnonzero(np.all(before[:-1] & after[1:], axis=1))
+    middle = round(data.N / 2)
+    cut = int(cuts[np.argmin(np.abs(cuts - middle))]) if cuts.size else 0
+    if not _MIN_PART_SHARE <= cut / data.N <= 1 - _MIN_PART_SHARE:
+        raise InputError(
+            "u moves in one part of the data only, and the other part cannot rank models: give "
+            "other data for validation (validation=, --validate), or estimate one structure "
+            "without a search"
+        )
+    return data[:cut], data[cut:]
+
+
+def _range(u: Vector) -> Vector:
+    """Return the range of each column of u (N, n) up to each sample."""
+    return np.asarray(np.maximum.accumulate(u) - np.minimum.accumulate(u))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from armrig.numerics.covariance import pairwise_covariance
-from armrig.numerics.polynomial import Array
+from armrig.numerics.polynomial import Array, lagged
 from armrig.numerics.whiteness import NOT_TESTED, Whiteness, decided, portmanteau
 from armrig.validation.projection import Part, Projection, sum_of_products
 
@@ -15,13 +15,7 @@ from armrig.validation.projection import Part, Projection, sum_of_products
 def white_by_output(
     projected: Projection, theta_covariance: Array | None, L: int
 ) -> list[Whiteness]:
-    """Test for each output whether its residuals are white.
-
-    Parameters
-    ----------
-    theta_covariance : ndarray (p, p), optional
-        Covariance of the parameters, if they were estimated from other data.
-    """
+    """Test each output; give the parameters' covariance if they are estimated from other data."""
     parts = projected.parts
     if parts[0].e.shape[1] == 1:
         e, Psi, S = zip(*((p.e[:, 0], p.Psi[:, 0], p.S[:, 0]) for p in parts), strict=True)
@@ -69,7 +63,7 @@ def _white(
         np.where(k[:, None], np.nan_to_num(part.e) @ T.T, 0.0)
         for part, k in zip(parts, whole, strict=True)
     ]
-    past = [np.stack([_delayed(x, lag) for lag in range(1, L + 1)], axis=-1) for x in w]
+    past = [np.stack([lagged(column, range(1, L + 1)) for column in x.T], axis=1) for x in w]
     # The products of a(t) with b(t - k) are columns a, b, k.
     sums = np.sum(
         [np.einsum("ta,tbk->abk", x, late) for x, late in zip(w, past, strict=True)], axis=0
@@ -105,12 +99,6 @@ def _product(x: Array, y: Array, lag: int) -> Array:
     """Return the sum of x_a(t)^T y_b(t - lag), (m, m)."""
     ahead, behind = x[lag:], y[: max(y.shape[0] - lag, 0)]
     return np.asarray(np.tensordot(ahead, behind, axes=((0, 2), (0, 2))))
-
-
-def _delayed(w: Array, lag: int) -> Array:
-    return np.concatenate([np.zeros((min(lag, w.shape[0]), w.shape[1])), w[: -lag or None]])[
-        : w.shape[0]
-    ]
 
 
 def _spread(H: Sequence[Array], Lambda: Array) -> Array:

@@ -133,8 +133,7 @@ def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
 def _directions(fit: Fit) -> Array:
     """Return independent directions of theta, (d, p), each with standard deviation 1.
 
-    The covariance of theta is singular for the matrices of a state space, and if a root is fixed at
-    1.
+    The covariance of theta is singular for matrices of a state space or a root that is fixed at 1.
     """
     scale = np.sqrt(np.maximum(np.diag(fit.covariance_robust), 1e-300))
     values, axes = np.linalg.eigh(fit.covariance_robust / np.outer(scale, scale))
@@ -192,9 +191,9 @@ class Projection:
     def applied(self) -> Projection:
         """Return the projection of experiments with the residuals (1 - P) e.
 
-        These residuals are (1 - P) v even if e was projected with other weights, or if the search
-        ended shortly before its minimum. The reason is that e and v differ by a combination of the
-        columns of B, which 1 - P removes.
+        1 - P removes the difference of e and v, a combination of the columns of B. The residuals
+        are therefore (1 - P) v even if e was projected with other weights, or if the search ended
+        shortly before its minimum.
         """
         e = [np.nan_to_num(part.e)[:, :, None] for part in self.parts]
         WT = [part.weighted(t) for part, t in zip(self.parts, self.T, strict=True)]

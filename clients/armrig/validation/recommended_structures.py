@@ -12,7 +12,7 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.order_selection import select_orders
 from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem
@@ -22,9 +22,6 @@ from armrig.models.structure import Structure
 from armrig.numerics.criteria import mdl
 from armrig.numerics.polynomial import filtered, reduced
 from armrig.numerics.whiteness import autoregression
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 RECOMMENDED = 3
 BARE = 2.0  # difference of description length that hardly counts (Kass, Raftery 1995, BIC)
@@ -113,8 +110,7 @@ class _Fitted:
 class _Record:
     """Experiments, with the largest nk, so that all structures describe the same samples of y.
 
-    Description lengths of different numbers of samples cannot be compared, because their difference
-    depends on the unit of y.
+    The difference of description lengths of other samples would depend on the unit of y.
     """
 
     parts: tuple[Dataset, ...]
@@ -128,10 +124,7 @@ class _Record:
         require_samples("an experiment for structure hints", needed=needed, got=longest)
 
     def filtered(self, D: Vector) -> _Record:
-        """Return the record of the filtered signals D u and D y, without the first samples.
-
-        For these samples the filter D would need values before the start of the experiment.
-        """
+        """Return the signals D u and D y, without the samples that need values before the start."""
         p, found = D.size - 1, []
         for part in self.parts:
             if p < part.N:
@@ -142,8 +135,7 @@ class _Record:
     def problem(self, s: Recommended) -> PolynomialProblem:
         """Return the estimation problem, with u shifted by its delay.
 
-        Without the shift, the unknown samples of u before the start would be estimated, which takes
-        more time.
+        Without the shift, unknown samples of u before the start would be estimated.
         """
         d, cut = max(s.nk - 1, 0), self.latest - 1
         letter: Literal["f", ""] = "f" if s.integrator else ""
@@ -167,11 +159,9 @@ class Recommendation:
     shown: bool
     """True if the description length confirms the decision on the integrator."""
     B: Vector
-    """Numerator of the model of the first structure, from lag 0 on."""
+    """Numerator of the model, from lag 0 on."""
     F: Vector
-    """Denominator of the model of the first structure."""
-    whitening: Vector
-    """Polynomial D of the noise model e/D; the signals are filtered by D."""
+    """Denominator of the model."""
 
     def G(self, omega: Vector, Ts: float) -> NDArray[np.complex128]:
         """Return the model's frequency response."""
@@ -184,22 +174,12 @@ def recommended(
 ) -> Recommendation:
     """Return at most three structures, from signals that are filtered to whiten the noise.
 
-    An autoregression 1/D describes the residuals of a first model. The noise of the filtered
-    signals D u and D y is then white. If the noise is white, the output-error estimate maximises
-    the likelihood, and the description length (MDL) distinguishes the orders. Each order is fitted
-    at the given lags and at the lags that ARX models prefer. The joint covariance of the b's then
-    decides which b's are kept.
-
-    Parameters
-    ----------
-    lags : iterable of int
-        Values of nk to try, the likeliest first.
-    integrates : bool
-        True if y is taken as integrating.
-    decide : bool
-        True if the description length may decide against `integrates`. If the description length
-        does not decide, a structure with an integrator and a structure without an integrator are
-        recommended.
+    An autoregression 1/D describes the residuals of a first model, so that the noise of the
+    filtered signals D u and D y is white. The output-error estimate then maximises the likelihood,
+    and the description length (MDL) distinguishes the orders. Each order is fitted at the given
+    lags, the likeliest first, and at the lags that ARX models prefer. The joint covariance of the
+    b's decides which b's are kept. If `decide` is True, the description length may decide against
+    `integrates`; if it does not decide, the result has structures with and without an integrator.
     """
     data = _busiest(data)
     nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_MAX_LAGS]
@@ -217,8 +197,7 @@ def recommended(
     scans = [_refined(white, s) for i in kinds if (s := _scanned(white, nks, integrates=i))]
     C, _ = autoregression(_joined(scans)[0].fitted.residuals(), mdl)
     if C.size > 1:
-        D = np.convolve(D, C)
-        scans = [_refined(record.filtered(D), s) for s in scans]
+        scans = [_refined(record.filtered(np.convolve(D, C)), s) for s in scans]
     ranked = _joined(scans)
     best = ranked[0].fitted
     other = min((t.bits for t in ranked if t.structure.integrator != integrates), default=np.inf)
@@ -233,16 +212,14 @@ def recommended(
         shown=shown,
         B=best.B,
         F=best.F,
-        whitening=D,
     )
 
 
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
     """Return at most three structures with the shortest description lengths.
 
-    If the data decide whether there is an integrator (`shown`), one structure has nb = nf, like a
-    plant under a zero-order hold. Otherwise the structures include a structure with an integrator
-    and a structure without an integrator.
+    If the data decide on the integrator (`shown`), one structure has nb = nf, like a plant under a
+    zero-order hold. Otherwise there are structures with and without an integrator.
     """
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
@@ -328,10 +305,7 @@ def _neighbours(s: Recommended) -> Iterator[Recommended]:
 
 
 def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted | None:
-    """Return the best model of a structure; None if there is none.
-
-    The searches start at several estimates of F, and at variants of F from models of other orders.
-    """
+    """Return the best model of a structure, from F of `_starts` and of models of other orders."""
     if s.nk > record.latest:
         return None
     problem = record.problem(s)
@@ -363,15 +337,12 @@ def _fits(
     integrates: bool,
     near: Vector = np.ones(1),  # noqa: B008
 ) -> Iterator[_Fitted]:
-    """Yield models of an order at the likeliest lags, with more b's than expected.
-
-    The covariance of the b's then decides which b's are kept.
-    """
+    """Yield models of an order at the likeliest lags, with more b's than expected."""
     if nf < integrates:
         return
     begun = [s for k in nks if (s := _begun(record, nf, k, integrates, near))]
     likeliest = [*begun[:1], *sorted(begun[1:], key=lambda s: s[0])[:2]]
-    for nk, f in [(k, f) for _, k, f in likeliest]:
+    for _, nk, f in likeliest:
         first = max(nk - _EXTRA_COEFFICIENTS, min(nk, 1))
         wide = Recommended(
             nb=nf + nk - first + _EXTRA_COEFFICIENTS, nf=nf, nk=first, integrator=integrates
@@ -419,9 +390,8 @@ def _begun(
 def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
     """Return the description length if removal of `fewer` coefficients raises the cost by `more`.
 
-    Each dimension of one experiment's initial state costs log N, as a coefficient does. Without
-    this cost, a model could fit a sine in the noise by a pair of poles on the unit circle and the
-    initial state. The model could choose the frequency of the sine from N/2 frequencies.
+    Each dimension of one experiment's initial state costs log N, as a coefficient does. Otherwise
+    a pair of poles on the unit circle and the initial state could fit any sine in the noise.
     """
     s = model.structure
     loss = max((model.cost + more) / (model.N - model.past), np.finfo(np.float64).tiny)
@@ -432,7 +402,7 @@ def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
 def _trimmed(model: _Fitted) -> Iterator[Tried]:
     """Yield structures without some first and last b's; predict their description lengths."""
     solution = model.problem.solve(model.f)
-    R: Matrix = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
+    R: Vector = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
     scale = np.sqrt(np.sum(R**2, axis=0))
     scale[scale == 0] = 1.0
     inverse = np.linalg.pinv(R / scale, rcond=_RANK_TOLERANCE) / scale[:, None]

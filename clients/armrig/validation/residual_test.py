@@ -14,7 +14,6 @@ from armrig.data.finding import EstimateFinding
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
-from armrig.validation.power import lack_of_power
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +22,9 @@ if TYPE_CHECKING:
 _DYNAMICS = "no dynamics missing", "dynamics missing", "orders or delay"
 _FEEDBACK = "no feedback", "feedback, or a delay too large", "experiment"
 _NOT_VALID = "until the dynamics are modelled, the test of feedback is not valid"
+_MOST_ALLOWED = 10.0
+"""Largest factor by which uncertain parameters may widen the bands of a test. With a larger factor,
+the test has no power."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -171,7 +173,7 @@ class ResidualTest:
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the correlations: see `armrig.plots.plot_residuals`."""
         from armrig.plots.layout import figure_of
-        from armrig.validation.residual_figure import plot_residual_test
+        from armrig.validation.figures import plot_residual_test
 
         return figure_of(plot_residual_test(self, ax=ax))
 
@@ -231,3 +233,19 @@ def _verdict(good: str, bad: str, look: str, p: float) -> str:
     if p < WHITE_LEVEL:
         return f"{bad} (p {p_relation(p)}): look at the {look}"
     return f"{good} (p {p_relation(p)})"
+
+
+def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:
+    """Return the reason why the tests have no power, with a remedy; "" if they have power.
+
+    The tests on validation data allow for the uncertainty of the parameters. If this uncertainty is
+    huge, all residuals pass the tests. An example is the uncertainty of a pole that is 1 within
+    rounding errors.
+    """
+    if on_estimation_data or not allowance > _MOST_ALLOWED:
+        return ""
+    return (
+        "the deviations of the parameters widen the bands of the correlations by a factor "
+        f"of {allowance:.0f}, so these tests find nothing. Fix a pole near 1 "
+        "(option integrator), lower the orders, or record more data"
+    )

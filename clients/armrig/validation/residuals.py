@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
@@ -16,7 +16,13 @@ from armrig.models.polynomials import Polynomials
 from armrig.models.prediction import findings_on_own_data, require_same_signals
 from armrig.numerics.covariance import joint_exogenous_score
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whiteness import default_lags, joined, joint_p_value, ljung_box
+from armrig.numerics.whiteness import (
+    BAND_99_PERCENT,
+    default_lags,
+    joined,
+    joint_p_value,
+    ljung_box,
+)
 from armrig.validation.output_whiteness import jointly_white, white_by_output
 from armrig.validation.projection import (
     Part,
@@ -25,8 +31,10 @@ from armrig.validation.projection import (
     projection,
     sum_of_products,
 )
-from armrig.validation.residual_figure import BAND_99_PERCENT
 from armrig.validation.residual_test import ResidualTest
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _MIN_SUM_VARIANCE = 1e-4
 """Least variance of a tested combination of the sums of several pairs, as a share of the largest.
@@ -42,10 +50,9 @@ def residuals(
     """Test whether the one-step residuals are white and independent of the inputs.
 
     Whiteness is tested by a portmanteau test that allows for the estimated parameters. If this test
-    cannot be trusted, the Ljung-Box test decides (see `armrig.numerics.whiteness`). The result
-    always contains the Ljung-Box test, for comparison with other programs. On estimation data the
-    degrees of freedom of the Ljung-Box test are reduced by na + nc + nd. Several outputs are also
-    tested together.
+    cannot be trusted, the Ljung-Box test decides (see `armrig.numerics.whiteness`). For comparison
+    with other programs the result always contains the Ljung-Box test, on estimation data with na +
+    nc + nd fewer degrees of freedom. Several outputs are also tested together.
 
     The test of independence uses the sums s_k of e_i(t) u_j(t - k) over t, for all lags k together:
     for each output i and input j, and for all pairs together. The statistic s^T M^-1 s has a
@@ -61,14 +68,13 @@ def residuals(
     the derivatives of the prediction with respect to the parameters. P projects on the effects of
     the unknown past, the ramps of integrating outputs and, on estimation data, the parameters. P
     uses the weights of the estimator, the inverse of the noise covariance if outputs are estimated
-    together. The projection accounts for the estimation: on estimation data, the residuals are less
-    correlated with the past input than the noise is.
+    together. Because of the estimation, the residuals are on estimation data less correlated with
+    the past input than the noise is.
 
-    The band for a single lag has the variance P/(N R_e(0) R_u(0)). P is the sum over k of the
-    product of the autocovariances R_e(k) and R_u(k). The variance is 1/N only if e or u is white.
-    The band is valid for a model with exactly known parameters. `cross_std` is computed from the
-    diagonal of M. On estimation data, `cross_std` is at some lags smaller than the standard
-    deviation of the band. On other data, `cross_std` is larger.
+    For exactly known parameters, the band for a single lag has the variance P/(N R_e(0) R_u(0)). P
+    is the sum over k of the product of the autocovariances R_e(k) and R_u(k). The variance is 1/N
+    only if e or u is white. `cross_std` is computed from the diagonal of M: smaller at some lags on
+    estimation data, larger on other data.
 
     Parameters
     ----------
@@ -213,13 +219,11 @@ class _InputSums:
     values: Array
     """s, (ny nu (2 L + 1),)."""
     covariance: Array
-    """M."""
     scale: Array
     """Root of the sum of e_i(t)² times the sum of u_j(t)², (ny, nu); infinite if a sum is 0."""
     known_std: Array
     """Standard deviation of s at lag 0 for exactly known parameters, (ny, nu)."""
     allowance: float
-    """Factor by which the uncertainty of the parameters increases a typical deviation of s."""
 
 
 def _input_sums(
@@ -260,8 +264,7 @@ def _input_sums(
 def _lagged_both_ways(part: Part, L: int) -> Array:
     """Return u_j(t - k), k = -L … L, in the rows with a residual of output i: (N, ny, K).
 
-    The K columns are the pairs i, j, each with its lags. A column is 0 in the rows of the other
-    outputs, and outside the experiment.
+    The K columns are the pairs i, j, each with its lags; elsewhere they are 0.
     """
     (N, ny), nu, width = part.e.shape, part.u.shape[1], 2 * L + 1
     # In Fortran order the columns are contiguous.
@@ -301,3 +304,19 @@ def _noise_parameters(fit: Fit) -> list[int]:
         - int(integrates and all(f.size == 1 for f in F))
         for A, C, D, F, integrates in rows
     ]
+
+
+def plot_residuals(
+    fit: Fit,
+    data: Dataset | Signals,
+    *,
+    lags: int | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Show how a model's residuals correlate with each other and with the inputs.
+
+    See `armrig.validation.figures.plot_residual_test`.
+    """
+    from armrig.validation.figures import plot_residual_test
+
+    return plot_residual_test(residuals(fit, data, lags), ax=ax)

@@ -11,7 +11,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset, Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
@@ -23,8 +23,6 @@ from armrig.validation.residual_test import ResidualTest
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,8 +139,8 @@ class SearchResult:
     ranked: tuple[Scored, ...]
     """Candidates with a usable model, best first."""
     rms: Vector
-    """Root mean square error of each candidate in `ranked`, in y's unit. For several outputs: root
-    of the sum of the mean squared errors, each divided by the variance of the output."""
+    """Root mean square error of each candidate in `ranked`, in `unit`. For several outputs: root of
+    the sum of the mean squared errors, each divided by the variance of the output."""
     excess: Vector
     """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
@@ -232,10 +230,10 @@ class SearchResult:
         """
         what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)
-        where = "second part of the data; the first" if self.halved else "validation data"
-        lines = [f"{count} models, {what}, ranked by their error on the {where}"]
+        where = "validation data"
         if self.halved:
-            lines = [f"{lines[0]} estimated them"]
+            where = "second part of the data; the first estimated them"
+        lines = [f"{count} models, {what}, ranked by their error on the {where}"]
         width = max(len(j.candidate.name) for j in self.ranked)
         unit = f" [{self.unit}]" if self.unit else ""
         square = f" [{f'({self.unit})' if '/' in self.unit else self.unit}²]" if self.unit else ""
@@ -277,9 +275,30 @@ def _reasons(found: SearchResult) -> Iterator[str]:
         )
     else:
         yield "chosen: the best, since no simpler model is within one standard error of it"
-    yield from _about_simpler(found)
-    yield from _about_highest_order(found)
-    yield from _about_families(found)
+    fewer = [k for k, j in enumerate(found.ranked) if j.parameters < chosen.parameters]
+    if fewer:
+        k = fewer[0]
+        yield (
+            f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "
+            f"{found.ranked[k].parameters}, rms error {found.rms[k]:.4g}, and a mean squared "
+            f"error {found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors above "
+            "the least"
+        )
+    n = chosen.candidate.order
+    if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
+        yield (
+            f"order {n} is the highest that was tried, so a higher order may be better: search "
+            f"with --max-order {2 * n} (in Python, orders=range(1, {2 * n + 1}))"
+        )
+    families = [j.candidate.family for j in found.ranked]
+    if "arx" in families and "oe" in families:
+        arx, oe = families.index("arx"), families.index("oe")
+        ratio = float(found.rms[arx] / found.rms[oe]) if found.rms[oe] > 0 else 0.0
+        if isfinite(ratio) and not found.within[arx] and ratio > 1.1:
+            yield (
+                f"the best ARX model's error is {ratio:.3g} times the error of the best OE "
+                "model: noise on the output causes a bias of A in an ARX model"
+            )
     yield from found.notes
     yield from _about_tests(found.tests)
     for f in chosen.model.findings:
@@ -291,43 +310,6 @@ def _reasons(found: SearchResult) -> Iterator[str]:
             f"without a usable model: {len(found.failed)}, such as "
             f"{first.candidate.name}: {first.reason}"
         )
-
-
-def _about_simpler(found: SearchResult) -> Iterator[str]:
-    """Yield a sentence on the best candidate with fewer parameters, if there is one."""
-    fewer = [k for k, j in enumerate(found.ranked) if j.parameters < found.chosen.parameters]
-    if fewer:
-        k = fewer[0]
-        yield (
-            f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "
-            f"{found.ranked[k].parameters}, rms error {found.rms[k]:.4g}, and a mean squared "
-            f"error {found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors above "
-            "the least"
-        )
-
-
-def _about_highest_order(found: SearchResult) -> Iterator[str]:
-    """Yield a sentence if the chosen order is the highest that was tried."""
-    n = found.chosen.candidate.order
-    if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
-        yield (
-            f"order {n} is the highest that was tried, so a higher order may be better: search "
-            f"with --max-order {2 * n} (in Python, orders=range(1, {2 * n + 1}))"
-        )
-
-
-def _about_families(found: SearchResult) -> Iterator[str]:
-    """Yield a sentence if the least error of ARX models is far above that of OE models."""
-    best: dict[OfferedName, int] = {}
-    for k, j in enumerate(found.ranked):
-        best.setdefault(j.candidate.family, k)
-    if "arx" in best and "oe" in best and found.rms[best["oe"]] > 0:
-        ratio = float(found.rms[best["arx"]] / found.rms[best["oe"]])
-        if isfinite(ratio) and not found.within[best["arx"]] and ratio > 1.1:
-            yield (
-                f"the best ARX model's error is {ratio:.3g} times the error of the best OE "
-                "model: noise on the output causes a bias of A in an ARX model"
-            )
 
 
 def _about_tests(tests: ResidualTest) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Vector
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectra import explained
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 SURE = 3.0  # standard deviations by which |G| at an extreme must differ from |G| at its bases
@@ -50,29 +49,18 @@ class StructureHints:
     """Recommended structures, and the nonparametric estimates that are the reasons for them."""
 
     structures: tuple[Recommended, ...]
-    """At most three structures, best first.
-
-    If `integrator_shown` is True, the structures include the two structures with the shortest
-    description lengths. They also include the best structure with nb = nf. If `integrator_shown` is
-    False, the structures include a structure with an integrator and a structure without an
-    integrator.
-    """
+    """At most three structures, best first."""
     integrator: bool
     """True if y integrates: the first structure has a pole at 1."""
     integrator_shown: bool
-    """True if the description length and the step response agree on whether y integrates.
-
-    Otherwise `structures` includes a structure with and a structure without an integrator.
-    """
+    """True if the description length and the step response agree on whether y integrates. Otherwise
+    `structures` includes a structure with and a structure without an integrator."""
     low_slope: float | None
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
     the slope of the first structure differs by more than 3 dB a decade."""
     low_slope_std: float
-    """Standard deviation of `low_slope`, from the scatter of the points about the fitted line.
-
-    Smoothing makes the points at neighbouring frequencies correlated, so the true standard
-    deviation is larger.
-    """
+    """Standard deviation of `low_slope`, from the scatter of the points about the fitted line. The
+    points are correlated by smoothing, so the true standard deviation is larger."""
     low_band: Vector
     """Frequencies at which `low_slope` was estimated, in rad/s."""
     high_slope: float | None
@@ -82,20 +70,17 @@ class StructureHints:
     high_band: Vector
     """Frequencies at which `high_slope` was estimated, in rad/s."""
     relative_degree: int
-    """Number of poles minus number of zeros, from the slope at high frequency.
-
-    The value is 0 if ``|G|`` does not fall, or if no slope can be estimated.
-    """
+    """Number of poles minus number of zeros, from the slope at high frequency; 0 if ``|G|`` does
+    not fall, or if no slope can be estimated."""
     resonances: tuple[float, ...]
     """Frequencies in rad/s of the peaks of |G| that the first structure also has. If y integrates,
     |G| is the response of the rate of y."""
     antiresonances: tuple[float, ...]
     """Frequencies in rad/s of the dips of |G| that the first structure also has."""
     phase_delay: float | None
-    """Delay in s, from the phase at the highest frequencies. The delay explains the part of the
-    phase lag that the slope of |G| does not explain. None if `nk_interval` is None, or if this
-    delay differs from (nk - 1/2) Ts by more than Ts/2.
-    """
+    """Delay in s that explains the phase lag at the highest frequencies, except the lag of the
+    roll-off. None if `nk_interval` is None, or if the delay differs from (nk - 1/2) Ts by more than
+    Ts/2."""
     nk_interval: tuple[int, int] | None
     """Least and greatest nk that the test `armrig.delay` does not rule out. None if this test
     raised an error, or if this range does not contain `nk`."""
@@ -159,21 +144,19 @@ def structure_hints(
 ) -> StructureHints:
     """Recommend at most three structures, with the reasons for them.
 
-    The structures are the output-error structures with the shortest description lengths
-    (`recommended`). Before the search, a filter whitens the noise. If the data show whether y
-    integrates, one of the structures has nb = nf, like a plant under a zero-order hold.
-    Nonparametric estimates give the following reasons. A reason is reported only if the first
-    structure agrees with it:
+    The structures are the output-error structures with the shortest description lengths, after a
+    filter has whitened the noise (`recommended`). If the data show whether y integrates, one of the
+    structures has nb = nf, like a plant under a zero-order hold. Nonparametric estimates give the
+    following reasons, which are reported if the first structure agrees:
 
     - Integrator: the step response of y's rate does not return to 0, and the description is shorter
       with a pole at 1. If only one of the two statements is true, or if the description lengths
-      hardly differ, a structure with an integrator and a structure without an integrator are
-      recommended. The output theta_1 is taken as integrating, unless the step response of its rate
-      significantly returns to 0: then another rig uses the name theta_1. With an
-      integrator the slope of the gain at low frequency is -20 dB a decade.
-    - Order: the number of singular values of a Hankel matrix that exceed `threshold`. The matrix is
-      computed from the regularised impulse response, and `threshold` from the uncertainty of this
-      response.
+      hardly differ, structures with and without an integrator are recommended. The output theta_1
+      is taken as integrating, unless the step response of its rate significantly returns to 0: then
+      another rig uses the name. With an integrator the slope of the gain at low frequency is
+      -20 dB a decade.
+    - Order: the number of singular values of the impulse response's Hankel matrix that exceed
+      `threshold`, which follows from the uncertainty of this response.
     - Number of poles minus number of zeros: the slope at the highest frequencies at which u
       explains y (coherence above one half). Each pole in excess of the zeros changes the slope by
       -20 dB a decade. Sampling hides the slope near the Nyquist frequency.
@@ -221,8 +204,10 @@ def structure_hints(
     of_rate = None
     if integrates is None:
         of_rate = long_enough(data, LAGS, integrator=True)
-        integrates = not _returns(of_rate) if known else _stays(of_rate)
-    late = _delay(data, integrates=integrates)
+        integrates = _integrates(of_rate, known=known)
+    late: Delay | None = None
+    with suppress(ValueError):
+        late = delay(data, integrator=integrates)
     rate = spa(data, "log", integrator=True).rate()
     slope, slope_std, low = low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
@@ -240,9 +225,9 @@ def structure_hints(
     high = spectrum.omega[high_band(spectrum, believed)]
     fall = high_slope(spectrum, believed)
     at = nk - 0.5
-    excess = phase_delay(
-        spectrum, believed, fall, sign=_sign(response), shown=max(nk - 1, 0) * data.Ts
-    )
+    # The phase of a negative response begins at 180°.
+    sign = -1.0 if np.sum(response.decaying[0]) < 0 else 1.0
+    excess = phase_delay(spectrum, believed, fall, sign=sign, shown=max(nk - 1, 0) * data.Ts)
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
     return StructureHints(
         structures=best.structures,
@@ -267,19 +252,8 @@ def structure_hints(
     )
 
 
-def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
-    """Return the result of `delay`; None if `delay` raises an error."""
-    try:
-        return delay(data, integrator=integrates)
-    except ValueError:
-        return None
-
-
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
-    """Return the indices of the frequencies at which u explains y.
-
-    If there are too few such frequencies, the result is empty; ValueError is raised if `needed`.
-    """
+    """Return the indices of the frequencies at which u explains y; if too few, none or an error."""
     try:
         return explained(estimate)
     except ValueError:
@@ -311,45 +285,32 @@ def _confirmed(
     return tuple(w for w in found if np.any(np.abs(at / w - 1) <= AGREED_PEAK) or extreme(w))
 
 
-def _stays(of_rate: ImpulseResponse) -> bool:
-    """Return whether the rate's step response does not return to 0."""
-    end, std = _end_of_step(of_rate)
-    return end > max(STAYS, SURE * std)
+def _integrates(of_rate: ImpulseResponse, *, known: bool) -> bool:
+    """Return whether y integrates: the rate's step response does not return to 0.
 
-
-def _returns(of_rate: ImpulseResponse) -> bool:
-    """Return whether the rate's step response surely returns to 0."""
+    An output that is known to integrate does not integrate if its response surely returns to 0.
+    """
     end, std = _end_of_step(of_rate)
-    return end + SURE * std < STAYS
+    return end + SURE * std >= STAYS if known else end > max(STAYS, SURE * std)
 
 
 def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
-    """Return the final value of the rate's step response, and its standard deviation.
-
-    Both are divided by the largest value of the step response.
-    """
+    """Return the final share of the rate's largest step response, and its standard deviation."""
     g, _ = of_rate.decaying
     steps = np.abs(np.cumsum(g))
     largest = float(np.max(steps))
     return float(steps[-1]) / largest, float(np.sqrt(_covariance(of_rate).sum())) / largest
 
 
-def _sign(response: ImpulseResponse) -> float:
-    """Return the sign of the steady response; the phase of a negative response begins at 180°."""
-    return -1.0 if float(np.sum(response.decaying[0])) < 0 else 1.0
-
-
 def _extremes(
     response: ImpulseResponse, believed: Vector
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the frequencies of significant peaks and dips.
+    """Return the frequencies of significant peaks and dips of the impulse response's transform.
 
-    The frequencies are computed from the transform of the impulse response. A spectrum with a lag
-    window would have flatter extremes, and a longer delay would make the extremes even flatter. An
-    extreme has a base on each side, as in `scipy.signal.find_peaks`. An extreme is significant if
-    |G| at the extreme differs from |G| at both bases by more than `SURE` standard deviations of the
-    difference. The distance between the bases must also be larger than 2 pi/(n Ts), the resolution
-    of n lags.
+    A lag window would flatten the extremes, the more the longer the delay is. An extreme is
+    significant if |G| differs from |G| at both bases (`scipy.signal.find_peaks`) by more than
+    `SURE` standard deviations of the difference. The bases must also be farther apart than
+    2 pi/(n Ts), the resolution of n lags.
     """
     from scipy.signal import find_peaks
 
@@ -383,17 +344,14 @@ def _extremes(
     return found[0], found[1]
 
 
-def _covariance(response: ImpulseResponse) -> Matrix:
+def _covariance(response: ImpulseResponse) -> Vector:
     """Return the covariance of `response.decaying`, the rate's response if y integrates."""
     rate = response.rate_covariance
     return response.covariance if rate is None else rate
 
 
 def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
-    """Return the Hankel singular values of the response from lag nk on, and their threshold.
-
-    All values are divided by the largest singular value.
-    """
+    """Return the Hankel singular values from lag nk on, and their threshold, over the largest."""
     g, _ = response.decaying
     # The backward difference that yields the rate adds a pole at 0, which affects g(nk) alone.
     h = g[nk + 1 :] if response.integrator else g[nk:]
@@ -405,10 +363,6 @@ def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tup
     )[:, g.size - h.size :]
     norms = np.linalg.norm(draws[:, index], ord=2, axis=(1, 2))
     return values / values[0], float(np.quantile(norms, 0.95)) / float(values[0])
-
-
-def _standing(n: int) -> str:
-    return f"{n or 'none'} {'stands' if n <= 1 else 'stand'} out"
 
 
 def _extremes_told(h: StructureHints) -> str:
@@ -435,12 +389,16 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         yield f"shape of {what}: {_extremes_told(h)}"
     shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
     with_integrator = h.integrator and h.integrator_shown
+    n = h.order - with_integrator
+    more = ""
+    if h.order < h.nf and h.integrator_shown:
+        more = f"; nf = {h.nf} has the shortest description, which noise alone may cause: keep it "
+        more += f"only if a model with nf = {h.order} has coloured residuals, or if physics has "
+        more += "more poles"
     yield (
-        f"order: Hankel singular values {shown} …, "
-        f"uncertainty alone causes up to {h.threshold:.2g}: "
-        + _standing(h.order - with_integrator)
-        + (", and the integrator" if with_integrator else "")
-        + _more_poles(h)
+        f"order: Hankel singular values {shown} …, uncertainty alone causes up to "
+        f"{h.threshold:.2g}: {n or 'none'} {'stands' if n <= 1 else 'stand'} out"
+        f"{', and the integrator' if with_integrator else ''}{more}"
     )
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
@@ -453,23 +411,8 @@ def _reasons(h: StructureHints) -> Iterator[str]:
             "phase: in addition to the lag of the roll-off, the phase lags like a delay of "
             f"{times(h.phase_delay)}; the hold causes {times(h.spectrum.Ts / 2)} of this delay"
         )
-    yield from _about_delay(h)
-    yield from _others(h)
-
-
-def _more_poles(h: StructureHints) -> str:
-    """Return the reason why the first structure has more poles than `order`, or ""."""
-    if h.order >= h.nf or not h.integrator_shown:
-        return ""
-    return (
-        f"; nf = {h.nf} has the shortest description, which noise alone may cause: keep it only if "
-        f"a model with nf = {h.order} has coloured residuals, or if physics has more poles"
-    )
-
-
-def _others(h: StructureHints) -> Iterator[str]:
-    others = [_named(s) for s in h.structures[1:]]
-    if others:
+    yield _about_delay(h)
+    if others := [_named(s) for s in h.structures[1:]]:
         yield f"try also: {', '.join(others)}"
 
 
@@ -488,16 +431,13 @@ def _about_integrator(h: StructureHints) -> Iterator[str]:
     )
 
 
-def _about_delay(h: StructureHints) -> Iterator[str]:
+def _about_delay(h: StructureHints) -> str:
     if h.nk_interval is None:
-        yield "delay: not shown (armrig.delay, `armrig check` say why)"
-        return
+        return "delay: not shown (armrig.delay, `armrig check` say why)"
     low, high = h.nk_interval
     if low < high:
-        yield f"delay: nk between {low} and {high} (armrig.delay, `armrig check` test it)"
-    elif h.nk == 0:
-        which = "a direct term, or feedback, which looks the same"
-        yield f"delay: u acts at lag 0: {which} (nk = 0)"
-    else:
-        shown = f"an input delay of {plural(h.nk - 1, 'sample')}" if h.nk > 1 else "no input delay"
-        yield f"delay: u acts at lag {h.nk}: {shown} (nk = {h.nk})"
+        return f"delay: nk between {low} and {high} (armrig.delay, `armrig check` test it)"
+    if h.nk == 0:
+        return "delay: u acts at lag 0: a direct term, or feedback, which looks the same (nk = 0)"
+    shown = f"an input delay of {plural(h.nk - 1, 'sample')}" if h.nk > 1 else "no input delay"
+    return f"delay: u acts at lag {h.nk}: {shown} (nk = {h.nk})"

@@ -57,7 +57,7 @@ def test_the_next_estimation_follows_the_findings(
     request = Request(**asked)
     pairs = [(pole, 0, 0) for pole, name in ((0.5 + 0.1j, "complex"), (0.5, "real")) if name in how]
     pairs = [(complex(pole), zero, p) for pole, zero, p in pairs]
-    monkeypatch.setattr("armrig.validation.advice.model_advice.cancelling", lambda _: pairs)
+    monkeypatch.setattr("armrig.validation.advice.cancelling", lambda _: pairs)
     fit: Any = SimpleNamespace(
         structure=request.structure,
         orders=request.orders | {"nk": request.nk},

@@ -190,7 +190,7 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
     doubts = [SimpleNamespace(about=doubtful, text="a doubt")] if doubtful else []
     fakes: dict[str, Any] = {
         "structure_hints.structure_hints": lambda _, integrator: found,
-        "advice.data_advice.data_doubts": lambda _: doubts,
+        "data_advice.data_doubts": lambda _: doubts,
     }
     for name, fake in fakes.items():
         monkeypatch.setattr(f"armrig.validation.{name}", fake)

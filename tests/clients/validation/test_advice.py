@@ -10,9 +10,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.validation.advice.advice import Advice
-from armrig.validation.advice.data_advice import examine_fit_of
-from armrig.validation.advice.model_advice import _about_integrator, _about_poles
+from armrig.validation.advice import Advice, _about_integrator, _about_poles
+from armrig.validation.data_advice import examine_fit_of
 
 from tests.clients.validation.plants import (
     oe_of_two_outputs,

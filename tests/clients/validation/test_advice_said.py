@@ -11,11 +11,10 @@ from armrig.data.dataset import Dataset
 from armrig.data.step import LINE, Step
 from armrig.models.fit import Fit
 from armrig.numerics.whiteness import Whiteness
-from armrig.validation.advice import data_advice, model_advice
-from armrig.validation.advice.data_advice import Tested as OfData
+from armrig.validation import advice, data_advice
+from armrig.validation.data_advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
-from armrig.validation.power import lack_of_power
-from armrig.validation.residual_test import ResidualTest
+from armrig.validation.residual_test import ResidualTest, lack_of_power
 from armrig.validation.residuals import _possible
 from armrig_core.errors import InputError
 
@@ -180,11 +179,11 @@ def test_a_pole_zero_pair_near_1_is_a_level_and_does_not_count_as_an_order(
 ) -> None:
     fit = made(B=(0, 1, -zero), F=(1, -pole), std=(0.1, 0.1, 0.1), structure="oe")
 
-    far, at_one = model_advice._overlaps(fit)
+    far, at_one = advice._overlaps(fit)
 
     assert (len(far), len(at_one)) == (int(not near), int(near))
-    assert model_advice.cancelling(fit) == far
-    levels = [*model_advice._about_pair_at_one(fit, at_one)]
+    assert advice.cancelling(fit) == far
+    levels = [*advice._about_pair_at_one(fit, at_one)]
     said = f"pole {pole:.3f} and zero {zero:.3f} cancel: they model a constant of alpha"
     assert [f.text.startswith(said) for f in levels] == [True] * near
 
@@ -196,12 +195,12 @@ def test_a_first_coefficient_within_its_robust_deviation_may_be_a_delay(
     """The robust deviation is 0.01."""
     fit = made(A=(1, -0.5), B=(0, b, 1), std=(0.1, 0.005, 0.1))
 
-    found = [*model_advice._about_first_coefficient(fit)]
+    found = [*advice._about_first_coefficient(fit)]
 
     assert [f.text.startswith(f"b1 = {b:.2g} ± 0.01 does not differ") for f in found] == [
         True
     ] * doubted
-    assert [*model_advice._about_first_coefficient(made(B=(0, b, 1)))] == []
+    assert [*advice._about_first_coefficient(made(B=(0, b, 1)))] == []
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from armrig.models.fit import Fit
 from armrig.numerics.confidence_regions import Band
 from armrig.numerics.polynomial import Array
 from armrig.validation.comparison import Comparison, ComparisonTable, _misfit, compare
-from armrig.validation.comparison_figure import plot_comparison
+from armrig.validation.figures import plot_comparison
 from armrig.validation.model_differences import explanation
 from armrig_core.errors import InputError
 from matplotlib.figure import Figure

@@ -11,8 +11,8 @@ from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.numerics.polynomial import filtered, impulse
-from armrig.validation.feedback_and_delay import other_inputs
-from armrig.validation.feedback_and_delay.delay import _hidden_by_steps, _Onset, _Readings
+from armrig.validation.feedback_and_delay.by_channel import _best_blocks
+from armrig.validation.feedback_and_delay.delay import _hidden_by_steps
 from armrig.validation.feedback_and_delay.lag_tests import _least_without_one, lag_tests
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.errors import InputError
@@ -308,9 +308,7 @@ def test_lags_hidden_by_quantisation_are_not_ruled_out(
     changes: int, t_q: float | None, low: int
 ) -> None:
     """Lags 2 to 6 at 10 ms; if u changes often, the error of a reading averages out."""
-    read = _Readings(quantum=1e-3, largest_step=5.0, changes=changes, acceleration=1.0, t_q=t_q)
-
-    found, remarks = _hidden_by_steps(_Onset(first=2, last=6, misfit={}), read, 0.01)
+    found, remarks = _hidden_by_steps(2, 6, changes, t_q, 0.01)
 
     assert found == low
     assert bool(remarks) == (changes < 10 and t_q is not None)
@@ -436,11 +434,11 @@ def test_a_model_of_all_inputs_has_at_most_a_fifth_of_its_rows_as_parameters() -
     rng = np.random.default_rng(1)
     data = Signals(u=rng.standard_normal((60, 2)), y=rng.standard_normal((60, 1)), Ts=0.1)
 
-    (block,) = other_inputs._best_blocks([*data.experiments()], "y1")
+    (block,) = _best_blocks([*data.experiments()], "y1")
 
     assert block.shape[1] - 1 <= 60 / 5
     with pytest.raises(InputError, match="too few samples of y1 for an ARX model"):
-        other_inputs._best_blocks([data[:24]], "y1")
+        _best_blocks([data[:24]], "y1")
 
 
 def test_each_channel_of_several_signals_has_separate_hints() -> None:

@@ -13,13 +13,12 @@ from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.polynomial import Array, filtered
 from armrig.validation.feedback_and_delay.delay import (
     _enough,
-    _readings,
+    _quantisation,
     determined_lags,
 )
-from armrig.validation.feedback_and_delay.lag_tests import LagTests
+from armrig.validation.feedback_and_delay.lag_tests import LagTests, _averaged, possible
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, _is_exact, _remarks, open_loop
 from armrig.validation.feedback_and_delay.sims import FUTURE, Sims, sims
-from armrig.validation.feedback_and_delay.smooth_onset import _averaged, possible
 from armrig_core.errors import InputError
 
 
@@ -124,9 +123,9 @@ def test_readings_are_those_of_the_largest_step() -> None:
         data = Dataset(u=u, y=y, Ts=0.1, output=output)
         g = np.array([9.0, 9.0, 0.05, 0.05, 0.05, 0.3, 0.9])
 
-        read = _readings(data, response(g=g), 2)
+        read = _quantisation(data, response(g=g), 2)
 
-        assert (read.quantum, read.largest_step, read.changes) == (pytest.approx(0.5), 4.0, 2)
+        assert (read.quantum, read.largest_step) == (pytest.approx(0.5), 4.0)
         b = 2 * 4 * 0.15 / (4 * 0.3**2) if 4 * 0.15 >= 0.5 else 0.0
         assert read.acceleration == pytest.approx(b)
         if output == "speed":

@@ -25,9 +25,7 @@ from armrig.validation.structure_hints import (
     _agreed,
     _confirmed,
     _end_of_step,
-    _returns,
-    _sign,
-    _stays,
+    _integrates,
 )
 
 from tests.clients.models.made_fits import made
@@ -160,7 +158,7 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict(outputs: int)
     candidates = [replace(scored("oe", n), error=e) for n, e in zip((3, 4, 1), shaped, strict=True)]
     bad = replace(scored("arx", 1, reason="unbounded"), error=np.full(shaped[0].shape, 1e9))
 
-    ranking = _ranked([candidates[0], bad, *candidates[1:]], validation)
+    usable, rms, excess_, excess_std = _ranked([candidates[0], bad, *candidates[1:]], validation)
 
     both = np.isfinite(errors).all(axis=0)
     squares = {
@@ -168,26 +166,22 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict(outputs: int)
         for n, e in zip((3, 4, 1), errors, strict=True)
     }
     order = sorted(squares, key=lambda n: squares[n].mean())
-    assert [j.candidate.order for j in ranking.usable] == order
-    np.testing.assert_allclose(ranking.rms, [np.sqrt(squares[n].mean()) for n in order])
+    assert [j.candidate.order for j in usable] == order
+    np.testing.assert_allclose(rms, [np.sqrt(squares[n].mean()) for n in order])
     excess = [squares[n].mean() - squares[order[0]].mean() for n in order]
-    np.testing.assert_allclose(ranking.excess, excess)
+    np.testing.assert_allclose(excess_, excess)
     d = squares[order[1]] - squares[order[0]]
     means = np.asarray(batch_means(d))
     expected = means.std(ddof=1) / np.sqrt(means.size)
-    assert ranking.excess_std[1] == pytest.approx(expected)
-    assert ranking.excess_std[0] == pytest.approx(1e-18 * np.mean((y / std) ** 2))
-    assert ranking.usable[ranking.chosen].model is ranking.fit
+    assert excess_std[1] == pytest.approx(expected)
+    assert excess_std[0] == pytest.approx(1e-18 * np.mean((y / std) ** 2))
     with pytest.raises(ValueError, match="read-only"):
-        ranking.usable[0].error[0] = 1.0
+        usable[0].error[0] = 1.0
 
 
 def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendation:
     s = Recommended(nb=1, nf=1, nk=1, integrator=integrator)
-    return Recommendation(
-        structures=(s,), shown=True, B=np.array(B, float), F=np.array(F, float),
-        whitening=np.ones(1),
-    )  # fmt: skip
+    return Recommendation(structures=(s,), shown=True, B=np.array(B, float), F=np.array(F, float))
 
 
 def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
@@ -233,8 +227,7 @@ def test_a_rate_settles_or_returns_by_three_deviations_of_its_end(
     response: Any = SimpleNamespace(decaying=(g, None), covariance=None, rate_covariance=covariance)
 
     assert _end_of_step(response) == (pytest.approx(end), pytest.approx(std))
-    assert (_stays(response), _returns(response)) == (stays, returns)
-    assert _sign(SimpleNamespace(decaying=(sign * np.array([1.0, -0.5]), None))) == np.sign(sign)  # type: ignore[arg-type]
+    assert [_integrates(response, known=known) for known in (False, True)] == [stays, not returns]
 
 
 def test_long_data_are_shortened_to_the_part_with_input_changes() -> None:

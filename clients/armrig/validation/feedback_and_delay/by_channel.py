@@ -1,8 +1,6 @@
 """Tests of data with several inputs and outputs, channel by channel.
 
-A channel is one output with one input. Each channel is tested alone. A joint test would have to try
-all combinations of delays or orders. The number of combinations grows exponentially with the number
-of channels.
+A joint test of all channels would have to try exponentially many combinations of delays or orders.
 """
 
 from __future__ import annotations
@@ -13,12 +11,20 @@ from functools import wraps
 from types import MappingProxyType
 from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
 
+import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.dataset import Dataset, Signals
+from armrig.numerics.criteria import mdl
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
+from armrig.numerics.regressors import complete, past
 
 Name = tuple[str, str]
 P = ParamSpec("P")
+
+_ORDERS = (1, 2, 3, 4, 6, 8, 12, 16)  # of the ARX model of all inputs
+_ROWS_PER_PARAMETER = 5
 
 
 class Explained(Protocol):
@@ -71,8 +77,7 @@ class ByChannel(Generic[Result]):
 
     def explain(self) -> str:
         """Return the explanation of each result."""
-        texts = {name: f"\n{result.explain()}" for name, result in self.results.items()}
-        return self._joined(texts)
+        return self._joined({name: f"\n{one.explain()}" for name, one in self.results.items()})
 
     def __repr__(self) -> str:
         """Return the result of each channel."""
@@ -87,22 +92,13 @@ def _arrow(channel: Name) -> str:
     return f"{channel[1]} to {channel[0]}"
 
 
-def channel_of(data: Signals, output: str, input: str) -> tuple[Dataset, dict[str, Any]]:
-    """Return the data of a channel, in which the other inputs are part of the noise."""
-    return data.dataset(output, input), {}
-
-
 def each_channel(
-    separated: Callable[[Signals, str, str], tuple[Dataset, dict[str, Any]]] = channel_of,
+    separated: Callable[[Signals, str, str], tuple[Dataset, dict[str, Any]]] | None = None,
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a test of a Dataset so that it also tests each channel of `Signals`.
 
-    For Signals with several channels, the result is `ByChannel`.
-
-    Parameters
-    ----------
-    separated : callable, optional
-        Function that returns the data of one channel, and options of the test for these data.
+    For Signals with several channels, the result is `ByChannel`. `separated` returns the data of a
+    channel, and options of the test; by default the other inputs are part of the noise.
     """
 
     def decorate(f: Callable[P, R]) -> Callable[P, R]:
@@ -117,8 +113,10 @@ def each_channel(
             for output in data.outputs:
                 for input in data.inputs:
                     try:
-                        channel, own = separated(data, output, input)
-                        results[output, input] = call(channel, *args[1:], **options | own)
+                        one, own = data.dataset(output, input), dict[str, Any]()
+                        if separated:
+                            one, own = separated(data, output, input)
+                        results[output, input] = call(one, *args[1:], **options | own)
                     except InputError as err:
                         refused[output, input] = str(err)
             return ByChannel(results=results, refused=refused)
@@ -126,3 +124,61 @@ def each_channel(
         return cast("Callable[P, R]", testing)
 
     return decorate
+
+
+def without_other_inputs(data: Signals, output: str, input: str) -> tuple[Dataset, dict[str, Any]]:
+    """Return one channel without the effects of the other inputs, and options of `delay`.
+
+    With several inputs, A and all B_k of an ARX model of the output are estimated; MDL chooses the
+    order of the model. The signal w contains no effects of the other inputs ::
+
+        w = A y - sum of B_k u_k over k other than j = B_j u_j + e
+
+    The first lag of B_j is the lag at which input j acts first. A contains the integrator of an
+    output that integrates, so that w does not integrate.
+    """
+    own = data.dataset(output, input)
+    if data.nu == 1:
+        return own, {}
+    j = data.inputs.index(input)
+    parts = list(data.channels([output]).experiments())
+    blocks = _best_blocks(parts, output)
+    rows = [complete(block) for block in blocks]
+    n = (blocks[0].shape[1] - 1 - data.nu) // (1 + data.nu)
+    whole = np.vstack([block[known] for block, known in zip(blocks, rows, strict=True)])
+    theta = orthonormal(whole[:, :-1]).coefficients(whole[:, -1])
+    kept = slice(n + j * (n + 1), n + (j + 1) * (n + 1))
+    theta[kept] = 0.0
+    w = np.concatenate([block[:, -1] - block[:, :-1] @ theta for block in blocks])
+    # Not the output's own name, which can imply an integrator or a smooth onset.
+    alone = own.replaced(
+        step=None, y=np.nan_to_num(w), valid=np.isfinite(w), output=f"filtered {output}"
+    )
+    return alone, {"integrator": False}
+
+
+def _best_blocks(parts: list[Signals], output: str) -> list[Array]:
+    """Return the rows [-y lags, u_1 lags, …, y] of each experiment, for the order n with least MDL.
+
+    The rows of an experiment have the shape (N, n + nu (n + 1) + 1).
+    """
+    best: tuple[float, list[Array]] | None = None
+    for n in _ORDERS:
+        blocks = [_block(part, n) for part in parts]
+        whole = np.vstack([block[complete(block)] for block in blocks])
+        d = whole.shape[1] - 1
+        if whole.shape[0] < _ROWS_PER_PARAMETER * d:
+            break
+        e = orthonormal(whole[:, :-1]).without(whole[:, -1])
+        score = float(mdl(float(np.mean(e**2)), d, whole.shape[0]))
+        if best is None or score < best[0]:
+            best = (score, blocks)
+    if best is None:
+        raise InputError(f"too few samples of {output} for an ARX model of all inputs; record more")
+    return best[1]
+
+
+def _block(part: Signals, n: int) -> Array:
+    y = np.where(part.valid[:, 0], part.y[:, 0], np.nan)
+    inputs = [past(u, range(n + 1)) for u in part.u.T]
+    return np.hstack([-past(y, range(1, n + 1)), *inputs, y[:, None]])

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from math import ceil, sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.telemetry import ALPHA, THETA_1
-from numpy.typing import NDArray
+from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
@@ -19,24 +19,19 @@ from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_res
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import in_blocks
-from armrig.validation.feedback_and_delay.by_channel import each_channel
-from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.by_channel import each_channel, without_other_inputs
+from armrig.validation.feedback_and_delay.delay_result import Delay, Quantisation
 from armrig.validation.feedback_and_delay.lag_tests import (
     MOST_COEFFICIENTS,
     MOST_LAGS,
-    LagTests,
-    lag_tests,
-)
-from armrig.validation.feedback_and_delay.open_loop import open_loop
-from armrig.validation.feedback_and_delay.other_inputs import without_other_inputs
-from armrig.validation.feedback_and_delay.smooth_onset import (
     SURPRISING,
+    LagTests,
     Progress,
+    lag_tests,
     possible,
     smooth_onsets,
 )
-
-Vector = NDArray[np.float64]
+from armrig.validation.feedback_and_delay.open_loop import open_loop
 
 SECOND_ORDER = frozenset({THETA_1, ALPHA})
 """Outputs whose second derivative jumps at a voltage step, with a continuous first derivative."""
@@ -44,8 +39,6 @@ _MIN_SAMPLES = 50  # with a known y
 _LOSS_LAGS = 3  # number of lags after nk for which the result contains the loss
 _MAX_SHAPED_LAGS = 8  # noise that hides more lags hides the shape of the onset, too
 _MAX_FEW_CHANGES = 10  # changes of u; with more changes the error of quantisation averages out
-Matrix = NDArray[np.float64]
-
 _MIN_OWN_SHARE = 0.005  # least share of a lag of u that the earlier lags leave unexplained
 _MIN_DETERMINED_LAGS = 28  # a sum of few sines determines fewer lags
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
@@ -67,10 +60,10 @@ def delay(
         H_k: b_0 = … = b_k = 0,      F test, level 0.1 %
 
     The first k for which H_k is rejected is the latest lag at which u can act first. At an earlier
-    lag, the true coefficient may be too small to be significant. A one-sided test (level 0.1 %)
-    therefore compares the coefficient with a bound. The lag is ruled out if the coefficient is
-    significantly smaller than the bound. The bound is 1/(1 + 3 n) of the coefficient n samples
-    later, with the n for which the bound is largest. For the slowest onset of a mechanical rig,
+    lag, the true coefficient may be too small to be significant. The lag is ruled out if a
+    one-sided test (level 0.1 %) finds the coefficient smaller than a bound. The bound is
+    1/(1 + 3 n) of the coefficient n samples later, with the n for which the bound is largest. For
+    the slowest onset of a mechanical rig,
     t²/2 under a hold, this ratio is 1/(1 + 2 n). If the response begins more slowly, the bound is
     computed from an onset (t/Ts)^d, and d is estimated from the first lags. The first two
     coefficients of a plant of relative degree d have the ratio 1 to (2^d - 1). If several lags
@@ -78,9 +71,9 @@ def delay(
     (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
-    nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the model
-    begins at lag 1, because the controller causes the coefficient at lag 0. If the data do not
-    distinguish feedback from a direct term, `interval` begins at 0.
+    nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, which
+    causes a coefficient at lag 0, the model begins at lag 1. If the data do not distinguish
+    feedback from a direct term, `interval` begins at 0.
 
     Parameters
     ----------
@@ -99,11 +92,10 @@ def delay(
     -------
     Delay
         `nk`, `delay` = nk - 1, `told`, `interval`, `p_values`, `explain()`, `plot()`. `delay` is
-        the time delay (dead time) in whole samples, in addition to the sample of the hold. Multiply
-        it by `Ts` for the delay in s. If `interval` contains several nk, `delay` is the least
-        possible delay, but at least 0. The command `armrig check` runs the same test. For the
-        response to a step, use `step_analysis`. For Signals with several channels, the result is
-        `ByChannel`: `found["alpha", "u"]` is the `Delay` of one channel, and `refused` contains
+        the time delay (dead time) in whole samples, in addition to the sample of the hold. If
+        `interval` contains several nk, `delay` is the least possible delay, but at least 0. For
+        the response to a step, use `step_analysis`. For Signals with several channels, the result
+        is `ByChannel`: `found["alpha", "u"]` is the `Delay` of one channel, and `refused` contains
         the channels without a visible response.
 
     Raises
@@ -143,33 +135,31 @@ def delay(
             "noise at any lag; record longer, or with more and larger changes of u"
         )
     first, shown = tests.first, tests.shown
-    onset = _onset(data, tests, progress, integrates=decided.integrates)
-    read = _readings(data, response, onset.first)
-    low, remarks = _hidden_by_steps(onset, read, data.Ts)
+    low, last, misfit = _onset(data, tests, progress, integrates=decided.integrates)
+    read = _quantisation(data, response, low)
+    changes = int(np.count_nonzero(np.diff(data.u)))
+    low, remarks = _hidden_by_steps(low, last, changes, read.t_q, data.Ts)
     either = zero is not None and zero.rig and bool(zero.remark)
     return Delay(
-        nk=1 if either and first else max(low, min(1, onset.last)),
-        interval=(0 if either else low, onset.last),
+        nk=1 if either and first else max(low, min(1, last)),
+        interval=(0 if either else low, last),
         may_be_feedback=either,
         p_values={k: float(tests.p_without_one[k - first]) for k in range(first, shown + 1)},
         before=tests.before(shown - 1) if shown > first else None,
-        misfit=onset.misfit,
+        misfit=misfit,
         arx_loss={
             k: float(v) for k, v in enumerate(tests.loss[: shown - first + _LOSS_LAGS + 1], first)
         },
         response=response,
         integrator=decided.integrates,
         na=tests.na,
-        quantum=read.quantum,
         remarks=(*decided.notes, *([zero.remark] if zero and zero.remark else []), *remarks),
         output=data.output,
         Ts=data.Ts,
         unit=data.unit,
         input_unit=data.input_unit,
         source=data.source,
-        t_q=read.t_q,
-        largest_step=read.largest_step,
-        acceleration=read.acceleration,
+        **asdict(read),
     )
 
 
@@ -186,11 +176,10 @@ class _LagZero:
 
 
 def _lag_zero(data: Dataset) -> _LagZero:
-    try:
+    loop = None
+    with suppress(ValueError):
         loop = open_loop(data)
-    except ValueError:
-        return _LagZero(rig=True, controller=False)
-    if not loop.feedback:
+    if loop is None or not loop.feedback:
         return _LagZero(rig=True, controller=False)
     if loop.exact:
         msg = f"u(t) is a multiple of {data.output}(t) in every sample, as under a P controller "
@@ -222,81 +211,48 @@ def _enough(data: Dataset) -> int:
     return samples
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Onset:
-    """Range of the first lag at which u acts."""
-
-    first: int
-    """Least lag that is not ruled out."""
-    last: int
-    """Greatest lag that is not ruled out."""
-    misfit: dict[int, float]
-    """Chi-squared of the model with a smooth onset, for each first lag; empty if not tested."""
-
-
 def _onset(
     data: Dataset, tests: LagTests, progress: Progress | None, *, integrates: bool
-) -> _Onset:
+) -> tuple[int, int, dict[int, float]]:
+    """Return the least and the greatest lag that are not ruled out, and `Delay.misfit`."""
     first, last = tests.least(), tests.shown
     angle = data.output in SECOND_ORDER
     if first == last or not (angle or (integrates and last - first <= _MAX_SHAPED_LAGS)):
-        return _Onset(first=first, last=last, misfit={})
+        return first, last, {}
     misfit = smooth_onsets(data, first, last, integrator=integrates, progress=progress)
     if not angle and min(misfit.values()) > SURPRISING:
-        return _Onset(first=first, last=last, misfit={})  # it is no smooth onset
-    first, last = possible(misfit)
-    return _Onset(first=first, last=last, misfit=misfit)
+        return first, last, {}  # it is no smooth onset
+    return *possible(misfit), misfit
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Readings:
-    """Quantisation of y, and the time for which quantisation hides the response to u."""
-
-    quantum: float
-    """LSB, in y's unit; 0 if none is found."""
-    largest_step: float
-    """Largest change |Δu| between two samples, in u's unit."""
-    changes: int
-    """Number of changes of u."""
-    acceleration: float
-    """b, the second derivative of y just after a unit step of u."""
-    t_q: float | None
-    """Time for which quantisation hides the response, sqrt(2 LSB / (b |Δu|)), in s; None if y is
-    not quantised."""
-
-
-def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings:
+def _quantisation(data: Dataset, response: ImpulseResponse, first: int) -> Quantisation:
     """Return the quantisation, and the time for which quantisation hides the response.
 
     The coefficient b solves y = b |Δu| t²/2 at the first sample of the response above 1 LSB.
     """
-    step, moves = quantum(data), np.abs(np.diff(data.u))
-    change = float(np.max(moves, initial=0.0))
+    step, change = quantum(data), float(np.max(np.abs(np.diff(data.u)), initial=0.0))
     rise = np.abs(np.cumsum(response.g[first:])) * change
     beyond = np.flatnonzero(rise >= step)
     at = int(beyond[0]) if beyond.size else rise.size - 1
     b = 2 * float(rise[at]) / (change * ((at + 1) * data.Ts) ** 2)
     hidden = sqrt(2 * step / (b * change)) if step * b * change > 0 else None
-    return _Readings(
-        quantum=step,
-        largest_step=change,
-        changes=int(np.count_nonzero(moves)),
-        acceleration=b,
-        t_q=hidden if data.output in SECOND_ORDER else None,
-    )
+    t_q = hidden if data.output in SECOND_ORDER else None
+    return Quantisation(quantum=step, largest_step=change, acceleration=b, t_q=t_q)
 
 
-def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, list[str]]:
+def _hidden_by_steps(
+    first: int, last: int, changes: int, t_q: float | None, Ts: float
+) -> tuple[int, list[str]]:
     """Return the least nk that is not ruled out, and remarks.
 
-    Quantisation may hide the first samples of the response, so that the response seems to begin
-    later. The least nk allows for these samples; a remark then reports it.
+    If u changes rarely, quantisation may hide the first samples of the response. The least nk
+    allows for these samples.
     """
-    if read.t_q is None or read.changes >= _MAX_FEW_CHANGES or onset.last <= 1:
-        return onset.first, []
-    hidden = ceil(read.t_q / Ts)
-    return min(onset.first, max(onset.last - hidden, 1)), [
-        f"u changes only {plural(read.changes, 'time')}, and quantisation may hide the first "
+    if t_q is None or changes >= _MAX_FEW_CHANGES or last <= 1:
+        return first, []
+    hidden = ceil(t_q / Ts)
+    return min(first, max(last - hidden, 1)), [
+        f"u changes only {plural(changes, 'time')}, and quantisation may hide the first "
         f"{hidden} samples of the response: this looks like a delay"
     ]
 
@@ -304,18 +260,16 @@ def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, li
 def determined_lags(data: Dataset, most: int) -> int:
     """Return the number of lags of u, from lag 0 on, whose coefficients the data determine.
 
-    At most `most` lags are counted. The count ends at the first lag k at which u(t - k) hardly
-    differs from its regression on u(t), …, u(t - k + 1). The criterion is the sqrt(1 - R²) of this
-    regression.
-
-    Raises
-    ------
-    ValueError
-        u determines too few lags. Such a u has power only in a narrow band, so that u follows from
-        its own past. The effect of coefficients after the last lag of the model would then appear
-        near lag 0.
+    The count, at most `most`, ends at the first lag k at which u(t - k) hardly differs from its
+    regression on u(t), …, u(t - k + 1). A narrow band of u determines few lags, and the effect of
+    coefficients after the last lag would appear near lag 0: such data are refused.
     """
-    R = triangle(_windows_of_u(data, most), most)
+    windows = (
+        sliding_window_view(part.u - part.u.mean(), most)[:, ::-1]
+        for part in data.experiments()
+        if most <= part.N
+    )
+    R = triangle((block for rows in windows for block in in_blocks(rows, _BLOCK)), most)
     own = np.abs(np.diag(R)) > _MIN_OWN_SHARE * column_norms(R)
     found = int(np.argmin(np.append(own, False)))
     if found < min(_MIN_DETERMINED_LAGS, most):
@@ -324,11 +278,3 @@ def determined_lags(data: Dataset, most: int) -> int:
             "with a telegraph or a PRBS"
         )
     return found
-
-
-def _windows_of_u(data: Dataset, length: int) -> Iterator[Matrix]:
-    """Yield rows u(t), u(t - 1) … of each experiment, minus the mean of u, in blocks."""
-    for part in data.experiments():
-        if length <= part.N:
-            windows = np.lib.stride_tricks.sliding_window_view(part.u - part.u.mean(), length)
-            yield from in_blocks(windows[:, ::-1], _BLOCK)

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.quantities import p_relation, plural, times
-from armrig.validation.feedback_and_delay.lag_tests import LEVEL, Before
-from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING
+from armrig.validation.feedback_and_delay.lag_tests import LEVEL, SURPRISING, Before
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantisation:
+    """Quantisation of y, and the time for which quantisation hides the response to u."""
+
+    quantum: float
+    """LSB, the quantisation step of y; 0 if none is found."""
+    largest_step: float
+    """Largest change |Δu| between two samples, in u's unit."""
+    acceleration: float
+    """b, the second derivative of y just after a unit step of u."""
+    t_q: float | None
+    """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
+    (b |Δu|)); None if y is not quantised."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Delay:
+class Delay(Quantisation):
     """The first lag at which u acts."""
 
     nk: int
@@ -47,17 +62,8 @@ class Delay:
     na: int
     """Order of A in the ARX model, by AIC. If too many samples are missing, the order is 0, and the
     coefficients of `response` were tested instead."""
-    t_q: float | None
-    """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
-    (b |Δu|)); None if y is not quantised."""
-    quantum: float
-    """LSB, the quantisation step of y; 0 if none is found."""
-    largest_step: float
-    """Largest change |Δu| between two samples, in u's unit."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
-    acceleration: float
-    """b, the second derivative of y just after a unit step of u."""
     output: str
     """Name of y."""
     Ts: float
@@ -96,8 +102,8 @@ class Delay:
             "zero-order hold, a change of the input is visible at the next sample. Each test has a "
             f"level of {100 * self.level:g} %.",
             *(f"  {line}" for line in self._tests()),
-            *([] if self.before is None else [_ASSUMED]),
-            *([] if self.told else [self._way_out()]),
+            *([_ASSUMED] * (self.before is not None)),
+            *self._way_out(),
             "Other evidence: the impulse response "
             + (f"of {self.output}'s rate " if self.response.integrator else "")
             + "at lags "
@@ -123,17 +129,29 @@ class Delay:
 
     def brief(self) -> str:
         """Return the answer, a remedy if the answer is not unique, and the limits of the answer."""
-        lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
-        lines += [] if self.told else [self._way_out()]
-        lines += [f"  note: {r}" for r in self.remarks]
-        return "\n".join(lines)
+        return "\n".join([self._with_level(), *self._way_out(), *self._notes()])
 
-    def _tests(self) -> list[str]:
+    def _tests(self) -> Iterator[str]:
         least = min(self.p_values)
-        lines = [_lag_sentence(least, k, p) for k, p in list(self.p_values.items())[-2:]]
-        if self.before is not None:
-            lines.append(_overlooked_sentence(self.before))
-        return [*lines, *([_shape_sentence(self.misfit)] if self.misfit else [])]
+        for k, p in list(self.p_values.items())[-2:]:
+            said = "u acts there" if p < LEVEL else "not shown to matter"
+            which = f"lags {least} to {k}: their coefficients together"
+            which = f"lag {k}: its coefficient" if k == least else which
+            yield f"{which}, p {p_relation(p)}: {said}"
+        if b := self.before:
+            said = "ruled out" if b.p_value < LEVEL else "not ruled out"
+            yield (
+                f"lag {b.k} alone: its coefficient is {b.found:.1f}σ, and would be "
+                f"{b.predicted:.1f}σ or more if u acted there first, p {p_relation(b.p_value)}: "
+                f"{said}"
+            )
+        if self.misfit:
+            lags = ", ".join(map(str, self.misfit))
+            values = ", ".join(f"{x:.3g}" for x in self.misfit.values())
+            yield (
+                f"near the noise, the shape of the onset decides: a smooth onset at lag {lags} has "
+                f"chi² {values} (limit {SURPRISING:g} at the level 1 %)"
+            )
 
     @property
     def nk_range(self) -> str:
@@ -142,16 +160,30 @@ class Delay:
         return f"nk = {low}" if self.told else f"nk between {low} and {high}"
 
     def _answer(self) -> str:
-        if self.told and self.may_be_feedback:
-            return f"{self.nk_range}: a direct term, or feedback, which looks the same"
-        if self.told:
-            return f"{self.nk_range}: {_delay_sentence(self.delay, self.Ts)}"
-        return f"{self.nk_range}: not determined at this Ts and noise"
-
-    def _way_out(self) -> str:
+        if not self.told:
+            return f"{self.nk_range}: not determined at this Ts and noise"
         if self.may_be_feedback:
-            return "Take nk = 1 if y was read before u was applied, otherwise nk = 0."
-        return (
+            return f"{self.nk_range}: a direct term, or feedback, which looks the same"
+        if self.delay < 0:
+            return f"{self.nk_range}: a direct term, u acts within its own sample"
+        late = f"{plural(self.delay, 'sample')} ({times(self.delay * self.Ts)})"
+        late = f"{late} in addition to the hold" if self.delay else "no input delay"
+        return f"{self.nk_range}: {late}"
+
+    def _with_level(self) -> str:
+        return f"{self._answer()} (level {100 * self.level:g} %)"
+
+    def _notes(self) -> list[str]:
+        return [f"  note: {r}" for r in self.remarks]
+
+    def _way_out(self) -> Iterator[str]:
+        """Yield a remedy if several nk are possible."""
+        if self.told:
+            return
+        if self.may_be_feedback:
+            yield "Take nk = 1 if y was read before u was applied, otherwise nk = 0."
+            return
+        yield (
             f"A delay is claimed only if it is shown: take nk = {self.nk}, since one coefficient "
             "too many does little harm. To determine nk, record longer, with more and larger "
             f"changes of u (telegraph, PRBS), or at a Ts above {times(self.Ts)}, where the first "
@@ -167,13 +199,12 @@ class Delay:
 
     def __repr__(self) -> str:
         """Return the answer and the tests in a few lines."""
-        lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
-        lines += [f"  {line}" for line in self._tests()]
+        lines = [self._with_level(), *(f"  {line}" for line in self._tests())]
         if self.t_q is not None:
             lines.append(
                 f"  quantisation hides {self.output} for t_q = {1e3 * self.t_q:.2g} ms: no delay"
             )
-        return "\n".join([*lines, *(f"  note: {r}" for r in self.remarks)])
+        return "\n".join([*lines, *self._notes()])
 
 
 _ASSUMED = (
@@ -181,38 +212,6 @@ _ASSUMED = (
     "If the response begins more slowly, the bound is computed from an onset (t/Ts)^d, with d from "
     "the first significant lags. An even slower onset looks like a delay."
 )
-
-
-def _lag_sentence(least: int, k: int, p: float) -> str:
-    said = "u acts there" if p < LEVEL else "not shown to matter"
-    if k == least:
-        return f"lag {k}: its coefficient, p {p_relation(p)}: {said}"
-    which = f"lags {least} to {k}: their coefficients together"
-    return f"{which}, p {p_relation(p)}: {said}"
-
-
-def _overlooked_sentence(b: Before) -> str:
-    said = "ruled out" if b.p_value < LEVEL else "not ruled out"
-    return (
-        f"lag {b.k} alone: its coefficient is {b.found:.1f}σ, and would be {b.predicted:.1f}σ or "
-        f"more if u acted there first, p {p_relation(b.p_value)}: {said}"
-    )
-
-
-def _shape_sentence(misfit: dict[int, float]) -> str:
-    lags, values = ", ".join(map(str, misfit)), ", ".join(f"{x:.3g}" for x in misfit.values())
-    return (
-        f"near the noise, the shape of the onset decides: a smooth onset at lag {lags} has chi² "
-        f"{values} (limit {SURPRISING:g} at the level 1 %)"
-    )
-
-
-def _delay_sentence(samples: int, Ts: float) -> str:
-    if samples < 0:
-        return "a direct term, u acts within its own sample"
-    if samples == 0:
-        return "no input delay"
-    return f"{plural(samples, 'sample')} ({times(samples * Ts)}) in addition to the hold"
 
 
 def _quantity(x: float, unit: str) -> str:

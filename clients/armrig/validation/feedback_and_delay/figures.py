@@ -5,21 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, p_relation
+from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.plots.captions import NAMES, legend, sign
 from armrig.plots.layout import BLUE, GREY, INK, VERMILION, axes, finish, panels
-from armrig.validation.residual_figure import BAND_99_PERCENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.estimation.nonparametric.impulse import ImpulseResponse
+    from armrig.numerics.polynomial import Array
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
-Vector = NDArray[np.float64]
 
 # The bands of the delay have the level of its tests, so that figure and verdict agree.
 _BAND_99_9_PERCENT = 3.29
@@ -104,7 +103,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
     ax.set_ylabel(f"$g$ of {of}\n[{unit}]")
 
 
-def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
+def _stems(ax: Axes, lags: Array, g: Array, band: Array, share: str) -> None:
     """Show coefficients, and the band that contains a zero coefficient with probability `share`."""
     ax.fill_between(
         lags,

@@ -1,24 +1,28 @@
-"""Joint tests of the first coefficients of a model, which show at which lag u acts first."""
+"""Tests of the lag at which u acts first: by first coefficients, and by the shape of the onset."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
+from armrig.estimation.polynomial_structures import oe
 from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import column_norms, triangle, upper_inverse
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.regressors import arx_rows, in_blocks
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
-
+Progress = Callable[[int, int, str], object]
+"""Function of the number of finished estimates, the number of all estimates, and the next lag."""
 LEVEL = 0.001
+SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
+_MAX_DISTANCE_RATIO = 3.0  # largest sqrt(chi²) of a possible lag, in units of the least sqrt(chi²)
+_POLES = 4  # number of poles of the arm
+_MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
 MOST_LAGS = 50  # largest number of lags of u, for the delay and B together
 _ORDERS = (20, 10, 5)  # largest na; a smaller number if too many rows contain a missing sample
 MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
@@ -88,10 +92,7 @@ class LagTests:
     def before(self, k: int) -> Before:
         """Test whether u may act first at lag k with a coefficient that is not significant.
 
-        The test assumes that a first coefficient is at least 1/(1 + 3 n) of any coefficient n
-        samples later. For the slowest onset of a mechanical rig, t²/2 under a hold, this ratio is
-        1/(1 + 2 n). If the response begins more slowly, the bound is computed from the onset of the
-        response itself, (t/Ts)^d under a hold.
+        `armrig.delay` describes the bound of a first coefficient.
         """
         from scipy.special import ndtr
 
@@ -134,17 +135,16 @@ def lag_tests(
     """Test the first lags in an ARX model, or in the impulse response if too many y are missing.
 
     The model is ARX with a constant for each experiment. AIC chooses na <= 20 and the number of
-    lags of u. The number of lags of u is at most the number of lags in `response`. The sum of na
-    and the number of lags of u is at most `determined` (see `determined_lags`). With a larger sum,
-    past outputs could replace lags of u. An ARX model of high order approximates any linear system
-    and any colour of the noise [1]_. Therefore the F test of the ARX model has the correct level
-    without a separate model of the noise ::
+    lags of u, which is at most the number of lags in `response`. Their sum is at most `determined`
+    (see `determined_lags`), because past outputs could replace further lags of u. An ARX model of
+    high order approximates any linear system and any colour of the noise [1]_. Therefore the F test
+    has the correct level without a separate model of the noise ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
 
-    V_k is the sum of squared residuals of the model that begins at lag k. The tests begin at lag
-    `first`. With feedback, `first` is 1, because the controller causes b_0. All V_k are computed
-    from one QR decomposition with the columns u(t - L) … u(t).
+    V_k is the sum of squared residuals of the model that begins at lag k, from one QR decomposition
+    with the columns u(t - L) … u(t). The tests begin at lag `first`: 1 with feedback, because the
+    controller causes b_0.
 
     References
     ----------
@@ -163,7 +163,7 @@ def lag_tests(
     return _in_response(response, first)
 
 
-def _rows(data: Dataset, na: int, lags: range) -> list[Matrix]:
+def _rows(data: Dataset, na: int, lags: range) -> list[Vector]:
     """Return the complete rows [y lagged, u lagged, y] of each experiment, minus their means."""
     blocks = []
     for part in data.experiments():
@@ -175,7 +175,7 @@ def _rows(data: Dataset, na: int, lags: range) -> list[Matrix]:
     return blocks
 
 
-def _in_arx(blocks: list[Matrix], most: int, lags: range) -> LagTests:
+def _in_arx(blocks: list[Vector], most: int, lags: range) -> LagTests:
     N, width = sum(block.shape[0] for block in blocks), most + len(lags) + 1
     R = triangle((piece for block in blocks for piece in in_blocks(block, _BLOCK)), width)
     scale = column_norms(R)
@@ -221,7 +221,7 @@ def _first(p_values: Vector) -> int:
     return int(found[0]) if found.size else p_values.size
 
 
-def _response(T: Matrix, scale: Vector, na: int, left_out: int, first: int) -> Vector:
+def _response(T: Vector, scale: Vector, na: int, left_out: int, first: int) -> Vector:
     """Return the impulse response, from lag 0, of the ARX model without the first lags of u."""
     d, k = T.shape[1] - 1 - left_out, first + left_out
     theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
@@ -229,15 +229,12 @@ def _response(T: Matrix, scale: Vector, na: int, left_out: int, first: int) -> V
     return filtered(B, A, np.eye(1, k + _COEFFICIENTS_AFTER_FIRST)[0])
 
 
-def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
-    """Return the triangular factor of these columns of R.
-
-    Its last row contains the part of the last column that the other columns do not explain.
-    """
+def _triangle_of(R: Vector, columns: list[int]) -> Vector:
+    """Return the triangular factor; its last row is what the other columns leave unexplained."""
     return np.asarray(np.linalg.qr(R[:, columns], mode="r"))
 
 
-def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
+def _orders(R: Vector, most: int, lags: int, N: int) -> tuple[int, int]:
     """Return na and the number of lags of u (from the least lag on) with the least AIC."""
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
@@ -252,8 +249,8 @@ def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
 def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     """Return Wald tests of the first coefficients of the impulse response.
 
-    If g has the covariance L L^T, the components of L^-1 g are independent. L_kk times component k
-    is the estimate of g(k) for a response that is 0 before lag k.
+    The components of L^-1 g are independent if L L^T is the covariance of g. L_kk times component k
+    estimates g(k) of a response that is 0 before lag k.
     """
     g, _ = response.decaying
     covariance = response.covariance if response.rate is None else response.rate_covariance
@@ -282,11 +279,11 @@ def _joint(squares: Vector, degrees: int) -> Vector:
     return np.asarray(fdtrc(k, degrees, squares / k))
 
 
-def _least_without_one(rows: Iterable[Matrix], T: Matrix, nb: int) -> Vector:
+def _least_without_one(rows: Iterable[Vector], T: Vector, nb: int) -> Vector:
     """Return the least sum of the first k squared scores if one row is left out, for each k.
 
-    A score is the sum q' e_k over the rows. q is the column of Q of a lag of u, and e_k are the
-    residuals of the model without the first k lags.
+    A score is the sum q' e_k, with the column q of Q for a lag of u, and the residuals e_k of the
+    model without the first k lags.
     """
     d = T.shape[1] - 1
     dependent = np.diag(T)[:d] == 0
@@ -300,3 +297,71 @@ def _least_without_one(rows: Iterable[Matrix], T: Matrix, nb: int) -> Vector:
         e = (block[:, -1] - Q @ t)[:, None] + explained
         least = np.minimum(least, np.min(total - 2 * e * explained + e**2 * leverage, axis=0))
     return least
+
+
+def smooth_onsets(
+    data: Dataset, first: int, last: int, *, integrator: bool, progress: Progress | None = None
+) -> dict[int, float]:
+    """Return chi-squared of the model with a smooth onset, for each first lag.
+
+    OE models with different first lags k are compared. Their numerator is the product of (1 + q^-1)
+    and a polynomial of three coefficients, so that the onset is smooth. The statistic is ::
+
+        chi² = (N - d)(V_k - V_0)/V_0,      two degrees of freedom
+
+    V_k is the loss of the model with the first lag k. V_0 is the least loss of all these models and
+    of a model with a free numerator. A first coefficient that is too small to see indicates a short
+    sampling time, for which a second-order onset has a zero near -1 [1]_. The range first … last is
+    extended at each end, by at most four lags, until chi² at that end exceeds its 1 % point.
+
+    References
+    ----------
+    .. [1] K. J. Åström, P. Hagander, J. Sternby, "Zeros of sampled systems", Automatica 20 (1984)
+       31-38.
+    """
+    averaged = _averaged(data)
+
+    @cache
+    def loss(k: int) -> float:
+        if progress and k <= last:
+            progress(k - first, last - first + 1, f"lag {k}")
+        return oe(averaged, nb=_POLES - 1, nf=_POLES, nk=k, integrator=integrator).loss
+
+    low, high = first, last
+    best = min(range(low, high + 1), key=loss)
+    free = oe(data, nb=_POLES, nf=_POLES, nk=best, integrator=integrator)
+    degrees = free.N - free.parameters
+    least = min(free.loss, loss(best))
+
+    def misfit(k: int) -> float:
+        return degrees * (loss(k) / least - 1) if least > 0 else 0.0
+
+    while low > max(first - _MAX_EXTRA_LAGS, 0) and misfit(low) <= SURPRISING:
+        low -= 1
+    while high < last + _MAX_EXTRA_LAGS and misfit(high) <= SURPRISING:
+        high += 1
+    return {k: misfit(k) for k in range(low, high + 1)}
+
+
+def possible(misfit: dict[int, float]) -> tuple[int, int]:
+    """Return the least and the greatest lag at which the onset may begin, given the misfits.
+
+    The best lag is possible, and each lag whose misfit is below the 1 % point of chi-squared. The
+    root of the misfit grows with the distance from the true onset. Therefore a lag is also possible
+    if this root is less than three times the least. If the best lag is within a quarter sample of
+    the true onset, this adds no lag.
+    """
+    least = min(misfit.values())
+    bound = max(SURPRISING, least)
+    lags = [
+        k for k, chi2 in misfit.items() if chi2 <= bound or chi2 < _MAX_DISTANCE_RATIO**2 * least
+    ]
+    return min(lags), max(lags)
+
+
+def _averaged(data: Dataset) -> Dataset:
+    """Return the data with the input (u(t) + u(t - 1))/2, for the factor 1 + q^-1 of the model."""
+    before = np.concatenate([data.u[:1], data.u[:-1]])
+    starts = list(data.starts)
+    before[starts] = data.u[starts]
+    return data.replaced(u=(data.u + before) / 2, step=None)

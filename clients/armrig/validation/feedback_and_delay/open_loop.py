@@ -154,8 +154,8 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     data : Dataset or Signals
         u as applied and y as measured; y(t) is read before u(t) is applied. If y(t) is missing, the
         regression has no row for t. No row contains samples of two experiments. For Signals with
-        several channels, each pair of an output and an input is tested. In open loop, some of these
-        tests find feedback by chance: one of twenty tests at the level 0.05.
+        several channels, each pair of an output and an input is tested. In open loop, one of twenty
+        tests at the level 0.05 finds feedback by chance.
     level : float, default 0.05
         Level of the test, between 0 and 1.
 

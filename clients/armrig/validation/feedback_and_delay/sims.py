@@ -9,15 +9,11 @@ from math import log10
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.stretches import stretches
-
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FUTURE = 5
 """Number of samples of u that are tested: u(t) … u(t + 4)."""
@@ -57,11 +53,11 @@ class Sims:
     explained: float
     """Reduction of the variance of y by future u, as a share (0 to 1) of the variance that the past
     does not explain."""
-    lags: NDArray[np.int_]
+    lags: Array
     """Lags -(q - 1) … p of the coefficients; at 0 and below, u is applied after y is read."""
-    coefficients: Vector
+    coefficients: Array
     """Coefficients of u(t - lag)."""
-    std: Vector
+    std: Array
     """Standard deviations of the coefficients."""
     N: int
     """Number of rows used."""
@@ -78,23 +74,18 @@ def sims(data: Dataset) -> Sims:
         w_j(t) = l_j w_j(t-1) + u(t-1),     l = 1, 1 - 1/(3 p), 1 - 1/p
 
     with one constant c for each experiment. The hypothesis H0 is f_0 = … = f_4 = 0. y(t) is read
-    before u(t) is applied, so in open loop u(t), u(t + 1), … do not depend on e(t). The test makes
-    no assumption on how u was generated. In contrast, Granger's test of u on past y assumes a model
-    of u's own past. In Granger's test, a PRBS, a held input and a low-pass input look like
-    feedback. In closed loop u(t) contains the noise of y(t).
+    before u(t) is applied, so in open loop u(t), u(t + 1), … do not depend on e(t). In closed loop
+    u(t) contains the noise of y(t). The test makes no assumption on how u was generated. In
+    contrast, a PRBS, a held input and a low-pass input look like feedback in Granger's test, which
+    assumes a model of u's own past.
 
-    p = 15 lg N, at most 60. The sums w represent the input before the last p samples. Without these
-    sums, the coefficients of future u could also differ from 0 in open loop, because future u would
-    take over the effect of this earlier input. y's past has more lags than the
-    plant has poles, so the F distribution also holds if y integrates: see [2] and [3].
+    p = 15 lg N, at most 60. The sums w represent the input before the last p samples; without them
+    future u would take over the effect of this input. y's past has more lags than the plant has
+    poles, so the F distribution also holds if y integrates: see [2] and [3].
 
-    A row whose y(t) is missing is left out. If a past y of a row is missing, it is interpolated
-    linearly between its neighbours. Neither neighbour is later than y(t), so the interpolation
-    contains no effect of future u. No row extends over the end of an experiment or over a gap
-    longer than p/2.
-
-    The computing time is proportional to N. In addition to u and y, the test needs a constant
-    amount of memory, because the QR factorisation computes R block by block.
+    A row whose y(t) is missing is left out. A missing past y is interpolated linearly between its
+    neighbours. Neither neighbour is later than y(t), so the interpolation contains no effect of
+    future u. No row extends over the end of an experiment or over a gap longer than p/2.
 
     Raises
     ------
@@ -161,19 +152,17 @@ def _lags(data: Dataset) -> int:
 class _Piece:
     """Samples of one experiment without a long gap; missing y are interpolated."""
 
-    u: Vector
+    u: Array
     sums: Array
-    y: Vector
-    valid: Mask
+    y: Array
+    valid: Array
     experiment: int
     p: int
 
     def rows(self, constants: int) -> Iterator[Array]:
         """Yield rows [constants, past y, past u, sums, future u, y(t)], in blocks."""
-        past_y, u = (
-            sliding_window_view(self.y, self.p + 1),
-            sliding_window_view(self.u, self.p + FUTURE),
-        )
+        past_y = sliding_window_view(self.y, self.p + 1)
+        u = sliding_window_view(self.u, self.p + FUTURE)
         for begin in range(0, u.shape[0], _BLOCK):
             part = slice(begin, min(begin + _BLOCK, u.shape[0]))
             used = self.valid[self.p :][part]
@@ -200,7 +189,7 @@ def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
             yield _Piece(u=u, sums=sums[s], y=y, valid=valid, experiment=i, p=p)
 
 
-def _sums(u: Vector, p: int) -> Array:
+def _sums(u: Array, p: int) -> Array:
     """Return three sums of the input more than p samples ago, w_1(t - p) … w_3(t - p), (N, 3)."""
     before = np.append(np.zeros(p + 1), u - u.mean())[: u.size]
     return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _FORGETTING])

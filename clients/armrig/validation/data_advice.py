@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,23 +62,18 @@ class Tested:
 def tested(data: Dataset, integrator: bool | None) -> Tested:
     """Test data for an integrator, feedback and a delay."""
     decided = integration(data, integrator)
-    return Tested(
-        integration=decided, loop=_loop(data), late=_late(data, integrates=decided.integrates)
-    )
+    late: Delay | str
+    try:
+        late = delay(data, integrator=decided.integrates)
+    except ValueError as err:
+        late = str(err)
+    return Tested(integration=decided, loop=_loop(data), late=late)
 
 
 def _loop(data: Dataset) -> OpenLoop | None:
-    try:
+    with suppress(ValueError):
         return open_loop(data)
-    except ValueError:
-        return None
-
-
-def _late(data: Dataset, *, integrates: bool) -> Delay | str:
-    try:
-        return delay(data, integrator=integrates)
-    except ValueError as err:
-        return str(err)
+    return None
 
 
 def examine_data(data: Dataset) -> Iterator[Finding]:
@@ -122,7 +118,8 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     if not known.together:  # in closed loop a step of the set point makes y and u jump
         yield _about_outliers(data)
     if not known.integration.integrates:
-        yield from _about_level(data)
+        if level := level_without_input(data):
+            yield finding("level", f"{level.text}: {NO_OPTION}", good=False)
         yield from _about_drift(data)
     yield from _about_history(data)
     yield from _about_feedback(known)
@@ -145,13 +142,15 @@ def examine_fit_of(
 
 def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
     """Yield the findings on excitation, integrator, feedback and delay of tested data."""
-    order, needed = _excitation(data), _parameters_from_u(fit)
+    order, needed = _excitation(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
     if order < needed and not constant_input(data):
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "
         text += "describe the response to u: play a u that switches often (telegraph, PRBS), or "
         text += "lower the orders"
         yield finding("excitation", text, good=False)
-    if known.integration.notes and not fit.integrator and not _all_within(fit):
+    poles = fit.poles()
+    apart = np.all(np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std))
+    if known.integration.notes and not fit.integrator and not (fit.converged and apart):
         yield replace(_about_integrator(known.integration), level="warning")
     if known.together:
         yield from _about_feedback(known)
@@ -163,19 +162,6 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
             f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: use nk={late.nk}"
         )
         yield finding("delay", text, good=False)
-
-
-def _all_within(fit: Fit) -> bool:
-    """Return whether the search converged and all poles of the model differ clearly from 1."""
-    poles = fit.poles()
-    apart = np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std)
-    return bool(fit.converged and np.all(apart))
-
-
-def _parameters_from_u(fit: Fit) -> int:
-    """Return the number of parameters of B and F, or B and A, together."""
-    free = fit.slice_of("b"), fit.slice_of("f"), fit.slice_of("a")
-    return sum(s.stop - s.start for s in free)
 
 
 def _excitation(data: Dataset) -> int:
@@ -222,11 +208,6 @@ def _about_outliers(data: Dataset) -> Finding:
     text = f"{plural(found, 'sample')} of {data.output} look wrong (first {where}), and a model "
     text += "follows them: mark them missing (hampel)"
     return finding("outliers", text, good=False)
-
-
-def _about_level(data: Dataset) -> Iterator[Finding]:
-    if level := level_without_input(data):
-        yield finding("level", f"{level.text}: {NO_OPTION}", good=False)
 
 
 def _about_drift(data: Dataset) -> Iterator[Finding]:

@@ -1,1 +1,0 @@
-"""Advice on data and on models, in words."""
