@@ -96,7 +96,6 @@ class Catalogue:
 
     Examples
     --------
-    >>> import armrig
     >>> table = armrig.catalogue(armrig.example_recording().path.parent)
     >>> len(table), table.unfinished
     (1, ())
@@ -125,7 +124,6 @@ class Catalogue:
 
         Examples
         --------
-        >>> import armrig
         >>> columns = armrig.catalogue(armrig.example_recording().path.parent).columns()
         >>> columns["samples"], columns["Ts"]
         (array([3000]), array([0.01]))
@@ -145,7 +143,6 @@ class Catalogue:
 
         Examples
         --------
-        >>> import armrig
         >>> table = armrig.catalogue(armrig.example_recording().path.parent)
         >>> table.to_pandas()[["experiment", "samples", "Ts"]]
           experiment  samples    Ts
@@ -168,7 +165,7 @@ class Catalogue:
 
         Examples
         --------
-        >>> import armrig, pandas
+        >>> import pandas
         >>> armrig.catalogue(armrig.example_recording().path.parent).to_parquet("all.parquet")
         >>> pandas.read_parquet("all.parquet").shape
         (1, 20)
@@ -217,7 +214,6 @@ def catalogue(folder: str | Path) -> Catalogue:
     --------
     The example uses the folder of the example recording.
 
-    >>> import armrig
     >>> folder = armrig.example_recording().path.parent
     >>> armrig.catalogue(folder)
     <Catalogue: 1 recordings in ...>

@@ -97,7 +97,6 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
 
     Examples
     --------
-    >>> import armrig
     >>> found = armrig.sampling_statistics(armrig.example_recording())
     >>> found.mean_us, found.std_us, found.missing
     (10000.0, 0.0, 0)

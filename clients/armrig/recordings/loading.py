@@ -82,7 +82,6 @@ def load(
 
     Examples
     --------
-    >>> import armrig
     >>> path = armrig.example_recording().path
     >>> recording = armrig.load(path, start=5.0, stop=10.0)
     >>> recording.N, recording.Ts
@@ -132,7 +131,6 @@ def example_recording() -> Recording:
 
     Examples
     --------
-    >>> import armrig
     >>> recording = armrig.example_recording()
     >>> recording.N, recording.Ts
     (3000, 0.01)

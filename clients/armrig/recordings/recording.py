@@ -48,7 +48,6 @@ class Recording:
 
     Examples
     --------
-    >>> import armrig
     >>> recording = armrig.example_recording()
     >>> recording
     <Recording 2ac691c3170e: blackbox, 3000 samples at 0.01 s; 97 in the dead band or just after>
@@ -162,7 +161,6 @@ class Recording:
 
         Examples
         --------
-        >>> import armrig
         >>> alpha = armrig.example_recording().channel("alpha")
         >>> alpha.y.shape, bool(alpha.valid.all())
         ((3000,), True)
@@ -191,7 +189,6 @@ class Recording:
 
         Examples
         --------
-        >>> import armrig
         >>> recording = armrig.example_recording()
         >>> recording.dataset("alpha")
         <Dataset: 3000 samples at 0.01 s; output alpha [rad]>
@@ -247,7 +244,6 @@ class Recording:
 
         Examples
         --------
-        >>> import armrig
         >>> signals = armrig.example_recording().signals(["theta_1", "alpha"])
         >>> signals.outputs, signals.inputs
         (('theta_1', 'alpha'), ('u',))
@@ -280,7 +276,6 @@ class Recording:
 
         Examples
         --------
-        >>> import armrig
         >>> table = armrig.example_recording().to_pandas()
         >>> table.index.name, len(table)
         ('t', 3000)
@@ -296,7 +291,6 @@ class Recording:
 
         Examples
         --------
-        >>> import armrig
         >>> table = armrig.example_recording().to_xarray()
         >>> table.sizes["t"], table.attrs["unit_alpha"]
         (3000, 'rad')
@@ -310,7 +304,6 @@ class Recording:
 
         Examples
         --------
-        >>> import armrig
         >>> armrig.example_recording().plot()
         <Figure size ... with 2 Axes>
         """

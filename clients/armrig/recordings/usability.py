@@ -114,7 +114,6 @@ def data_verdict(recording: Recording) -> DataVerdict:
 
     Examples
     --------
-    >>> import armrig
     >>> verdict = armrig.data_verdict(armrig.example_recording())
     >>> verdict.usable, verdict.warnings
     (True, ())

@@ -89,7 +89,6 @@ class Rig:
     The example starts an emulated rig. The examples of the methods need a running rig, such as the
     emulated rig of `armrig lab`.
 
-    >>> import armrig
     >>> from pathlib import Path
     >>> from armrig.rig.local_daemon import running
     >>> with running(["--emulate"], rig="1", log=Path("log")):
@@ -145,7 +144,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     status = rig.status()
@@ -180,7 +178,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student", Ts=0.005)
         >>> granted.Ts, granted.u_min, granted.u_max
@@ -256,7 +253,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> u = armrig.telegraph(50, 0.1, seed=1)
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student", Ts=0.01)
@@ -380,7 +376,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     for sample in rig.stream():
@@ -411,7 +406,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     rig.stop()
@@ -458,7 +452,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     path = rig.run(armrig.step(50), accepted=lambda run: rig.note("the lamp is on"))
@@ -483,7 +476,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     was_in_fault = rig.reset()
         >>> was_in_fault
@@ -514,7 +506,7 @@ class Rig:
         --------
         The daemon accepts the file of `armrig calibrate`, and refuses a file without measurements.
 
-        >>> import armrig, pathlib
+        >>> import pathlib
         >>> _ = pathlib.Path("mine.toml").write_text("alpha = {zero_counts = 32800.0}")
         >>> with armrig.Rig("1") as rig:
         ...     try:
@@ -532,7 +524,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student")
         ...     rig.disarm()
@@ -549,7 +540,6 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig
         >>> with armrig.Rig("1") as rig:
         ...     samples = rig.stream()
         ...     first, second = next(samples), next(samples)
@@ -565,7 +555,7 @@ class Rig:
 
         Examples
         --------
-        >>> import armrig, time
+        >>> import time
         >>> with armrig.Rig("1") as rig:
         ...     with rig.arrivals("sample") as new_samples:
         ...         time.sleep(0.5)

@@ -49,7 +49,6 @@ class RigError(OperationError):
 
     Examples
     --------
-    >>> import armrig
     >>> try:
     ...     with armrig.Rig("no-such-rig") as rig:
     ...         print(rig.status())

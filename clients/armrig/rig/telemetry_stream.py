@@ -81,7 +81,6 @@ def stream(
     --------
     The example needs a running rig, such as the emulated rig of `armrig lab`.
 
-    >>> import armrig
     >>> for sample in armrig.stream("rig/1/sample"):
     ...     if not isinstance(sample, armrig.LiveGap):
     ...         break
@@ -217,7 +216,6 @@ class LiveGap:
     --------
     A listener that receives the samples 502 and 505 missed the two samples between them.
 
-    >>> import armrig
     >>> from armrig.rig.telemetry_stream import gaps_between
     >>> from armrig_core.telemetry import Sample
     >>> rows = armrig.example_recording().samples[[0, 3]]
