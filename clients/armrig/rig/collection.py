@@ -142,8 +142,6 @@ def bar(
 ) -> Iterator[Progress]:
     """Show a progress bar on standard error, and yield the function that updates the bar.
 
-    The function has two arguments: the amount of work done so far, and the total amount of work.
-
     At each update, the text that `note` returns is shown after the bar.
     """
     columns = (
