@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,20 +110,13 @@ def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = N
     from armrig.numerics.power_spectrum import power_spectrum
 
     data = _signals_of(source)
-    Ts, parts, n = data.equidistant(), [*data.experiments()], data.ny + data.nu
+    Ts, edges, n = data.equidistant(), [*pairwise((*data.starts, data.N))], data.ny + data.nu
     every = rows(ax or (high_axes(n + 2) if n > 2 else axes(None)), n)
-    channels = [
-        *(
-            (BLUE, NAMES.get(name, name), unit, [part.y[:, i] for part in parts])
-            for i, (name, unit) in enumerate(zip(data.outputs, data.units, strict=True))
-        ),
-        *(
-            (INK, _input(data, j), unit, [part.u[:, j] for part in parts])
-            for j, unit in enumerate(data.input_units)
-        ),
-    ]
-    for panel, (colour, name, unit, signals) in zip(every, channels, strict=True):
-        omega, density = power_spectrum(signals, Ts)
+    names = [*(NAMES.get(x, x) for x in data.outputs), *(_input(data, j) for j in range(data.nu))]
+    units = (*data.units, *data.input_units)
+    columns, colours = np.hstack([data.y, data.u]).T, [BLUE] * data.ny + [INK] * data.nu
+    for panel, colour, name, unit, x in zip(every, colours, names, units, columns, strict=True):
+        omega, density = power_spectrum([x[a:b] for a, b in edges], Ts)
         # A logarithmic axis cannot show frequency 0. At the Nyquist frequency the density is not
         # doubled. Both are left out.
         omega, density = omega[1:-1], density[1:-1]
@@ -137,7 +131,7 @@ def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = N
             panel.set_ylim(max(float(seen.min()), 1e-12 * float(seen.max())) / 2, None)
     every[-1].set_xlabel(r"$\omega$ [rad/s]")
     finish(*every, xlim=(float(omega[0]), np.pi / Ts))
-    first, *others = (f"power density of {name}" for _, name, _, _ in channels)
+    first, *others = (f"power density of {name}" for name in names)
     for panel, note in zip(every[1:], others, strict=True):
         legend(panel, note)
     return sign(every[0], data.source, above=legend(every[0], first, lift=hertz(every[0])))
@@ -172,14 +166,12 @@ def plot_values(source: Dataset | Signals | HasDataset, *, ax: Axes | None = Non
 
 
 def _signals_of(source: Dataset | Signals | HasDataset) -> Signals:
-    """Return the columns of data, or of the dataset of a recording."""
     data: Any = source
     signals: Signals = (data if hasattr(data, "digest") else data.dataset()).signals()
     return signals
 
 
 def _input(data: Signals, j: int) -> str:
-    """Return the name of input j for a label."""
     return "$u$" if data.inputs[j] == "u" else data.inputs[j]
 
 

@@ -9,7 +9,7 @@ from armrig_core.telemetry import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.characteristics import integrates
-from armrig.models.labels import Labels, gain_unit, labels_of, left_out, sources_of, with_method
+from armrig.models.equation import Labels, gain_unit, labels_of, left_out, sources_of, with_method
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.models.uncertainty import Draws, drawn, frequency_bands, step_band

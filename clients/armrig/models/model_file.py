@@ -53,18 +53,7 @@ def load_fit(path: str | PathLike[str]) -> Fit:
 
 
 def fit_of(text: str, path: str) -> Fit:
-    """Return the model in the text of a file.
-
-    Parameters
-    ----------
-    path : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    FileError
-        The text contains no model, has another format version, or is damaged.
-    """
+    """Return the model in the text of a file, as `load_fit`; messages name the file by `path`."""
     try:
         content = json.loads(text) if text.lstrip().startswith("{") else None
         known = {FORMAT: VERSION, FORMAT_OF_SEVERAL: 1}

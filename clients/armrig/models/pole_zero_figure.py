@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.models.characteristics import overlapping
-from armrig.models.labels import Labels, labels_of, left_out, sources_of
+from armrig.models.equation import Labels, labels_of, left_out, sources_of
 from armrig.models.uncertainty import Draws, drawn, pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HighestDensityRegion, Region
 from armrig.plots.captions import legend, sign
@@ -72,7 +72,6 @@ def plot_poles_zeros(*models: Fit, labels: Labels = None, ax: Axes | None = None
 
 
 def _draw(ax: Axes, region: Region, colour: str) -> None:
-    """Draw one region."""
     dotted: dict[str, Any] = {
         "color": colour,
         "lw": 1.0,
@@ -119,15 +118,8 @@ def _mark_cancelling(ax: Axes, model: Fit) -> None:
         known = said in ax.get_legend_handles_labels()[1]
         heights = {middle.imag, -middle.imag}
         style: dict[str, Any] = {"color": INK, "mfc": "none", "ms": 15, "mew": 0.9, "ls": "none"}
-        ax.plot(
-            [middle.real] * len(heights),
-            list(heights),
-            "s",
-            zorder=2.8,
-            alpha=0.6,
-            label=None if known else said,
-            **style,
-        )
+        style |= {"zorder": 2.8, "alpha": 0.6, "label": None if known else said}
+        ax.plot([middle.real] * len(heights), list(heights), "s", **style)
 
 
 def _frame(ax: Axes, shown: list[Region]) -> None:

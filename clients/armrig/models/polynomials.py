@@ -207,27 +207,18 @@ class Polynomials:
         """Return the innovations form; the last states are the noise states of OE and BJ models."""
         rows = [self._row(i) for i in range(len(self.A))]
         ny = len(rows)
-        driven = [r[0] for r in rows]
-        noise = [r[1] for r in rows]
-        A = block_diag(*(p["A"] for p in (*driven, *noise)))
-        B = np.vstack([p["B"] for p in (*driven, *noise)])
-        K = np.vstack([p["K"] for p in (*driven, *noise)])
-        feedback = np.vstack([p["Y"] for p in (*driven, *noise)])
-        C = np.zeros((ny, A.shape[0]))
-        begin = 0
-        for k, p in enumerate((*driven, *noise)):
-            size = p["A"].shape[0]
-            C[k % ny, begin : begin + size] = p["C"]
-            begin += size
-        D = np.vstack([p["D"] for p in driven])
+        parts = [driven for driven, _ in rows] + [noise for _, noise in rows]
+        whole = _stacked(parts)
+        C = np.hstack([np.outer(np.eye(ny)[k % ny], p["C"]) for k, p in enumerate(parts)]) + 0.0
+        D = np.vstack([p["D"] for p in parts[:ny]])
         # The rows of an ARX model are driven by y = C x + D u + e.
         return StateSpace(
-            A=A + feedback @ C,
-            B=B + feedback @ D,
+            A=whole["A"] + whole["Y"] @ C,
+            B=whole["B"] + whole["Y"] @ D,
             C=C,
             D=D,
-            K=K + feedback,
-            noise_states=sum(p["A"].shape[0] for p in noise),
+            K=whole["K"] + whole["Y"],
+            noise_states=sum(p["C"].size for p in parts[ny:]),
         )
 
     def _row(self, i: int) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -252,14 +243,7 @@ class Polynomials:
             block["A"][:, :1] -= _tail(f, n)[:, None]
             block["B"][:, j] = _tail(b, n) - _tail(f, n) * D[j]
             blocks.append(_with_sum(block) if self.integrators[i] else block)
-        driven = {
-            "A": block_diag(*(p["A"] for p in blocks)),
-            "B": np.vstack([p["B"] for p in blocks]),
-            "K": np.vstack([p["K"] for p in blocks]),
-            "Y": np.vstack([p["Y"] for p in blocks]),
-            "C": np.concatenate([p["C"] for p in blocks]),
-            "D": D,
-        }
+        driven = _stacked(blocks) | {"C": np.concatenate([p["C"] for p in blocks]), "D": D}
         n = max(self.C[i].size, below.size) - 1
         noise = _observer(n, nu, ny)
         noise["A"][:, :1] -= _tail(below, n)[:, None]
@@ -276,6 +260,13 @@ def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
         "Y": np.zeros((n, ny)),
         "C": np.eye(1, n)[0],
         "D": np.zeros(nu),
+    }
+
+
+def _stacked(blocks: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the matrices of the states of all blocks."""
+    return {"A": block_diag(*(p["A"] for p in blocks))} | {
+        name: np.vstack([p[name] for p in blocks]) for name in "BKY"
     }
 
 

@@ -199,7 +199,6 @@ def _none(N: int, parameters: int) -> Residuals:
 
 
 def _single(data: Dataset | Signals) -> Dataset:
-    """Return the data of the only output and input."""
     return data if isinstance(data, Dataset) else data.dataset()
 
 

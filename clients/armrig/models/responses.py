@@ -160,19 +160,15 @@ def frequencies(model: Fit, omega: ArrayLike) -> Vector:
 def ratio(model: Fit, omega: Vector, above: str, below: str) -> tuple[Complex, Complex]:
     """Return a ratio R of polynomials at omega (n,), and the gradients of ln R (n, d)."""
     x = np.exp(-1j * omega * model.Ts)
-    numerator, denominator = np.ones_like(x), np.ones_like(x)
+    product = {1: np.ones_like(x), -1: np.ones_like(x)}
     dlnR = np.zeros((x.size, model.theta.size), dtype=np.complex128)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for letter in above:
-            value = _evaluated(model, letter, x)
-            numerator *= value
-            dlnR[:, model.slice_of(letter)] = _slope(model, letter, x) / value[:, None]
-        for letter in below:
-            value = _evaluated(model, letter, x)
-            denominator *= value
-            dlnR[:, model.slice_of(letter)] = -_slope(model, letter, x) / value[:, None]
+        for letter in above + below:
+            sign, value = 1 if letter in above else -1, _evaluated(model, letter, x)
+            product[sign] *= value
+            dlnR[:, model.slice_of(letter)] = sign * _slope(model, letter, x) / value[:, None]
         # Divide only once, at the end: the ratio of two infinite complex numbers is NaN.
-        R = numerator / denominator
+        R = product[1] / product[-1]
     return R, dlnR
 
 

@@ -102,19 +102,13 @@ class SpectralEstimate:
     def rate(self) -> SpectralEstimate:
         """Return the estimate for (y(t) - y(t-1))/Ts: G times (1 - exp(-i omega Ts))/Ts."""
         S = 1 / summation(self.omega, self.Ts)
-        size = np.abs(S)
-
-        def scaled(x: Vector | None, by: Vector) -> Vector | None:
-            return None if x is None else x * by
-
+        powers = {"std_magnitude": 1, "noise_only_std": 1, "nonlinear_std": 1}
+        powers |= {"noise_spectrum": 2, "noise_std": 2}
+        known = {name: x for name in powers if (x := getattr(self, name)) is not None}
         return replace(
             self,
             G=self.G * S,
-            std_magnitude=self.std_magnitude * size,
-            noise_spectrum=scaled(self.noise_spectrum, size**2),
-            noise_std=scaled(self.noise_std, size**2),
-            noise_only_std=scaled(self.noise_only_std, size),
-            nonlinear_std=scaled(self.nonlinear_std, size),
+            **{name: x * np.abs(S) ** powers[name] for name, x in known.items()},
             output=rate_name(self.output),
             unit=f"{self.unit}/s" if self.unit else "",
             integrator=False,

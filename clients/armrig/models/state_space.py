@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.columns import Matrix as Matrix
+from armrig.data.columns import Vector as Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _MIN_SINGULAR_VALUE = 1e-4  # least singular value of the responses, divided by the largest

@@ -20,16 +20,8 @@ from armrig.numerics.quantities import minus, with_range
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
 
-_UNITS = {
-    "gain": "",
-    "resonance": "rad/s",
-    "antiresonance": "rad/s",
-    "bandwidth": "rad/s",
-    "rise_time": "s",
-    "equivalent_time": "s",
-    "slowest_time": "s",
-    "overshoot": "%",
-}
+_UNITS = dict.fromkeys(SCALARS, "s") | {"gain": "", "overshoot": "%"}
+_UNITS |= dict.fromkeys(("resonance", "antiresonance", "bandwidth"), "rad/s")
 _NAMES = {
     "antiresonance": "anti-resonance",
     "rise_time": "63 % time",

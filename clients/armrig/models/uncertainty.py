@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.models.state_space import Complex, Matrix, Vector
+from armrig.models.state_space import Complex, Matrix
 from armrig.numerics.confidence_regions import Band, Region, band, regions
 from armrig.numerics.polynomial import stable, without_integrator
 
@@ -71,9 +71,10 @@ def drawn(model: Fit, *, n: int = DRAWS, rng: np.random.Generator | None = None)
         return None
     rng = np.random.default_rng(SEED) if rng is None else rng
     W = directions(model)
-    model_is_stable = all(
-        stable(_without(model, letter, getattr(model, letter.upper()))) for letter in "af"
-    )
+    polynomials = {"a": model.A, "f": model.F}
+    if model.integrating:
+        polynomials[model.integrating] = without_integrator(polynomials[model.integrating])
+    model_is_stable = all(map(stable, polynomials.values()))
     kept: list[Matrix] = []
     asked = unstable = degenerate = 0
     while asked < MAX_ROUNDS * n and sum(len(x) for x in kept) < n:
@@ -162,10 +163,6 @@ def _normal(n: int, d: int, rng: np.random.Generator) -> Matrix:
     x = np.concatenate([half, -half])
     L = np.linalg.cholesky(x.T @ x / x.shape[0])
     return np.asarray(np.linalg.solve(L, x.T).T)
-
-
-def _without(model: Fit, letter: str, p: Vector) -> Vector:
-    return without_integrator(p) if letter == model.integrating else p
 
 
 def _root(P: Matrix) -> Matrix:

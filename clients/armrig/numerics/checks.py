@@ -92,12 +92,10 @@ def real_copy(given: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _are_numbers(given: NDArray[Any]) -> bool:
-    """Return whether an array of objects contains only numbers."""
     return given.dtype.kind == "O" and all(isinstance(x, Number) for x in given.ravel())
 
 
 def _way_out(name: str, taken: NDArray[np.float64]) -> str:
-    """Return the remedy for a shape that is not (N,)."""
     if taken.size == 0:
         return f"{name} is empty"
     if taken.ndim == 0:

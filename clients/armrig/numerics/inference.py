@@ -208,17 +208,10 @@ def _white_score(experiments: Sequence[Sequence[OutputResiduals]], Lambda: Array
     """Return the covariance of the sum of H_i(t) e_i(t) for white e with covariance Lambda."""
     if len(Lambda) == 1 and experiments[0][0].Psi is None:
         return np.asarray(Lambda[0, 0] * np.eye(experiments[0][0].H.shape[1]))
-    return np.asarray(
-        np.sum(
-            [
-                Lambda[i, k] * (ri.H.T @ rk.H)
-                for of in experiments
-                for i, ri in enumerate(of)
-                for k, rk in enumerate(of)
-            ],
-            axis=0,
-        )
+    pairs = (
+        ((i, k), of[i].H.T @ of[k].H) for of in experiments for i, k in np.ndindex(Lambda.shape)
     )
+    return np.asarray(sum(Lambda[pair] * product for pair, product in pairs))
 
 
 def _score(experiments: Sequence[Sequence[OutputResiduals]], score: Score) -> Array:

@@ -147,7 +147,6 @@ def _admitted(
 
 
 def _normals(walls: Walls | None, theta: Array, scale: Array) -> Array:
-    """Return the normals of the walls in scaled parameters."""
     return np.zeros((0, theta.size)) if walls is None else walls.normals(theta) / scale
 
 

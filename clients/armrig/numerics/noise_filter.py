@@ -31,16 +31,6 @@ _COMPLEX_STEP = 1e-20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gains:
-    """Gains of the filter and variances of the innovations."""
-
-    gain: Array
-    """Gain of the innovation v - x_1 - z at each sample, (N, r)."""
-    s: Array
-    """Variance of the innovation divided by the variance of e, (N,); 1 at a missing sample."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFilter:
     """Filter from v and z to the innovations, which are scaled to the variance of e.
 
@@ -55,8 +45,10 @@ class NoiseFilter:
     """Coefficients of D (nd + 1,), beginning with 1."""
     rows: Mask
     """Mask (N,), False where v is missing."""
-    at: Gains
-    """Gains and variances."""
+    gain: Array
+    """Gain of the innovation v - x_1 - z at each sample, (N, r)."""
+    s: Array
+    """Variance of the innovation divided by the variance of e, (N,); 1 at a missing sample."""
 
     @property
     def memory(self) -> int:
@@ -66,12 +58,12 @@ class NoiseFilter:
     @property
     def log_scale(self) -> float:
         """Sum of log s(t) over the measured samples."""
-        return float(np.sum(np.log(self.at.s)))
+        return float(np.sum(np.log(self.s)))
 
     def predictions(self, v: Array, z: Array) -> Array:
         """Return the predictions of v (N,) from its measured past; a missing v is not used."""
         v = np.where(self.rows, v, 0.0)
-        return np.asarray(self._predicted((_delayed(self.at.gain, v) + z)[:, None])[:, 0])
+        return np.asarray(self._predicted((_delayed(self.gain, v) + z)[:, None])[:, 0])
 
     def innovations(self, v: Array) -> Array:
         """Return the scaled innovations of v (N,) for z = 0; 0 at a missing sample."""
@@ -88,12 +80,12 @@ class NoiseFilter:
         nu(t - j) for j < horizon. nu is the innovation without the scale; psi_0 is 1, and psi_j(t)
         is row 1 of Phi^(j - 1) times the gain at t - j.
         """
-        nu = np.sqrt(self.at.s) * e
+        nu = np.sqrt(self.s) * e
         total, r = nu.copy(), self.memory
         Phi = np.eye(r, k=1) - np.pad(self.D[1:], (0, r + 1 - self.D.size))[:, None] * np.eye(1, r)
         row = np.eye(1, r)[0]
         for j in range(1, horizon):
-            total[j:] += ((self.at.gain @ row) * nu)[:-j]
+            total[j:] += ((self.gain @ row) * nu)[:-j]
             row = row @ Phi
         return np.asarray(total)
 
@@ -119,8 +111,8 @@ class NoiseFilter:
         for k in range(nd):
             right[k + 1 :, nc + k] -= p[: p.size - k - 1]
         return (
-            self._scaled(-self._predicted(right) - 0.5 * (e / self.at.s)[:, None] * by_s.T),
-            np.sum(by_s / self.at.s, axis=1),
+            self._scaled(-self._predicted(right) - 0.5 * (e / self.s)[:, None] * by_s.T),
+            np.sum(by_s / self.s, axis=1),
         )
 
     def _predicted(self, right: Array) -> Array:
@@ -129,20 +121,20 @@ class NoiseFilter:
         if r == 0 or right.shape[1] == 0:
             return right
         band = np.ones((r + 1, N))
-        band[1:] = np.where(self.rows, self.at.gain.T, 0.0)
+        band[1:] = np.where(self.rows, self.gain.T, 0.0)
         band[1 : self.D.size] += self.D[1:, None]
         p, _ = dtbtrs(band, right, uplo="L", diag="U")
         return np.asarray(p)
 
     def _scaled(self, e: Array) -> Array:
-        weight = np.where(self.rows, 1 / np.sqrt(self.at.s), 0.0)
+        weight = np.where(self.rows, 1 / np.sqrt(self.s), 0.0)
         return weight * e if e.ndim == 1 else weight[:, None] * e
 
 
 def noise_filter(C: Array, D: Array, rows: Mask) -> NoiseFilter:
     """Return the filter for the measured samples `rows`."""
     gain, s = _gains(C[None], D[None], rows)
-    return NoiseFilter(C=C, D=D, rows=rows, at=Gains(gain=gain[0], s=s[0]))
+    return NoiseFilter(C=C, D=D, rows=rows, gain=gain[0], s=s[0])
 
 
 def _delayed(gain: Array, e: Array) -> Array:

@@ -224,7 +224,6 @@ def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
 
 
 def _without_last_zeros(M: Array) -> Array:
-    """Return M without its last rows of zeros."""
     rows = np.flatnonzero(M.any(axis=1))
     return M[: rows[-1] + 1] if rows.size else M[:0]
 

@@ -10,9 +10,16 @@ import pytest
 import typst
 from armrig.models import characteristics
 from armrig.models.characteristics import model_characteristics
-from armrig.models.equation import form, input_and_output, whiteness_sentence
+from armrig.models.equation import (
+    form,
+    gain_unit,
+    input_and_output,
+    labels_of,
+    left_out,
+    sources_of,
+    whiteness_sentence,
+)
 from armrig.models.estimate import Start
-from armrig.models.labels import gain_unit, labels_of, left_out, sources_of
 from armrig.models.summary import summary
 from armrig.models.uncertainty import Draws
 

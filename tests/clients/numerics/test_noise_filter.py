@@ -102,5 +102,5 @@ def test_the_filter_of_an_extremely_unstable_D_is_finite_after_gaps() -> None:
 
     found = noise_filter(np.array([1.0, 0.5, 0.2]), unstable, rows)
 
-    assert np.isfinite(found.at.gain).all()
-    assert np.isfinite(found.at.s).all()
+    assert np.isfinite(found.gain).all()
+    assert np.isfinite(found.s).all()

@@ -135,7 +135,6 @@ def _structure(parts: Elements, shape: tuple[int, ...], order: str, depth: int) 
 
 
 def _characters(parts: Elements, order: str) -> str:
-    """Return the next element as a text."""
     kind, body = _next(parts)
     utf_16 = "utf-16-le" if order == "<" else "utf-16-be"
     encoding = utf_16 if kind in _TWO_BYTE_CHARACTERS else "utf-8"

@@ -154,7 +154,6 @@ _Decoders = dict[int, Callable[[bytes], Any]]
 def _read(
     decoders: _Decoders, channel: Channel, schema: Schema | None, body: bytes
 ) -> dict[str, float]:
-    """Return the numeric fields of a message by their paths."""
     if channel.id not in decoders:
         decoders[channel.id] = _decoder(channel.message_encoding, schema)
     try:
@@ -165,7 +164,6 @@ def _read(
 
 
 def _decoder(encoding: str, schema: Schema | None) -> Callable[[bytes], Any]:
-    """Return the function that decodes the messages of a channel."""
     if encoding == "json":
         return json.loads
     why = "armrig reads json, protobuf, and cdr with ros2msg; export the topic as CSV"
