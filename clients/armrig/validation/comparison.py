@@ -16,8 +16,8 @@ from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import EstimateFinding
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
+from armrig.models.equation import Labels
 from armrig.models.fit import Fit
-from armrig.models.labels import Labels
 from armrig.models.prediction import findings_on_own_data
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
