@@ -87,10 +87,7 @@ class Driver:
 
         A stop after the time of the request, `asked_s` of `time.monotonic`, prevents the run.
 
-        Raises
-        ------
-        BusyDriverError
-            Another run is in progress.
+        Raises BusyDriverError if another run is in progress.
         """
         if not self._one.acquire(blocking=False):
             raise BusyDriverError(_BUSY)
@@ -105,10 +102,7 @@ class Driver:
     def stop(self, by: str) -> None:
         """Stop the rig at 0 V, even if another client is the owner; do not wait for other commands.
 
-        Raises
-        ------
-        RigError
-            No daemon answers.
+        Raises RigError if no daemon answers.
         """
         # If the rig is armed, the daemon stops it. If not, `_shown` prevents the run.
         self._stopped = time.monotonic(), by

@@ -63,10 +63,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def plan_of(experiment: Experiment, owner: str) -> Plan:
     """Return the plan that `armrig collect` would make for an experiment.
 
-    Raises
-    ------
-    ValueError
-        A setting is invalid, whatever the sampling time.
+    Raises ValueError if a setting is invalid, whatever the sampling time.
     """
     make, details = _input_of(experiment)
     seconds = experiment.seconds or _SECONDS.get(experiment.kind, _DEFAULT_S)
@@ -136,10 +133,7 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
 def previewed(experiment: Experiment, status: StatusReport) -> Preview:
     """Return the preview of an experiment: its input, and the response of the rig's model.
 
-    Raises
-    ------
-    ValueError
-        The experiment is not possible; the message contains the allowed values.
+    Raises ValueError if the experiment is not possible; the message contains the allowed values.
     """
     notes: list[str] = []
     plan = plan_of(experiment, "preview")

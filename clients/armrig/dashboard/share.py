@@ -31,10 +31,7 @@ class Certificate(NamedTuple):
 def own_address() -> str:
     """Return the address of this machine on its network.
 
-    Raises
-    ------
-    RigError
-        The machine is not connected to a network.
+    Raises RigError if the machine is not connected to a network.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
@@ -50,10 +47,7 @@ def own_address() -> str:
 def certificate(address: str) -> Iterator[Certificate]:
     """Yield a self-signed certificate for an address; its files exist until the block ends.
 
-    Raises
-    ------
-    MissingPackageError
-        The package that makes certificates is not installed.
+    Raises MissingPackageError if the package that makes certificates is not installed.
     """
     imported("cryptography", "share")
     from cryptography import x509
@@ -80,10 +74,7 @@ def certificate(address: str) -> Iterator[Certificate]:
 def qr_code(text: str) -> str:
     """Return a text as a QR code for terminals with a dark or a light background.
 
-    Raises
-    ------
-    MissingPackageError
-        The package that draws QR codes is not installed.
+    Raises MissingPackageError if the package that draws QR codes is not installed.
     """
     drawn = StringIO()
     imported("segno", "share").make(text, error="l").terminal(out=drawn, compact=True)

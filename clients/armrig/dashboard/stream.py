@@ -103,10 +103,7 @@ class Viewers:
     def add(self, viewer: Viewer) -> None:
         """Add a viewer.
 
-        Raises
-        ------
-        TooManyViewersError
-            The largest number of viewers is reached.
+        Raises TooManyViewersError if the largest number of viewers is reached.
         """
         if len(self) >= MOST_VIEWERS:
             raise TooManyViewersError(f"{MOST_VIEWERS} pages are open already: close one")
@@ -166,10 +163,7 @@ class Stream:
     async def messages(self, viewer: Viewer) -> AsyncIterator[bytes]:
         """Yield the messages for one viewer: the current state, the history, and new messages.
 
-        Raises
-        ------
-        TooManyViewersError
-            The largest number of viewers is reached.
+        Raises TooManyViewersError if the largest number of viewers is reached.
         """
         await self._wait_for_turn()
         # All viewers receive the newest state first, so that they all know the same state. A later

@@ -104,10 +104,7 @@ def identified(path: Path, validation: Path | None, output: ModelOutput) -> dict
     The outputs of a model of both angles share one denominator. Without a recording for validation,
     the first half of the recording is for estimation and the second half for validation.
 
-    Raises
-    ------
-    ValueError
-        The data determine no model; the message contains the reason.
+    Raises ValueError if the data determine no model; the message contains the reason.
     """
     recording = _loaded(path)
     data = _data(recording, output)

@@ -92,10 +92,7 @@ def find() -> str | None:
 def loader(program: str, port: str) -> str:
     """Return the version of the board's Optiboot, such as "4.4".
 
-    Raises
-    ------
-    OperationError
-        The boot loader does not answer, or is not Optiboot.
+    Raises OperationError if the boot loader does not answer, or is not Optiboot.
     """
     try:
         said = _run(_question(program, port, LOADER_BAUD), _ignore, _UNTOUCHED)[1]
@@ -120,10 +117,7 @@ def _question(program: str, port: str, baud: int) -> list[str]:
 def fuse(program: str, programmer: str, port: str | None) -> int:
     """Read the extended fuse with an ISP programmer; an Uno's boot loader cannot read it.
 
-    Raises
-    ------
-    OperationError
-        The fuse cannot be read.
+    Raises OperationError if the fuse cannot be read.
     """
     at = [] if port is None else ["-P", port]
     call = [program, "-p", CHIP.lower(), "-c", programmer, *at, "-U", "efuse:r:-:h"]
@@ -154,10 +148,7 @@ def command(program: str, *, port: str, image: Path) -> list[str]:
 def write(call: Sequence[str], moved: Moved) -> None:
     """Run avrdude, and report its progress to `moved`.
 
-    Raises
-    ------
-    OperationError
-        avrdude failed, or did not end in time.
+    Raises OperationError if avrdude failed, or did not end in time.
     """
     _run(call, moved, _INCOMPLETE)
 
@@ -260,10 +251,8 @@ def plugged_in() -> list[Board]:
 def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     """Return the board at `port`, or the only Uno that is plugged in.
 
-    Raises
-    ------
-    OperationError
-        `port` does not exist; or `port` is None, and not exactly one Uno is plugged in.
+    Raises OperationError if `port` does not exist, or if `port` is None and not exactly one Uno is
+    plugged in.
     """
     if port is not None:
         return _at(port, boards)
@@ -286,10 +275,7 @@ def held(board: Board) -> Iterator[None]:
     A daemon locks its port in the same way. If a daemon holds the port, no byte is sent, and the
     board is not reset: only the first opening of a port resets the board.
 
-    Raises
-    ------
-    OperationError
-        The port cannot be opened, or another program holds it.
+    Raises OperationError if the port cannot be opened, or another program holds it.
     """
     port = board.port
     try:
@@ -344,10 +330,7 @@ def greeting(port: str, baud: int, within_s: float = WITHIN_S) -> HelloReply | N
     HELLO contains no command, so the motor does not move, even if another program is on the board.
     The caller must hold the port (`held`).
 
-    Raises
-    ------
-    OperationError
-        The port cannot be opened, or was removed.
+    Raises OperationError if the port cannot be opened, or was removed.
     """
     until_s = time.monotonic() + within_s
     with _opened(port, baud) as line:

@@ -54,10 +54,7 @@ _LIMITS = "/etc/security/limits.d/armrig.conf, then log in again"
 def doctor(rig: str = "1", connect: str | None = None) -> list[HostCheck]:
     """Examine this host, and the rig's daemon if the daemon answers.
 
-    Raises
-    ------
-    ValueError
-        `connect` is not a socket of this machine.
+    Raises ValueError if `connect` is not a socket of this machine.
     """
     daemon, silent = _daemon_of(rig, connect)
     granted = probe(Path(daemon.recordings) if daemon else None)

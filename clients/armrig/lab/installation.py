@@ -159,10 +159,8 @@ def parts_of(root: Path) -> set[Part]:
 def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
     """Return the files of these parts of the service, with their paths below `root`.
 
-    Raises
-    ------
-    ValueError
-        `root` is /, and the service could not start the `armrigd` of this installation.
+    Raises ValueError if `root` is /, and the service could not start the `armrigd` of this
+    installation.
     """
     shipped = SHIPPED.removesuffix("d")
     program = _program().removesuffix("d") if root == _SYSTEM else shipped
@@ -233,10 +231,7 @@ def _unit(name: str, enabled: bool, root: Path) -> Unit:
 def run_command(command: Sequence[str]) -> None:
     """Run a command, and show its output.
 
-    Raises
-    ------
-    RuntimeError
-        The command does not exist, or fails.
+    Raises RuntimeError if the command does not exist, or fails.
     """
     try:
         code = subprocess.run(command, check=False).returncode

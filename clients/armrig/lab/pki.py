@@ -54,10 +54,8 @@ class Issued(NamedTuple):
 def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool = False) -> Path:
     """Create an authority in `directory` with an empty access list; return its certificate's path.
 
-    Raises
-    ------
-    InputError
-        An authority exists already; a new authority would invalidate the existing certificates.
+    Raises InputError if an authority exists already; a new authority would invalidate the existing
+    certificates.
     """
     if not force and (directory / _KEY).exists():
         raise InputError(
@@ -88,11 +86,8 @@ def issue_to_rig(
     `hosts` are the names by which clients connect to the rig. Without hosts, the credential is
     valid only for a connection to a router.
 
-    Raises
-    ------
-    InputError
-        There is no authority; the rig was revoked or has a credential already; or a host is
-        neither a name nor an address.
+    Raises InputError if there is no authority, the rig was revoked or has a credential already, or
+    a host is neither a name nor an address.
     """
     name = check_name(rig_name(check_rig_id(rig)))
     _refuse_revoked(directory, name)
@@ -106,10 +101,8 @@ def issue_to_router(
 ) -> Issued:
     """Create a router's credential; rigs and people connect to the router by the names in `hosts`.
 
-    Raises
-    ------
-    InputError
-        There is no authority; a credential exists already; or a host is not a name or address.
+    Raises InputError if there is no authority, a credential exists already, or a host is not a name
+    or address.
     """
     if not hosts:
         raise InputError("name the hosts of the router for its clients, such as --host lab.local")
@@ -121,10 +114,8 @@ def issue_to_person(
 ) -> Issued:
     """Create the credential of an operator or observer, and put the name on the access list.
 
-    Raises
-    ------
-    InputError
-        There is no authority; the name is not allowed, was revoked, or has a credential already.
+    Raises InputError if there is no authority, or the name is not allowed, was revoked, or has a
+    credential already.
     """
     _refuse_revoked(directory, name)
     if name.startswith(RIG_PREFIX) or name in ("authority", ROUTER):
@@ -137,10 +128,7 @@ def issue_to_person(
 def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
     """Create a new key and certificate for a name; the hosts and the role of the name stay.
 
-    Raises
-    ------
-    InputError
-        The name has no credential, or was revoked.
+    Raises InputError if the name has no credential, or was revoked.
     """
     path = directory / f"{check_name(name)}.pem"
     if not path.exists():
@@ -165,10 +153,7 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
 def revoke(directory: Path, name: str) -> None:
     """Put a name on the list of revoked names; a revoked name has no rights.
 
-    Raises
-    ------
-    InputError
-        The name is not on the access list.
+    Raises InputError if the name is not on the access list.
     """
     people = read_access_list(directory / ACCESS_LIST)
     if people.role(check_name(name)) not in ("operators", "observers", "rigs"):

@@ -76,10 +76,7 @@ def readings_of(source: Recording | Readings) -> Readings:
 def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
     """Return the readings as a gzipped CSV; equal readings give equal bytes.
 
-    Raises
-    ------
-    InputError
-        There are more than `MOST_ROWS` rows.
+    Raises InputError if there are more than `MOST_ROWS` rows.
     """
     out = StringIO()
     out.write(_HEADING + "\n")

@@ -87,10 +87,8 @@ def turning(readings: Readings, step: float) -> Turning:
     In the run, each voltage must be held for longer than `SETTLE_S` + `LEAST_S`. `step` is the step
     of the converter, in counts.
 
-    Raises
-    ------
-    InputError
-        No voltage was held long enough, or the shaft did not turn in one direction throughout.
+    Raises InputError if no voltage was held long enough, or the shaft did not turn in one direction
+    throughout.
     """
     settled = _settled(readings)
     live = settled.live
@@ -296,10 +294,8 @@ def terminal_voltage(
     offset. A reading is a pair: the voltage of a code, and the voltage at the motor's terminals,
     both in V. `meter_std_v` is the standard deviation of a reading, in V.
 
-    Raises
-    ------
-    InputError
-        A voltage is out of range, or two or more readings are all at the same code.
+    Raises InputError if a voltage is out of range, or two or more readings are all at the same
+    code.
     """
     if not meter:
         return None

@@ -369,10 +369,7 @@ def found_files(folder: Path) -> list[FoundFile]:
     A file is sorted by the time in its name if the daemon named it, and by its modification time
     otherwise. A recording in progress is left out: its name is `*.mcap.active`.
 
-    Raises
-    ------
-    OSError
-        The folder does not exist or cannot be read.
+    Raises OSError if the folder does not exist or cannot be read.
     """
     found = []
     with os.scandir(folder) as entries:

@@ -102,10 +102,7 @@ def write_mat(
 def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> None:
     """Write the columns as a Parquet file, with units, Ts, hash and run in its metadata.
 
-    Raises
-    ------
-    ImportError
-        pyarrow is not installed.
+    Raises ImportError if pyarrow is not installed.
     """
     pyarrow = imported("pyarrow", "parquet")
     parquet = imported("pyarrow.parquet", "parquet")
@@ -153,10 +150,7 @@ def _about(recording: Recording) -> dict[str, str]:
 def transforms_channel(rig: str, context: Any) -> Any:
     """Return the channel `/rig/<id>/transforms` of a foxglove-sdk context.
 
-    Raises
-    ------
-    MissingPackageError
-        foxglove-sdk is not installed.
+    Raises MissingPackageError if foxglove-sdk is not installed.
     """
     channels = imported("foxglove.channels", "foxglove")
     return channels.FrameTransformsChannel(topic(rig, "transforms"), context=context)
@@ -191,10 +185,7 @@ def write_transforms(recording: Recording, path: Path) -> None:
 
     The file does not contain the signals of the recording: open both files in the viewer.
 
-    Raises
-    ------
-    ValueError
-        The wall clock of the rig's machine was before 1970 or after 2106.
+    Raises ValueError if the wall clock of the rig's machine was before 1970 or after 2106.
     """
     sdk = imported("foxglove", "foxglove")
     context = sdk.Context()

@@ -83,10 +83,8 @@ def grid(
     Each gap record has the index of the first missing sample, and the number of missing samples.
     The grid is limited to the indices `between`: the first index, and the index after the last.
 
-    Raises
-    ------
-    ValueError
-        A sample is outside the run, or more samples are missing than the limit allows.
+    Raises ValueError if a sample is outside the run, or more samples are missing than the limit
+    allows.
     """
     begin, end = (int(k[0]), int(k[-1]) + 1) if k.size else (0, 0)
     if manifest.k_first >= 0:

@@ -375,10 +375,8 @@ def _terminal(u: Vector, driver: Driver) -> Vector:
 def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:
     """Join the contents of consecutive parts of one run into one content.
 
-    Raises
-    ------
-    ValueError
-        The parts belong to different runs, a part is missing, or k does not increase.
+    Raises ValueError if the parts belong to different runs, a part is missing, or k does not
+    increase.
     """
     for before, after in pairwise(manifests):
         if (before.rig, before.run_id) != (after.rig, after.run_id):

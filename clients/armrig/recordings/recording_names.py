@@ -37,10 +37,7 @@ def recording_folder() -> Path:
 def named_path(name: str | Path) -> Path:
     """Return the path of a recording from its @NAME in the recording folder, or from its path.
 
-    Raises
-    ------
-    FileError
-        No recording has the name, or several recordings have the name.
+    Raises FileError if no recording has the name, or several recordings have the name.
     """
     if not str(name).startswith("@") or Path(name).exists():
         return Path(name)
@@ -55,10 +52,7 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
 
     The function reads the names of all files, and the metadata of matching files only.
 
-    Raises
-    ------
-    NoSuchRecordingError
-        No recording has the name, or several recordings have the name.
+    Raises NoSuchRecordingError if no recording has the name, or several recordings have the name.
     """
     paths = newest_first(folder)
     if text == f"@{LAST}":

@@ -94,10 +94,8 @@ class SampleRows:
     def pack(self) -> None:
         """Convert the collected rows to samples.
 
-        Raises
-        ------
-        DamageError, DecodeError
-            A row cannot be read, or k does not increase; the samples before this row are kept.
+        Raises DamageError or DecodeError if a row cannot be read, or k does not increase. The
+        samples before this row are kept.
         """
         self._copy()
         if not self._pending:

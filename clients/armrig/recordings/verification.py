@@ -335,11 +335,8 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
 def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
     """Read the attachment at `place` block by block, and return its voltages, (n,) in V.
 
-    Raises
-    ------
-    DamageError
-        The attachment is not a list of voltages, its checksum is wrong, or it contains more than
-        `most` voltages.
+    Raises DamageError if the attachment is not a list of voltages, its checksum is wrong, or it
+    contains more than `most` voltages.
     """
     parts: list[NDArray[np.float64]] = []
     found = 0

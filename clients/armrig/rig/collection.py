@@ -121,10 +121,7 @@ class Plan:
 def number_of_samples(seconds: float, Ts: float) -> int:
     """Return the number of samples whose total duration is nearest to `seconds`.
 
-    Raises
-    ------
-    ValueError
-        The number is 0, or larger than the largest number of samples of a run.
+    Raises ValueError if the number is 0, or larger than the largest number of samples of a run.
     """
     N = floor(seconds / Ts + 0.5)
     if N < 1:

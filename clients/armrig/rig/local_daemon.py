@@ -27,11 +27,8 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     After this signal the daemon also sets the motor to 0 V and ends. The block begins after the
     first answer of the rig with the id `rig`. The file `log` gets all output of the daemon.
 
-    Raises
-    ------
-    RigError
-        Another daemon answers for this rig, or the new daemon has ended or does not answer. The
-        message contains the last line of the daemon's log.
+    Raises RigError if another daemon answers for this rig, or the new daemon has ended or does not
+    answer. The message contains the last line of the daemon's log.
     """
     if _answers(rig):  # clients cannot distinguish two daemons
         raise RigError(f"a daemon of rig {rig} already runs; end it, or choose another --rig")

@@ -181,10 +181,7 @@ class Stage:
 def staged(where: str, rig: str) -> Iterator[Stage]:
     """Yield a session that listens at an endpoint; clients cannot publish or answer queries there.
 
-    Raises
-    ------
-    RigError
-        The endpoint is not valid, is in use, or cannot be created.
+    Raises RigError if the endpoint is not valid, is in use, or cannot be created.
     """
     config = owned_session(where, most_received=_MAX_RECEIVED_BYTES)
     try:

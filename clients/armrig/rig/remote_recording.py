@@ -94,10 +94,7 @@ class RemoteRecording:
     def add(self, piece: Piece) -> None:
         """Record the messages of a piece; wait if too many pieces are not yet on the disk.
 
-        Raises
-        ------
-        RigError
-            A message is not from an armrigd, or the disk cannot be written.
+        Raises RigError if a message is not from an armrigd, or the disk cannot be written.
         """
         self._offset_ns = piece.past.clock_offset_ns
         if piece.is_new_life:
@@ -308,10 +305,7 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
 
     The clock offset is the real-time clock minus the monotonic clock, in ns, on the daemon's host.
 
-    Raises
-    ------
-    RigError
-        The message is not a valid message of a daemon.
+    Raises RigError if the message is not a valid message of a daemon.
     """
     try:
         if not 0 <= clock_offset_ns < _LIMIT:
@@ -371,10 +365,7 @@ class RemoteRecorder:
     def begin(self) -> bool:
         """Record the oldest messages that the daemon keeps; return True if the daemon answers.
 
-        Raises
-        ------
-        RigError
-            The sender is not an armrigd, or the disk cannot be written.
+        Raises RigError if the sender is not an armrigd, or the disk cannot be written.
         """
         piece = self._row.next_piece()
         if piece is not None:
@@ -384,10 +375,7 @@ class RemoteRecorder:
     def record(self, ended: Ended, seconds: float | None = None) -> None:
         """Record all messages that are published until `ended` is set or `seconds` have passed.
 
-        Raises
-        ------
-        RigError
-            The sender is not an armrigd, or the disk cannot be written.
+        Raises RigError if the sender is not an armrigd, or the disk cannot be written.
         """
         rig, tell = self.recording.rig, self.recording.tell
         stopped = service_has_stopped(rig, self.recording.endpoint) and stopped_sentence(rig)

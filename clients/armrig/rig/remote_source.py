@@ -50,10 +50,7 @@ class RemoteSource:
     def next_piece(self) -> Piece | None:
         """Return the next messages, or an empty piece if there are none; None if no answer comes.
 
-        Raises
-        ------
-        RigError
-            The sender is not a daemon of this version.
+        Raises RigError if the sender is not a daemon of this version.
         """
         past = self._asked(self._next, self._life)
         if past is None:

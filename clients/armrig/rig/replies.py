@@ -28,11 +28,8 @@ Progress = Callable[[int, int], None]
 def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
     """Decode the reply to the command `name`.
 
-    Raises
-    ------
-    MalformedReplyError
-        The reply is too long or not JSON, or a field is missing or of another type. The message
-        contains the name of the field.
+    Raises MalformedReplyError if the reply is too long or not JSON, or a field is missing or of
+    another type. The message contains the name of the field.
     """
     _check_length(name, payload)
     try:

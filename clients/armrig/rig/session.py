@@ -112,10 +112,8 @@ def default_endpoint(rig: str) -> str:
 def own_endpoint(rig: str) -> str:
     """Return an endpoint for this process, in a directory that only this user can open.
 
-    Raises
-    ------
-    RigError
-        Another user owns the directory or may write to it, or the directory cannot be created.
+    Raises RigError if another user owns the directory or may write to it, or the directory cannot
+    be created.
     """
     directory = Path(_socket_directory())
     try:

@@ -48,10 +48,7 @@ def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
     The endpoint, of a router or a daemon, is by default the endpoint in `[client]`. If there is no
     endpoint, all daemons of this machine are queried.
 
-    Raises
-    ------
-    RigError
-        Nobody listens at the endpoint, or the connection cannot be used.
+    Raises RigError if nobody listens at the endpoint, or the connection cannot be used.
     """
     if where := connect or configured_connect():
         connection = open_endpoint(where)
