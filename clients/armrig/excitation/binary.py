@@ -18,11 +18,7 @@ _HALF_WIDTH_STDS = 3.0
 
 @checked_call
 def telegraph(
-    N: int,
-    a: float,
-    low: float = 0.5,
-    high: float = 4.5,
-    seed: int | np.random.Generator = 1,
+    N: int, a: float, low: float = 0.5, high: float = 4.5, seed: int | np.random.Generator = 1
 ) -> Vector:
     """Return a random telegraph signal (N,): at each sample, the level changes with probability a.
 

@@ -35,14 +35,7 @@ BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 INK, GREY = "#222222", "#777777"
 COLOURS = (SKY, VERMILION, BLUE, GREEN, PURPLE, INK)
-DASHES: tuple[Any, ...] = (
-    "-",
-    (0, (4, 2)),
-    "-",
-    (0, (6, 1.5, 1, 1.5)),
-    (0, (1, 1)),
-    (0, (8, 3)),
-)
+DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), "-", (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), (0, (8, 3)))
 WIDTHS = (3.6, 2.0, 0.8, 1.2, 1.2, 0.8)
 _PANEL_HEIGHT = 1.15  # inches
 _WIDTH = 6.4  # inches

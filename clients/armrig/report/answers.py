@@ -131,8 +131,7 @@ QUESTIONS: Final = {
         asks="why these two parameters; what else you tried (`armrig model --set J_1=…`)",
     ),
     "3.1": Question(
-        title="Sampling time",
-        asks="the method that you chose, and the sampling time that you used",
+        title="Sampling time", asks="the method that you chose, and the sampling time that you used"
     ),
     "3.2": Question(
         title="Choice of parametrisation",
@@ -151,32 +150,23 @@ QUESTIONS: Final = {
         asks="what you held fixed, and whether friction may be neglected",
     ),
     "3.6": Question(
-        title="Covariance and the length of the data",
-        asks="the trend, and how you explain it",
+        title="Covariance and the length of the data", asks="the trend, and how you explain it"
     ),
     "3.7": Question(
-        title="Open loop",
-        asks="the evidence for open loop in the input and output data",
+        title="Open loop", asks="the evidence for open loop in the input and output data"
     ),
     "3.8": Question(
-        title="No input delay",
-        asks="the evidence against a delay in the input and output data",
+        title="No input delay", asks="the evidence against a delay in the input and output data"
     ),
     "4.1": Question(
-        title="Forward Euler",
-        asks="your choice of the step, and the effect of other steps",
+        title="Forward Euler", asks="your choice of the step, and the effect of other steps"
     ),
-    "4.2": Question(
-        title="AB(2)",
-        asks="your choice of the step, and the effect of other steps",
-    ),
+    "4.2": Question(title="AB(2)", asks="your choice of the step, and the effect of other steps"),
     "4.3": Question(
-        title="Trapezoidal rule",
-        asks="your choice of the step, and the effect of other steps",
+        title="Trapezoidal rule", asks="your choice of the step, and the effect of other steps"
     ),
     "4.4": Question(
-        title="Heun, RK(2)",
-        asks="your choice of the step, and the effect of other steps",
+        title="Heun, RK(2)", asks="your choice of the step, and the effect of other steps"
     ),
 }
 """Questions by the number of the assignment, in the order of the handout."""

@@ -145,10 +145,7 @@ def _compiled(source: Path) -> tuple[bytes, str]:
     fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
     try:
         compiler = typst.Compiler(
-            str(source),
-            root=str(source.parent),
-            font_paths=[str(fonts)],
-            ignore_system_fonts=True,
+            str(source), root=str(source.parent), font_paths=[str(fonts)], ignore_system_fonts=True
         )
         pdf = compiler.compile()
         if not isinstance(pdf, bytes):  # only images and output files have another type

@@ -237,11 +237,7 @@ def _tried(
 
 
 def _at(
-    data: Dataset,
-    p: ArmParameters,
-    names: tuple[str, ...],
-    s: float,
-    noise: float | None = None,
+    data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float, noise: float | None = None
 ) -> _Tried:
     """Return the estimate for the kernel width s; `noise` is the variance of the angle's noise."""
     balance = _torque_balance(data, p, names, s)

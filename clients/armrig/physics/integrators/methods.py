@@ -91,11 +91,7 @@ Method = Multistep | RungeKutta
 METHODS: MappingProxyType[str, Method] = MappingProxyType(
     {
         "forward_euler": Multistep(
-            name="forward Euler",
-            alpha=(-1.0, 1.0),
-            beta=(1.0, 0.0),
-            order=1,
-            work=1,
+            name="forward Euler", alpha=(-1.0, 1.0), beta=(1.0, 0.0), order=1, work=1
         ),
         "ab2": Multistep(
             name="AB(2)",
@@ -106,25 +102,13 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             work=1,
         ),
         "trapezoidal": Multistep(
-            name="trapezoidal rule",
-            alpha=(-1.0, 1.0),
-            beta=(0.5, 0.5),
-            order=2,
-            work=2,
+            name="trapezoidal rule", alpha=(-1.0, 1.0), beta=(0.5, 0.5), order=2, work=2
         ),
         "heun": RungeKutta(
-            name="Heun, RK(2)",
-            a=((0.0, 0.0), (1.0, 0.0)),
-            b=(0.5, 0.5),
-            c=(0.0, 1.0),
-            order=2,
+            name="Heun, RK(2)", a=((0.0, 0.0), (1.0, 0.0)), b=(0.5, 0.5), c=(0.0, 1.0), order=2
         ),
         "midpoint": RungeKutta(
-            name="midpoint, RK(2)",
-            a=((0.0, 0.0), (0.5, 0.0)),
-            b=(0.0, 1.0),
-            c=(0.0, 0.5),
-            order=2,
+            name="midpoint, RK(2)", a=((0.0, 0.0), (0.5, 0.0)), b=(0.0, 1.0), c=(0.0, 0.5), order=2
         ),
     }
 )

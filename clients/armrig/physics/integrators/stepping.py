@@ -61,12 +61,7 @@ def require_positive(**values: float) -> None:
 
 
 def exact(
-    A: ArrayLike,
-    B: ArrayLike,
-    amplitude: float,
-    omega: float,
-    x0: ArrayLike,
-    t: ArrayLike,
+    A: ArrayLike, B: ArrayLike, amplitude: float, omega: float, x0: ArrayLike, t: ArrayLike
 ) -> Matrix:
     """Return the solution (len(t), nx) of x' = A x + B amplitude sin(omega t), x(0) = x0.
 
@@ -272,13 +267,7 @@ def _companion(method: Multistep, A: Matrix, h: float) -> Matrix:
 
 
 def _multistep(
-    method: Multistep,
-    A: Matrix,
-    B: Matrix,
-    u: Callable[[float], Any],
-    x0: Vector,
-    h: float,
-    n: int,
+    method: Multistep, A: Matrix, B: Matrix, u: Callable[[float], Any], x0: Vector, h: float, n: int
 ) -> Matrix:
     size, k = A.shape[0], len(method.alpha) - 1
     first = x0[None]

@@ -157,11 +157,7 @@ Row = dict[str, Any]
 Kind = str
 """Type of a column: "text", "truth" (a Boolean), "count", "number"; of lists "texts", "numbers"."""
 
-OF_THE_FILE: dict[str, Kind] = {
-    "recording": "text",
-    "bytes": "count",
-    "modified_ns": "count",
-}
+OF_THE_FILE: dict[str, Kind] = {"recording": "text", "bytes": "count", "modified_ns": "count"}
 """Columns that are known without opening the file. Their values change if the file changes."""
 OF_THE_RUN: dict[str, Kind] = {
     "sha256": "text",
