@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from armrig_core.arm import ArmParameters
@@ -12,19 +11,17 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1
 from numpy.typing import ArrayLike
 
-from armrig.data.dataset import Dataset, Vector
+from armrig.data.dataset import Dataset
 from armrig.excitation.experiment_design import PredictedStd, inverted, planned_data
-from armrig.models.structure import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, filtered
-from armrig.physics.systems import transfer
-
-_LOG_STEP = 1e-4  # change of a parameter's logarithm: truncation error 1e-9, smaller rounding error
+from armrig.physics.grey_box.fit import scales
+from armrig.physics.grey_box.response import linear_parts, sensitivity
+from armrig.physics.grey_box.sampled_model import Model, Physics
 
 
 def predicted_parameter_std(
-    model: Callable[[ArmParameters], Any],
+    model: Model,
     u: ArrayLike | Dataset,
     *,
     Ts: float,
@@ -37,8 +34,8 @@ def predicted_parameter_std(
     """Predict the standard deviations of physical parameters for a planned input.
 
     The function uses the method of `predicted_std`. The physical model is sampled exactly for an
-    input held between samples, and the noise on the output is white. Derivatives are central
-    differences with respect to the logarithms of the parameters.
+    input held between samples, and the noise on the output is white. The derivatives are those of
+    `greybox`.
 
     Parameters
     ----------
@@ -91,50 +88,15 @@ def predicted_parameter_std(
             f"noise_variance={noise_variance!r} must be > 0, in the squared unit of the output"
         )
     planned = planned_data(u, Ts)
+    physics = Physics(model=model, fixed=p, output=output)
+    physics.check()
+    sampled = physics.sampled({}, free, Ts)
+    theta = {name: float(getattr(p, name)) for name in free}
     rows = []
     for part in planned.experiments():
-        Psi, Z = _gradient(model, p, free, part, output), np.zeros((part.N, 0))
+        Psi = sensitivity(sampled, part.u, np.zeros(sampled.Gamma.size), 0.0)[part.valid]
         if initial == "estimate":
-            Z = _free_part(model(p), part, output)
-        rows.append(orthonormal(Z[part.valid]).without(Psi[part.valid]))
-    theta = np.array([getattr(p, name) for name in free])
-    return inverted(np.vstack(rows), noise_variance, tuple(free), theta, planned, np.eye(len(free)))
-
-
-def _gradient(
-    model: Callable[[ArmParameters], Any],
-    p: ArmParameters,
-    free: Sequence[str],
-    part: Dataset,
-    output: str,
-) -> Array:
-    """Return the derivatives of the output with respect to the free parameters, (N, d)."""
-    columns = []
-    for name in free:
-        value = getattr(p, name)
-        up, down = (
-            _output(model(replace(p, **{name: value * np.exp(h)})), part.u, part.Ts, output)
-            for h in (_LOG_STEP, -_LOG_STEP)
-        )
-        columns.append((up - down) / (2 * _LOG_STEP * value))
-    return np.column_stack(columns)
-
-
-def _free_part(system: Any, part: Dataset, output: str) -> Array:
-    """Return the responses to initial states and to an offset of the input, (N, n + 1)."""
-    _, F = _transfer(system, part.Ts, output)
-    states = free_columns(F, part.N, count=F.size - 1, drift=False)
-    return np.column_stack([states, _output(system, np.ones(part.N), part.Ts, output)])
-
-
-def _transfer(system: Any, Ts: float, output: str) -> tuple[Vector, Vector]:
-    """Return B and F of one output of a state-space model, sampled for a held input."""
-    labels = list(system.output_labels)
-    if output not in labels:
-        raise InputError(f"output={output!r} is not among the outputs {', '.join(labels)}")
-    i = labels.index(output)
-    return transfer(np.asarray(system.A), np.asarray(system.B), np.asarray(system.C)[i], Ts)
-
-
-def _output(system: Any, u: Vector, Ts: float, output: str) -> Vector:
-    return filtered(*_transfer(system, Ts, output), u)
+            Psi = orthonormal(linear_parts(sampled, part.u)[1][part.valid]).without(Psi)
+        rows.append(Psi / scales(free, theta))
+    values = np.array([*theta.values()])
+    return inverted(np.vstack(rows), noise_variance, (*theta,), values, planned, np.eye(len(theta)))
