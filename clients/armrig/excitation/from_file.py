@@ -59,7 +59,6 @@ def from_csv(
     array([1., 1., 4.])
     """
     path = Path(path)
-    _require_figures(Ts, low, high)
     try:
         text = read_text(path, MOST_BYTES)
     except FileError as err:
@@ -71,9 +70,10 @@ def from_text(
     text: str, Ts: float, *, name: str | Path, low: float = LOWEST_V, high: float = HIGHEST_V
 ) -> Vector:
     """Return the input (N,) from `text`, the content of the file `name`; see `from_csv`."""
-    _require_figures(Ts, low, high)
-    numbers, rows = _table(name, text)
-    t, u = numbers
+    require_levels(low=low, high=high)
+    require_numbers(Ts=Ts)
+    interval(Ts)
+    (t, u), rows = _table(name, text)
     if t is not None:
         _require_times(name, t, rows, Ts)
     outside = ~((u >= low) & (u <= high))
@@ -84,12 +84,6 @@ def from_text(
             f"V, first in row {rows[k]}: u={u[k]:g} V (sample {k}); scale or shift the signal"
         )
     return u
-
-
-def _require_figures(Ts: float, low: float, high: float) -> None:
-    require_levels(low=low, high=high)
-    require_numbers(Ts=Ts)
-    interval(Ts)
 
 
 def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> None:

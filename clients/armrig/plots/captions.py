@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 
-from armrig.numerics.quantities import three_digits
 from armrig.plots.layout import GREY
 
 if TYPE_CHECKING:
@@ -163,8 +162,3 @@ def symbol(parameter: str) -> str:
 def named(output: str, unit: str) -> str:
     """Return the label of an output's axis."""
     return f"{NAMES.get(output, output)} [{unit or '–'}]"
-
-
-def short(x: float) -> str:
-    """Return a number as text with three significant digits; from 1000 on, without decimals."""
-    return three_digits(x)

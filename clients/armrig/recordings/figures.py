@@ -10,8 +10,8 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 from numpy.typing import NDArray
 
-from armrig.numerics.quantities import scaled, with_std
-from armrig.plots.captions import NAMES, legend, short, sign
+from armrig.numerics.quantities import scaled, three_digits, with_std
+from armrig.plots.captions import NAMES, legend, sign
 from armrig.plots.layout import (
     BLUE,
     GREY,
@@ -94,7 +94,7 @@ def plot_timing(
     ax.set_xlim(floor, top)
     ax.set_ylim(bottom=0.6)
     for name, value, dash in zip(("p50", "p99", "max"), marks, (":", "--", "-"), strict=False):
-        text = f"{name} {short(value)} µs"
+        text = f"{name} {three_digits(value)} µs"
         ax.axvline(max(value, floor), color=VERMILION, ls=dash, lw=1.1, label=text)
     ax.set_xlabel(label)
     ax.set_ylabel("samples")
@@ -106,7 +106,8 @@ def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Ax
     """Write the common value of all times instead of a histogram, which would be a single bar."""
     text = "no samples"
     if x.size:
-        text = f"{x.size} samples, all\n{short(float(np.median(x)))} µs, to the microsecond"
+        median = three_digits(float(np.median(x)))
+        text = f"{x.size} samples, all\n{median} µs, to the microsecond"
     ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
     ax.set(xticks=[], yticks=[], xlabel=label, ylabel="samples")
     finish(ax)

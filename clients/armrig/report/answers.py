@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.errors import FileError
@@ -107,67 +107,51 @@ def _text(table: dict[str, Any], key: str, most: int) -> str:
     return text
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """Title of an assignment, and the reasons that the student must write."""
+class Question(NamedTuple):
+    """Title of an assignment, and the reasons that armrig cannot write for the student."""
 
     title: str
-    """Subject of the assignment."""
     asks: str
-    """Reasons that the student must write, because armrig cannot write them."""
 
 
 QUESTIONS: Final = {
     "2.1": Question(
-        title="Mathematical model",
-        asks="the three phases in your own words; why the simplifications are allowed",
+        "Mathematical model",
+        "the three phases in your own words; why the simplifications are allowed",
     ),
     "2.2": Question(
-        title="Step response",
-        asks="why the response has its slope at time 0, in your own words; your Simulink model",
+        "Step response",
+        "why the response has its slope at time 0, in your own words; your Simulink model",
     ),
     "2.3": Question(
-        title="Two parameters changed",
-        asks="why these two parameters; what else you tried (`armrig model --set J_1=…`)",
+        "Two parameters changed",
+        "why these two parameters; what else you tried (`armrig model --set J_1=…`)",
     ),
     "3.1": Question(
-        title="Sampling time", asks="the method that you chose, and the sampling time that you used"
+        "Sampling time", "the method that you chose, and the sampling time that you used"
     ),
     "3.2": Question(
-        title="Choice of parametrisation",
-        asks="the structure and orders that you choose, and the evidence for them",
+        "Choice of parametrisation",
+        "the structure and orders that you choose, and the evidence for them",
     ),
     "3.3": Question(
-        title="Black box",
-        asks="the model that you choose, and those that you tried (`armrig identify --search`)",
+        "Black box",
+        "the model that you choose, and those that you tried (`armrig identify --search`)",
     ),
     "3.4": Question(
-        title="Comparison with the physics",
-        asks="which model is best for which purpose; differences and similarities",
+        "Comparison with the physics",
+        "which model is best for which purpose; differences and similarities",
     ),
     "3.5": Question(
-        title="Grey box: the inertia J",
-        asks="what you held fixed, and whether friction may be neglected",
+        "Grey box: the inertia J", "what you held fixed, and whether friction may be neglected"
     ),
-    "3.6": Question(
-        title="Covariance and the length of the data", asks="the trend, and how you explain it"
-    ),
-    "3.7": Question(
-        title="Open loop", asks="the evidence for open loop in the input and output data"
-    ),
-    "3.8": Question(
-        title="No input delay", asks="the evidence against a delay in the input and output data"
-    ),
-    "4.1": Question(
-        title="Forward Euler", asks="your choice of the step, and the effect of other steps"
-    ),
-    "4.2": Question(title="AB(2)", asks="your choice of the step, and the effect of other steps"),
-    "4.3": Question(
-        title="Trapezoidal rule", asks="your choice of the step, and the effect of other steps"
-    ),
-    "4.4": Question(
-        title="Heun, RK(2)", asks="your choice of the step, and the effect of other steps"
-    ),
+    "3.6": Question("Covariance and the length of the data", "the trend, and how you explain it"),
+    "3.7": Question("Open loop", "the evidence for open loop in the input and output data"),
+    "3.8": Question("No input delay", "the evidence against a delay in the input and output data"),
+    "4.1": Question("Forward Euler", "your choice of the step, and the effect of other steps"),
+    "4.2": Question("AB(2)", "your choice of the step, and the effect of other steps"),
+    "4.3": Question("Trapezoidal rule", "your choice of the step, and the effect of other steps"),
+    "4.4": Question("Heun, RK(2)", "your choice of the step, and the effect of other steps"),
 }
 """Questions by the number of the assignment, in the order of the handout."""
 

@@ -300,7 +300,7 @@ def _handout_content(study: HandoutStudy, answers: Answers) -> dict[str, Any]:
         "sections": [
             {"number": number, "reasons": _paragraphs(answers.reasons.get(number, ""))}
             | asdict(section)
-            | asdict(QUESTIONS[number])
+            | QUESTIONS[number]._asdict()
             for number, section in sections.items()
         ],
         "students": [asdict(student) for student in answers.students],

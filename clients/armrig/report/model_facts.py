@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -99,7 +99,8 @@ def structure(study: Study) -> str:
         if m.fit.integrator
     }
     if letters_of:
-        angle = _the_angle(next(one for one in each_output(study) if one.integrates), study)
+        ramp = next(one for one in each_output(study) if one.integrates)
+        angle = f"The {ramp.angle}" if study.others else "The angle"
         of = " of this angle" if study.others else ""
         has = "have" if len(letters_of) > 1 else "has"
         said.append(
@@ -107,7 +108,13 @@ def structure(study: Study) -> str:
             "1 − q⁻¹ by construction."
         )
     if study.others:
-        said.append(_shared(study))
+        outputs = listed([one.symbol for one in each_output(study)])
+        said.append(
+            f"Each model has both outputs, {outputs}. In the OE model both outputs have one "
+            "denominator, which is estimated from both. The table of each output contains the "
+            "coefficients of its own transfer function. In the ARX model each output depends on "
+            "its own past only, and the covariance of the errors weights both outputs."
+        )
     offset = " and the input offset" if letters_of else ""
     are = "are" if offset else "is"
     said.append(
@@ -115,23 +122,6 @@ def structure(study: Study) -> str:
         "the dead band of the potentiometer, and the first sample after it, count as missing."
     )
     return " ".join(said)
-
-
-def _shared(study: Study) -> str:
-    """Return sentences on the parameters that the models of several outputs have in common."""
-    outputs = listed([one.symbol for one in each_output(study)])
-    return (
-        f"Each model has both outputs, {outputs}. In the OE "
-        "model both outputs have one denominator, which is estimated from both. The table of each "
-        "output contains the coefficients of its own transfer function. In the ARX model each "
-        "output depends on its own past only, and the covariance of the errors weights both "
-        "outputs."
-    )
-
-
-def _the_angle(one: Study, study: Study) -> str:
-    """Return the subject of a sentence on an output: its name, if there are several outputs."""
-    return f"The {one.angle}" if study.others else "The angle"
 
 
 def estimations(study: Study) -> str:
@@ -187,18 +177,18 @@ def physics(study: Study) -> str:
 
 def _deviations(one: Study, study: Study) -> str:
     """Return a sentence on the deviation of the models of one output from the physical model."""
-    first, *others = (_deviation(m, one) for m in one.ranked)
-    name, (median, most, at) = one.best.name, first
-    to = f" to the {one.angle}" if study.others else ""
-    text = (
-        f"From {one.omega[0]:g} to {one.omega[-1]:.0f} rad/s the {name} model{to} differs from the "
-        f"physical model by a median of {median} and at most by {most}, at {at}"
-    )
-    for m, (median, most, at) in zip(one.ranked[1:], others, strict=True):
-        text += (
-            f"; the {m.name} model differs by a median of {median} and at most by {most}, at {at}"
+    span = f"{one.omega[0]:g} to {one.omega[-1]:.0f} rad/s"
+    to = f"{f' to the {one.angle}' if study.others else ''} differs from the physical model"
+    texts: list[str] = []
+    for m in one.ranked:
+        at = number(float(one.omega[np.argmax(m.deviation)]))
+        shares = (np.median(m.deviation), np.max(m.deviation))
+        median, most = (percent(100 * float(x)) for x in shares)
+        texts.append(
+            f"the {m.name} model{' differs' if texts else to} by a median of {median} and at most "
+            f"by {most}, at {at} rad/s"
         )
-    return f"{text}."
+    return f"From {span} {'; '.join(texts)}."
 
 
 def arm_at_rest(study: Study) -> str:
@@ -213,20 +203,16 @@ def arm_at_rest(study: Study) -> str:
     )
 
 
-def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:
-    """Return median and maximum of a model's deviation, and the frequency of the maximum."""
-    at = float(study.omega[np.argmax(m.deviation)])
-    median, most = float(np.median(m.deviation)), float(np.max(m.deviation))
-    return percent(100 * median), percent(100 * most), f"{number(at)} rad/s"
-
-
-HYPOTHESES = (
-    ("white", "noise model or orders"),
-    ("no correlation with past input", "orders or delay"),
-    ("no correlation with future input", "feedback in the experiment, or delay too large"),
+HYPOTHESES: tuple[tuple[str, str, Callable[[ResidualTest], float]], ...] = (
+    ("white", "noise model or orders", lambda t: t.white.p_value),
+    ("no correlation with past input", "orders or delay", lambda t: t.missing_dynamics),
+    (
+        "no correlation with future input",
+        "feedback in the experiment, or delay too large",
+        lambda t: t.feedback,
+    ),
 )
-"""Hypotheses about the residuals. Each entry contains what to change if the p value of the
-hypothesis is small."""
+"""Hypotheses about the residuals, what to change if the p value is small, and the p value."""
 
 
 def residual_rows(study: Study) -> list[list[str]]:
@@ -235,28 +221,17 @@ def residual_rows(study: Study) -> list[list[str]]:
     If the models have several outputs, the second column contains the output. The first row of
     each hypothesis then tests all outputs together.
     """
-    of_each = [
-        (one.symbol, _p_values([m.tests for m in one.estimated])) for one in each_output(study)
-    ]
+    of_each = [(one.symbol, [m.tests for m in one.estimated]) for one in each_output(study)]
     together = [m.together for m in study.estimated if m.together]
     if together:
-        of_each.insert(0, ("together", _p_values(together)))
+        of_each.insert(0, ("together", together))
     return [
         [
             "" if i else hypothesis,
             *([output] if together else []),
-            *(p_value(p) for p in values[k]),
+            *(p_value(p_of(test)) for test in tests),
             "" if i else remedy,
         ]
-        for k, (hypothesis, remedy) in enumerate(HYPOTHESES)
-        for i, (output, values) in enumerate(of_each)
-    ]
-
-
-def _p_values(tests: Sequence[ResidualTest]) -> list[list[float]]:
-    """Return, for each hypothesis in the order of `HYPOTHESES`, the p values of the tests."""
-    return [
-        [t.white.p_value for t in tests],
-        [t.missing_dynamics for t in tests],
-        [t.feedback for t in tests],
+        for hypothesis, remedy, p_of in HYPOTHESES
+        for i, (output, tests) in enumerate(of_each)
     ]

@@ -110,24 +110,20 @@ def shared_facts(study: Study) -> list[str]:
 
 def timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
     """Return the rows of a table of sampling times, one column for each recording."""
-
-    def row(name: str, value: Callable[[SamplingStatistics], str]) -> list[str]:
-        return [name, *(value(s) for s in timing)]
-
-    return [
-        row("requested sampling time", lambda s: microseconds(s.Ts_us)),
-        row("mean interval", lambda s: f"{s.mean_us:.2f} µs"),
-        row("standard deviation of the interval", lambda s: microseconds(s.std_us)),
-        row(
-            "shortest … longest interval",
-            lambda s: f"{s.least_us:.0f} … {microseconds(s.greatest_us)}",
+    texts: dict[str, Callable[[SamplingStatistics], str]] = {
+        "requested sampling time": lambda s: microseconds(s.Ts_us),
+        "mean interval": lambda s: f"{s.mean_us:.2f} µs",
+        "standard deviation of the interval": lambda s: microseconds(s.std_us),
+        "shortest … longest interval": lambda s: (
+            f"{s.least_us:.0f} … {microseconds(s.greatest_us)}"
         ),
-        row("jitter p50, p99, p99.9", lambda s: _percentiles(s.jitter)),
-        row("largest jitter", lambda s: microseconds(s.jitter.max)),
-        row("lateness p50, p99, p99.9", lambda s: _percentiles(s.lateness)),
-        row("largest lateness", lambda s: microseconds(s.lateness.max)),
-        row("missing samples, longest gap", lambda s: f"{s.missing}, {s.longest_gap}"),
-    ]
+        "jitter p50, p99, p99.9": lambda s: _percentiles(s.jitter),
+        "largest jitter": lambda s: microseconds(s.jitter.max),
+        "lateness p50, p99, p99.9": lambda s: _percentiles(s.lateness),
+        "largest lateness": lambda s: microseconds(s.lateness.max),
+        "missing samples, longest gap": lambda s: f"{s.missing}, {s.longest_gap}",
+    }
+    return [[name, *map(text, timing)] for name, text in texts.items()]
 
 
 def disturbance_rows(found: Sequence[Disturbances]) -> list[list[str]]:

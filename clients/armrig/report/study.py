@@ -31,10 +31,8 @@ from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residual_test import ResidualTest
 from armrig.validation.residuals import residuals
 
-STEP = "step"
-"""Kind of experiment that a report shows, but does not use for estimation."""
-STAIRCASE = "staircase"
-"""Another kind of experiment that a report shows, but does not use for estimation."""
+STEP, STAIRCASE = "step", "staircase"
+"""Kinds of experiments that a report shows, but does not use for estimation."""
 OUTPUTS: Final = {THETA_1: "chassis angle", ALPHA: "arm angle"}
 """Outputs that a report can have, with the names of the outputs in the sentences of the report."""
 SYMBOLS: Final = {THETA_1: "θ₁", ALPHA: "α"}
@@ -251,7 +249,10 @@ def study(
     read = [r.signals(outputs) if several else r.dataset(outputs[0]) for r in excited[:2]]
     data = read if treat is None else [treat(one) for one in read]
     estimation, validation = data if len(data) > 1 else data[0].split(2)
-    each = [_of_each(one) for one in (estimation, validation)]
+    each = [
+        [one.dataset(name) for name in one.outputs] if isinstance(one, Signals) else [one]
+        for one in (estimation, validation)
+    ]
     for one in each[0]:
         _require_sensible(one, orders.of(one.output))
     tests: dict[str, ResidualTest] = {}
@@ -280,11 +281,6 @@ def study(
         for found, ours, theirs in zip(fits, *each, strict=True)
     )
     return replace(first, others=tuple(others))
-
-
-def _of_each(data: Dataset | Signals) -> list[Dataset]:
-    """Return the data of each output."""
-    return [data.dataset(name) for name in data.outputs] if isinstance(data, Signals) else [data]
 
 
 def _require_sensible(data: Dataset, orders: Orders) -> None:

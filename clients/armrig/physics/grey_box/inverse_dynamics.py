@@ -409,7 +409,7 @@ def _torque_balance(
         if COULOMB in names:
             columns.append(-np.sign(x.velocity))
             slopes.append(0.0)
-            target[near_standstill(part, s, x.reach)] = np.nan
+            target[near_standstill(part, s)] = np.nan
         if _offset_is_free(data, names):
             columns.append(np.ones(part.N))
             slopes.append(0.0)

@@ -13,8 +13,6 @@ durations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,15 +72,15 @@ def with_friction(
     reversal is an interval by itself. During stick P Gamma = 0, so that an input offset has no
     effect.
     """
-    walk = _walk(model, u, x0, V, speed)
-    x, n, d = walk.x, x0.size, len(model.by)
+    x, frictions, intervals = _walk(model, u, x0, V, speed)
+    n, d = x0.size, len(model.by)
     m = d + n + 2  # coordinates, initial state, V, u0
     S = np.zeros((u.size, m, n))
     S[0, d : d + n] = np.eye(n)
     P = np.eye(n) - np.outer(model.Gamma, np.eye(n)[speed]) / model.Gamma[speed]
-    for a, b, s in walk.stretches:
+    for a, b, s in intervals:
         w = np.zeros((b - a, m, n))
-        drive = u[a:b] - walk.frictions[a:b] if s else u[a:b]
+        drive = u[a:b] - frictions[a:b] if s else u[a:b]
         for j, by in enumerate(model.by):
             w[:, j] = x[a:b] @ by.Phi.T + drive[:, None] * by.Gamma
             if s == 0:
@@ -142,21 +140,13 @@ REVERSAL = 2
 """Value used instead of a sign for a step in which the chassis turns back."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Walk:
-    """States of one experiment, and the motion of the chassis."""
+def _walk(
+    model: Sampled, u: Vector, x0: Vector, V: float, speed: int
+) -> tuple[Matrix, Vector, list[tuple[int, int, int]]]:
+    """Return the states (N, n), the friction of each step in volts, and the intervals of motion.
 
-    x: Matrix
-    """States (N, n)."""
-    frictions: Vector
-    """Friction in volts of each step, (N - 1,)."""
-    stretches: list[tuple[int, int, int]]
-    """First step, last step + 1, and motion of each interval of slip, stick or reversal. The motion
-    is the sign of the speed (0 during stick), or REVERSAL."""
-
-
-def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
-    """Return the states and the intervals of slip and stick.
+    An interval of slip, stick or reversal is its first step, its last step + 1 and its motion: the
+    sign of the speed (0 during stick), or REVERSAL.
 
     If the speed reaches 0 within a step, the driving voltage at standstill is compared with V. If
     the voltage is between -V and V, the chassis sticks, and the friction of the step makes the
@@ -169,8 +159,7 @@ def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
     # For known friction the model is linear, and all states are computed at once.
     x = recursion(model.Phi, (u[:-1] - frictions)[:, None] * model.Gamma, x0)
     x[1:][signs == 0, speed] = 0.0
-    stretches = [(s.start, s.stop, int(signs[s.start])) for s in constant(signs)]
-    return _Walk(x=x, frictions=frictions, stretches=stretches)
+    return x, frictions, [(s.start, s.stop, int(signs[s.start])) for s in constant(signs)]
 
 
 def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[float, int]:

@@ -71,8 +71,6 @@ class Smoothed:
     """Acceleration (N,), in y's unit per s²."""
     u: Vector
     """Input (N,), in u's unit."""
-    reach: int
-    """Number of samples that the kernel uses on each side."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,8 +83,6 @@ class Kernels:
     """Kernel of the acceleration."""
     held: Vector
     """Kernel of the input, which is held between samples."""
-    reach: int
-    """Number of samples on each side of the centre."""
 
 
 def kernels(s: float, Ts: float) -> Kernels:
@@ -103,7 +99,7 @@ def kernels(s: float, Ts: float) -> Kernels:
     # as large as the noise of 1 mrad.
     first /= -(first @ t)
     second -= second.mean()
-    return Kernels(first=first, second=second, held=held, reach=m)
+    return Kernels(first=first, second=second, held=held)
 
 
 def smoothed(data: Dataset, s: float) -> Smoothed:
@@ -115,7 +111,7 @@ def smoothed(data: Dataset, s: float) -> Smoothed:
         np.where(there, _through(x, kernel), np.nan)
         for x, kernel in ((y, k.first), (y, k.second), (data.u, k.held))
     )
-    return Smoothed(velocity=velocity, acceleration=acceleration, u=u, reach=k.reach)
+    return Smoothed(velocity=velocity, acceleration=acceleration, u=u)
 
 
 def _through(x: Vector, kernel: Vector) -> Vector:
@@ -128,19 +124,18 @@ def _through(x: Vector, kernel: Vector) -> Vector:
     return whole
 
 
-def near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
+def near_standstill(part: Dataset, s: float) -> NDArray[np.bool_]:
     """Return a mask of the windows that contain an instant at which the chassis may be at rest."""
     # A narrower kernel is used, because the wide kernel would hide short stops.
     width = max(s / 4, MIN_WIDTH * part.Ts)
-    fine = smoothed(part, width)
-    v = fine.velocity
+    v = smoothed(part, width).velocity
     # The chassis may stop for less than the kernel's width, and turn between two samples.
     within = _STOP_WIDTHS * width * _effective(smoothed(part, s).acceleration)
     least = max(_MIN_SPEED_SHARE * _effective(v), within)
     turns = np.append(v[:-1] * v[1:] < 0, False)
     slow = ((np.abs(v) < least) | turns).astype(np.float64)
-    window = np.ones(2 * (reach + fine.reach) + 1)
-    return np.asarray(np.convolve(slow, window)[reach + fine.reach :][: part.N] > 0.5)
+    m = reach(s, part.Ts) + reach(width, part.Ts)
+    return np.asarray(np.convolve(slow, np.ones(2 * m + 1))[m:][: part.N] > 0.5)
 
 
 def _effective(x: Vector) -> float:

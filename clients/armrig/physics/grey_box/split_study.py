@@ -281,18 +281,13 @@ def split_study(
 def _estimated(
     estimator: Callable[[Dataset], Any], data: Dataset, parameter: str | None, part: str
 ) -> tuple[str, float, float]:
-    """Return name, estimate and standard deviation from one part; an error names the part."""
+    """Return name, estimate and std of a parameter from one part; an error names the part."""
     try:
         fit = estimator(data)
         if isinstance(fit, GreyFit):
             fit.require_result()
     except ValueError as err:
         raise InputError(f"{part}: {err}") from err
-    return _numbers(fit, parameter)
-
-
-def _numbers(fit: Any, parameter: str | None) -> tuple[str, float, float]:
-    """Return name, estimate and standard deviation of one parameter of a fit."""
     names = list(fit.names)
     name = names[0] if parameter is None else parameter
     if name not in names:

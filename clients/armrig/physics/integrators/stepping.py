@@ -15,6 +15,7 @@ from armrig.numerics.recursion import recursion
 from armrig.physics.integrators.methods import Multistep, RungeKutta, method_named
 
 Matrix = NDArray[np.float64]
+Input = Callable[[float], Any]
 Vector = NDArray[np.float64]
 
 
@@ -124,7 +125,7 @@ def exact(
 def integrate(
     A: ArrayLike,
     B: ArrayLike,
-    u: Callable[[float], Any],
+    u: Input,
     x0: ArrayLike,
     h: float,
     n: int,
@@ -204,7 +205,7 @@ def _require_function(u: object) -> None:
         )
 
 
-def _input(u: Callable[[float], Any], t: Vector, m: int) -> Matrix:
+def _input(u: Input, t: Vector, m: int) -> Matrix:
     """Return u at each time, (len(t), m)."""
     values = np.array([np.ravel(u(float(x))) for x in t], dtype=np.float64)
     if values.shape[1] != m:
@@ -238,13 +239,7 @@ def _runge_kutta_step(method: RungeKutta, A: Matrix, h: float) -> tuple[Matrix, 
 
 
 def _runge_kutta(
-    method: RungeKutta,
-    A: Matrix,
-    B: Matrix,
-    u: Callable[[float], Any],
-    x0: Vector,
-    h: float,
-    n: int,
+    method: RungeKutta, A: Matrix, B: Matrix, u: Input, x0: Vector, h: float, n: int
 ) -> Matrix:
     M, W = _runge_kutta_step(method, A, h)
     k = np.arange(n, dtype=np.float64)
@@ -267,7 +262,7 @@ def _companion(method: Multistep, A: Matrix, h: float) -> Matrix:
 
 
 def _multistep(
-    method: Multistep, A: Matrix, B: Matrix, u: Callable[[float], Any], x0: Vector, h: float, n: int
+    method: Multistep, A: Matrix, B: Matrix, u: Input, x0: Vector, h: float, n: int
 ) -> Matrix:
     size, k = A.shape[0], len(method.alpha) - 1
     first = x0[None]

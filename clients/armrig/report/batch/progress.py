@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 
 import msgspec
 from armrig_core.errors import OperationError
@@ -62,7 +61,7 @@ class Progress:
         """Rows of an earlier start."""
         if anew or not first:
             self._file.truncate(0)
-            self._write(header)
+            self.add(header)
             return
         if _decoded(first) != header:
             self._file.close()
@@ -73,7 +72,14 @@ class Progress:
 
     def add(self, row: Row) -> None:
         """Store a row; a stored row is not lost if this process dies."""
-        self._write(row)
+        try:
+            self._file.write(msgspec.json.encode(row) + b"\n")
+            self._file.flush()
+        except OSError as err:
+            raise OperationError(
+                f"{self.path}: {err.strerror}; results so far are kept: repeat the command to "
+                "continue"
+            ) from err
 
     def remove(self) -> None:
         """Remove the file, because the table is complete."""
@@ -83,25 +89,10 @@ class Progress:
         """Return this object."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file without removing it."""
         with suppress(OSError):  # the error of a full disk was reported before
             self._file.close()
-
-    def _write(self, value: object) -> None:
-        try:
-            self._file.write(msgspec.json.encode(value) + b"\n")
-            self._file.flush()
-        except OSError as err:
-            raise OperationError(
-                f"{self.path}: {err.strerror}; results so far are kept: repeat the command to "
-                "continue"
-            ) from err
 
 
 def still_right(
