@@ -142,7 +142,6 @@ def _may_be_decimals(text: str) -> bool:
 
 
 def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
-    """Return the message about the first line that is not a row of the table."""
     width = len(lines[0].split())
     for row, line in zip(rows, lines, strict=True):
         words = line.split()
@@ -157,7 +156,6 @@ def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
 
 
 def _order(path: str | Path, names: list[str]) -> tuple[int, int]:
-    """Return the column numbers of t and u."""
     if not names:
         return 0, 1
     lower = [name.strip("\"'").lower() for name in names]

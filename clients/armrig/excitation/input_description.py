@@ -89,7 +89,8 @@ class InputDescription:
             f"  time {kind}: {times}",
         ]
         if self.omega.size and self.std > 0:
-            half = float(self.omega[np.searchsorted(_cumulated(self), 0.5)])
+            total = np.cumsum(self.spectrum)
+            half = float(self.omega[np.searchsorted(total / total[-1], 0.5)])
             lines.append(
                 f"  half of the power below {half:.3g} rad/s (Nyquist {np.pi / self.Ts:.4g} rad/s)"
             )
@@ -155,7 +156,8 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     mean, std = float(np.mean(u_)), float(np.std(u_))
     std = 0.0 if np.ptp(u_) == 0 else std  # the computed std of a constant is a rounding error
     highest = max(1, min(HIGHEST_ORDER, (u_.size // 2 + 1) // 3))
-    order, weakest = min(_excitation(half, highest) for half in _halves(u_))
+    halves = np.split(u_, [u_.size // 2]) if u_.size > 1 else [u_]
+    order, weakest = min(_excitation(half, highest) for half in halves)
     omega, spectrum = power_spectrum([u_], Ts) if u_.size >= 16 else (np.zeros(0), np.zeros(0))
     levels, shares, binned = _levels(u_)
     return InputDescription(
@@ -173,10 +175,6 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
         shares=shares,
         binned=binned,
     )
-
-
-def _halves(u: Vector) -> tuple[Vector, ...]:
-    return (u[: u.size // 2], u[u.size // 2 :]) if u.size > 1 else (u,)
 
 
 def _excitation(u: Vector, highest: int) -> tuple[int, float]:
@@ -199,11 +197,6 @@ def _levels(u: Vector) -> tuple[Vector, Vector, bool]:
         return values, counts / u.size, False
     counts, edges = np.histogram(u, bins=_BINS)
     return (edges[:-1] + edges[1:]) / 2, counts / u.size, True
-
-
-def _cumulated(d: InputDescription) -> Vector:
-    total = np.cumsum(d.spectrum)
-    return np.asarray(total / total[-1])
 
 
 def plot_input(description: InputDescription) -> Figure:

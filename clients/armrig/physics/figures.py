@@ -65,7 +65,7 @@ def plot_rig(*, ax: Axes | None = None) -> Axes:
     for begin, end, beside, way, label, (x, y) in _QUANTITIES:
         # Each arrow runs from centre to centre and is clipped at the boxes.
         ends = {"patchA": boxes[begin], "patchB": boxes[end], "connectionstyle": way}
-        first, last = (_beside(places[name], beside) for name in (begin, end))
+        first, last = ((places[k][0] + beside[0], places[k][1] + beside[1]) for k in (begin, end))
         last = last if way == _STRAIGHT else places[end]
         ax.annotate("", last, first, arrowprops=arrow | ends)
         ax.text(x, y, label, **style)
@@ -75,10 +75,6 @@ def plot_rig(*, ax: Axes | None = None) -> Axes:
     ax.set_ylim(-0.45, 2.4)
     ax.set_axis_off()
     return ax
-
-
-def _beside(place: tuple[float, float], by: tuple[float, float]) -> tuple[float, float]:
-    return place[0] + by[0], place[1] + by[1]
 
 
 def plot_physical_step(

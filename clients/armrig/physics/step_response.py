@@ -142,14 +142,9 @@ def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: fl
 def step_response(
     p: ArmParameters, t: ArrayLike, *, u: float = 1.0, model: Model = arm, state: str = SPEED
 ) -> Vector:
-    """Return the exact response (len(t),) of a state, from rest, to a step of u volts at t = 0.
+    """Return the exact response (N,) of the state with a label, from rest, to a step of u volts.
 
-    Parameters
-    ----------
-    t : array_like, shape (N,)
-        Equidistant times in s from 0 on.
-    state : str, default "theta_1_rate"
-        Label of the state.
+    The step is at t = 0. The times t (N,), in s, are equidistant from 0 on.
     """
     sampled, voltage, index = _stepped(p, t, (), u, model, state)
     n = sampled.Phi.shape[0]
@@ -223,7 +218,8 @@ def _stepped(
 ) -> tuple[Sampled, Vector, int]:
     """Return the sampled model with derivatives, the voltages at times t, and `state`'s index."""
     times = np.asarray(t, dtype=np.float64)
-    if times.ndim != 1 or times.size < 2 or times[0] != 0 or not _even(times):
+    even = times.ndim == 1 and times.size > 1 and times[0] == 0
+    if not (even and np.ptp(np.diff(times)) < 1e-9 * max(1.0, float(times[-1]))):
         raise InputError(
             "t must be equidistant from 0, at least two times, such as np.linspace(0, 1, 501)"
         )
@@ -233,10 +229,6 @@ def _stepped(
         raise InputError(f"state={state!r} is none of {', '.join(states)}")
     sampled = physics.sampled({}, by, float(times[1]))
     return sampled, np.full(times.size, float(u)), states.index(state)
-
-
-def _even(times: Vector) -> bool:
-    return bool(np.ptp(np.diff(times)) < 1e-9 * max(1.0, float(times[-1])))
 
 
 def _roots(z: NDArray[np.complex128]) -> str:

@@ -6,9 +6,10 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
+from armrig_core.arm import ArmParameters as ArmParameters
+from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold
 from armrig_core.calls import checked_call
-from armrig_core.rehearsal import rehearse
+from armrig_core.rehearsal import rehearse as rehearse
 from armrig_core.telemetry import ALPHA, THETA_1
 from numpy.typing import NDArray
 
@@ -20,15 +21,6 @@ if TYPE_CHECKING:
     import control
 
 
-__all__ = [
-    "ArmParameters",
-    "arm",
-    "beside_the_handout",
-    "chassis",
-    "physical_model",
-    "rehearse",
-    "transfer",
-]
 Matrix = NDArray[np.float64]
 
 HANDOUT = "handout"
@@ -153,24 +145,10 @@ def physical_model(p: ArmParameters, data: Dataset) -> Fit:
 def transfer(A: Matrix, B: Matrix, c: Vector, Ts: float) -> tuple[Vector, Vector]:
     """Return B(q) and F(q) of the exactly sampled model from a held input u to y = c x.
 
-    F is the characteristic polynomial of Phi = exp(A Ts). B consists of the first n + 1
-    coefficients of the product of F and the pulse response 0, c Gamma, c Phi Gamma, ….
-
-    Parameters
-    ----------
-    A : ndarray (n, n)
-        Matrix of x' = A x + B u.
-    B : ndarray (n, 1)
-        Input matrix of the same equation.
-    c : ndarray (n,)
-        Row of the output; there is no direct term.
-    Ts : float
-        Sampling time in s.
-
-    Returns
-    -------
-    (ndarray, ndarray)
-        Coefficients in q^-1, both (n + 1,): B begins with 0, F with 1.
+    The system is x' = A x + B u with A (n, n), B (n, 1) and the row c (n,) of the output; Ts is in
+    s. F is the characteristic polynomial of Phi = exp(A Ts). B consists of the first n + 1
+    coefficients of the product of F and the pulse response 0, c Gamma, c Phi Gamma, …. Both are
+    coefficients in q^-1, (n + 1,): B begins with 0, F with 1.
     """
     Phi, Gamma = zero_order_hold(A, B, Ts)
     F = np.real(np.poly(Phi))

@@ -30,10 +30,7 @@ _RUN_OF_HASH: ContextVar[Mapping[str, str]] = ContextVar(
 def named_by_run(runs: Mapping[str, str]) -> Iterator[None]:
     """Name recordings in figures by the run's id, such as `@0000000b`, instead of the hash.
 
-    Parameters
-    ----------
-    runs : mapping of str to str
-        Id of each run, by the hash of its recording; "" if the run has no id.
+    `runs` contains the id of each run by the hash of its recording; "" if the run has no id.
     """
     token = _RUN_OF_HASH.set(runs)
     try:
@@ -61,10 +58,7 @@ def signature(*sources: str, runs: Mapping[str, str] = MappingProxyType({})) -> 
 def sign(ax: Axes, *sources: str, above: float = 0.0) -> Axes:
     """Write the sources of the data above the axes, in small type, and return `ax`.
 
-    Parameters
-    ----------
-    above : float
-        Height, in points, of the legend above the axes, as `legend` returns it.
+    `above` is the height, in points, of the legend above the axes, as `legend` returns it.
     """
     if text := signature(*sources, runs=_RUN_OF_HASH.get()):
         ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3 + above)
@@ -74,12 +68,8 @@ def sign(ax: Axes, *sources: str, above: float = 0.0) -> Axes:
 def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
     """Draw the legend above the axes, and return the height of all texts there, in points.
 
-    Parameters
-    ----------
-    notes : str
-        Lines above the names, such as a p value.
-    lift : float
-        Height, in points, of the ticks above the axes, as `hertz` returns it.
+    The notes are lines above the names, such as a p value. `lift` is the height, in points, of the
+    ticks above the axes, as `hertz` returns it.
     """
     import matplotlib as mpl
     from matplotlib.font_manager import FontProperties

@@ -192,12 +192,7 @@ def save(figure: Figure, path: Path, **options: Any) -> None:
 def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) -> None:
     """Shade the times without a valid value, and label the shade for the legend.
 
-    Parameters
-    ----------
-    valid : ndarray of bool (N,)
-        False where the value is missing.
-    Ts, first : float
-        Sampling time, and time of the first sample, in s.
+    `valid` (N,) is False where the value is missing. `first` is the time of the first sample in s.
     """
     # Orange, since the grid is grey. With the edge, a gap of a few samples in thousands is visible.
     look: dict[str, Any] = {"facecolor": ORANGE, "edgecolor": ORANGE, "alpha": 0.35, "lw": 0.5}

@@ -175,10 +175,7 @@ registration_number = ""
 def questions_toml(file: str) -> str:
     """Return the text of a file with all questions of the handout and space for the answers.
 
-    Parameters
-    ----------
-    file : str
-        Name of the file; its first lines contain the command that reads the file.
+    The first lines contain the command that reads the file, which is called `file`.
     """
     asked = (
         f'\n# {number} {question.title}: {question.asks}\n"{number}" = """\n"""\n'

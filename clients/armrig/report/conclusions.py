@@ -51,11 +51,10 @@ def _of(one: Study, study: Study, word: str) -> str:
 
 
 def _simulation_verdict(study: Study, of: str) -> str:
-    """Return a sentence with the rms error of each model, the best estimated model first."""
-    names = [*(m.name for m in study.ranked), "the physical model"]
     errors = ", ".join(
-        f"{error(m.comparison.rms_error, study.validation.unit)} ({name})"
-        for m, name in zip([*study.ranked, study.reference], names, strict=True)
+        f"{error(m.comparison.rms_error, study.validation.unit)} "
+        f"({'the physical model' if m is study.reference else m.name})"
+        for m in (*study.ranked, study.reference)
     )
     return (
         f"In a simulation of the {study.validation.t[-1]:.0f} s of validation data the rms error"

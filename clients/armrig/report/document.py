@@ -20,33 +20,14 @@ from armrig.numerics.quantities import error, milliseconds, percent
 from armrig.recordings.figures import varying_times
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import different_calibrations, early_ends, emulation
+from armrig.report import model_facts, recording_facts
 from armrig.report.answers import QUESTIONS, Answers
 from armrig.report.conclusions import abstract, calibration_sentences, conclusions
 from armrig.report.figures import DETAIL_S, suffix, write_figures
 from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
-from armrig.report.model_facts import (
-    estimations,
-    model_table,
-    orders,
-    percent_warning,
-    physics,
-    residual_rows,
-    structure,
-)
 from armrig.report.physical_sections import numerical_sections, physical_sections
-from armrig.report.recording_facts import (
-    data_text,
-    disturbance_rows,
-    facts,
-    notes,
-    role,
-    run_name,
-    shared_facts,
-    timing_rows,
-    treatment,
-    without_turns,
-)
+from armrig.report.recording_facts import run_name, without_turns
 from armrig.report.study import STEP, Study, best_first, each_output, kind_of
 from armrig.report.typesetting import recorded, source_folder, typeset
 
@@ -103,20 +84,23 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "date": f"{recorded(study.recordings):%Y-%m-%d}",
         "summary": abstract(study),
         "recordings": [
-            {"role": role(study, r), "file": r.path.name, "sha256": r.sha256}
+            {"role": recording_facts.role(study, r), "file": r.path.name, "sha256": r.sha256}
             for r in study.recordings
         ],
-        "facts": facts(study),
+        "facts": recording_facts.facts(study),
         "remarks": [*emulation(study.recordings), *remarks, *truncated],
-        "chain": shared_facts(study),
-        "timing": [*timing_rows(study.timing), *disturbance_rows(study.disturbances)],
-        "data": data_text(study),
-        "treatment": treatment(study),
+        "chain": recording_facts.shared_facts(study),
+        "timing": [
+            *recording_facts.timing_rows(study.timing),
+            *recording_facts.disturbance_rows(study.disturbances),
+        ],
+        "data": recording_facts.data_text(study),
+        "treatment": recording_facts.treatment(study),
         "timing_figure": _timing_caption(study),
         "step": _step_caption(study),
-        "orders": orders(study),
-        "structure": structure(study),
-        "estimation": estimations(study),
+        "orders": model_facts.orders(study),
+        "structure": model_facts.structure(study),
+        "estimation": model_facts.estimations(study),
         "fits_header": [
             *(["output"] if study.others else []),
             "model",
@@ -125,15 +109,15 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             *(["fit of the velocity"] if _with_velocity(study) else []),
         ],
         "fits": [row for one in each_output(study) for row in _fit_rows(one, study)],
-        "percent": percent_warning(study),
-        "physics": physics(study),
+        "percent": model_facts.percent_warning(study),
+        "physics": model_facts.physics(study),
         "tests_header": [
             "hypothesis",
             *(["output"] if study.others else []),
             *(f"p ({m.name})" for m in study.estimated),
             "a small p points to",
         ],
-        "tests": residual_rows(study),
+        "tests": model_facts.residual_rows(study),
         "verdict": conclusions(study),
         "captions": {
             "fits": f"Simulation of the validation data (recording {_run(study.validation, study)}"
@@ -147,12 +131,10 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
 
 
 def _run(data: Dataset, study: Study) -> str:
-    """Return the name of the run in which data were recorded."""
     return run_name(study.recording_of(data.source))
 
 
 def _with_velocity(study: Study) -> bool:
-    """Return True if the velocity of an output is compared."""
     rows = (one.reference.comparison for one in each_output(study))
     return any(row.velocity_fit_percent is not None for row in rows)
 
@@ -176,7 +158,7 @@ def _of_output(one: Study, study: Study) -> dict[str, Any]:
     symbol = one.symbol if study.others else ""
     return {
         "suffix": suffix(one, study),
-        "models": [model_table(m, one.reference, symbol) for m in one.estimated],
+        "models": [model_facts.model_table(m, one.reference, symbol) for m in one.estimated],
         "captions": _captions(one),
     }
 
@@ -325,10 +307,9 @@ def _handout_content(study: HandoutStudy, answers: Answers) -> dict[str, Any]:
 
 
 def _of_recordings(recordings: Sequence[Recording]) -> dict[str, Any]:
-    """Return the values that both templates use."""
     return {
         "version": version("armrig"),
-        "notes": notes(recordings),
+        "notes": recording_facts.notes(recordings),
         "warnings": different_calibrations(recordings),
     }
 
@@ -341,11 +322,8 @@ def _paragraphs(text: str) -> list[str]:
 def check_length(places: Sequence[tuple[str, float]]) -> None:
     """Refuse more than `MOST_PAGES` pages with an OperationError that names the longest sections.
 
-    Parameters
-    ----------
-    places : sequence of (str, float)
-        Name of each section and the place where it begins: the number of the page, from 1, plus
-        the share of this page above the section. The last entry is the end of the document.
+    A place is the name of a section and its begin: the number of the page, from 1, plus the share
+    of this page above the section. The last entry is the end of the document.
     """
     if not places:
         raise OperationError(

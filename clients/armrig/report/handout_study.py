@@ -142,7 +142,6 @@ def _doubled(p: ArmParameters) -> dict[str, ArmParameters]:
 
 
 def _first(recordings: Sequence[Recording], kind: str) -> Dataset | None:
-    """Return the data of the first recording of a kind."""
     return next((r.dataset() for r in recordings if kind_of(r) == kind), None)
 
 

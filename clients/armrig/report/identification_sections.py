@@ -7,6 +7,8 @@ from itertools import zip_longest
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from armrig.estimation.nonparametric.sampling_time import SamplingTime
 from armrig.models.equation import letters, typst_form
 from armrig.models.fit import Fit
@@ -174,7 +176,6 @@ def _polynomials(model: Fit) -> list[str]:
 
 
 def _coefficients(black: Study) -> Table:
-    """Return a table with a column for each polynomial of each model."""
     columns: dict[str, list[str]] = {}
     for m in black.estimated:
         for name, *estimate in zip(m.fit.names, m.fit.theta, m.fit.std, strict=True):
@@ -261,9 +262,6 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 
 def _difference(black: Study) -> str:
-    """Return a sentence on the deviation of the best model from the physical model."""
-    import numpy as np
-
     median = percent(100 * float(np.median(black.best.deviation)))
     resting = arm_at_rest(black).replace("$", "")  # the name of a run contains no formula
     return (

@@ -49,11 +49,7 @@ def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[s
     """Return the equation and the table of a model's coefficients, as values of the template.
 
     If reference and model have the same polynomials, one column has the reference's coefficients.
-
-    Parameters
-    ----------
-    symbol : str, optional
-        Symbol of the output, if the model has several outputs.
+    If the model has several outputs, `symbol` is that of the output.
     """
     same = letters(m.fit) == letters(reference.model)
     of = f" of {symbol}" if symbol else ""
@@ -176,7 +172,6 @@ def physics(study: Study) -> str:
 
 
 def _deviations(one: Study, study: Study) -> str:
-    """Return a sentence on the deviation of the models of one output from the physical model."""
     span = f"{one.omega[0]:g} to {one.omega[-1]:.0f} rad/s"
     to = f"{f' to the {one.angle}' if study.others else ''} differs from the physical model"
     texts: list[str] = []

@@ -91,7 +91,6 @@ def _input_range(recording: Recording) -> str:
 
 
 def _listed(value: object) -> str:
-    """Return a fact as text, a list without brackets."""
     return " and ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 

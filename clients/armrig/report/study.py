@@ -327,12 +327,8 @@ def assessed(
 ) -> dict[str, Any]:
     """Compare all models with the validation data; return fields of a `Study`.
 
-    Parameters
-    ----------
-    fits : mapping of str to Fit
-        Models by their names in the report.
-    together : mapping of str to ResidualTest, optional
-        Joint tests of all outputs, for the models that have several outputs.
+    The keys are the names of the models in the report. `together` contains joint tests of all
+    outputs, for the models that have several outputs.
     """
     # Compare first, because `compare` refuses a model of another sampling time.
     table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))

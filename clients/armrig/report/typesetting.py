@@ -46,19 +46,9 @@ def typeset(
 ) -> tuple[bytes, Places]:
     """Write a template of this package and its values into a folder, and compile them to a PDF.
 
-    Parameters
-    ----------
-    root : Path
-        Folder of the figures; the template and data.json are written into it.
-    values : mapping of str to anything
-        Values that the template reads from data.json.
-    made : datetime
-        Date of the document, without its time of day.
-
-    Raises
-    ------
-    OperationError
-        The compiler refuses the document, which is a fault of this package.
+    The folder contains the figures already. The template reads the values from data.json. The date
+    of the document is `made`. If the compiler refuses the document, which is a fault of this
+    package, the function raises an OperationError.
     """
     made_on = [made.year, made.month, made.day]  # without a date, typst uses the current time
     data = json.dumps({**values, "made_on": made_on}, indent=1, ensure_ascii=False)
@@ -114,10 +104,7 @@ def compiled(source: Path) -> tuple[bytes, Places]:
 
 
 def _check_links(folder: Path) -> None:
-    """Raise OperationError for a link that points out of a folder.
-
-    The compiler would follow the link.
-    """
+    """Raise OperationError for a link that points out of a folder: the compiler would follow it."""
     inside = folder.resolve()
     for path in folder.rglob("*"):
         if path.is_symlink() and not path.resolve().is_relative_to(inside):

@@ -16,18 +16,10 @@ from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import Inference, OutputResiduals, infer
-from armrig.numerics.least_squares import Basis
+from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.stretches import Mask
-from armrig.physics.grey_box.fit import (
-    GreyFit,
-    below_zero,
-    carried,
-    determined,
-    named_influence,
-    named_std,
-    scales,
-)
+from armrig.physics.grey_box.fit import GreyFit, below_zero, carried, named_std, scales
 from armrig.physics.grey_box.least_squares_problem import (
     GreyBox,
     GreyBoxWithFriction,
@@ -168,7 +160,10 @@ def greybox(
     plain, best = minimised(plain, eta)
     if COULOMB not in names:
         return _fit(data, plain, best, eta, names, given, labels.index(output))
-    problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics[0]))
+    states = physics[0].labels()[1]
+    if SPEED_STATE not in states:
+        raise InputError(f"Coulomb friction needs a state {SPEED_STATE!r}, the model has {states}")
+    problem = GreyBoxWithFriction(plain=plain, speed=states.index(SPEED_STATE))
     start = problem.start(best.theta)
     without, best = best, searched(problem, start)
     worse = worse_with_friction(data, without.cost, best.cost)
@@ -239,13 +234,6 @@ def searched(
         return levenberg_marquardt(problem.linearise, start, admissible=admissible)
 
 
-def _speed(physics: Physics) -> int:
-    states = physics.labels()[1]
-    if SPEED_STATE not in states:
-        raise InputError(f"Coulomb friction needs a state {SPEED_STATE!r}, the model has {states}")
-    return states.index(SPEED_STATE)
-
-
 def _fit(
     data: Signals,
     problem: GreyBox | GreyBoxWithFriction,
@@ -270,7 +258,7 @@ def _fit(
         )
     rounding = ROUNDING_SHARE * float(np.nansum((data.y / plain.std) ** 2))
     converged = best.converged or best.cost <= rounding
-    basis = determined(at.Psi)
+    basis = _determined(at.Psi)
     found = _inference(plain, at, basis)
     held = tuple(x for x in NAMES if x not in names)
     influence = -basis.W @ (basis.Q.T @ problem.at(best.theta, held).Psi)
@@ -295,7 +283,7 @@ def _fit(
         covariance=whole,
         covariance_robust=robust,
         condition=float(np.linalg.cond(at.Psi / np.linalg.norm(at.Psi, axis=0))),
-        influence=named_influence(names, held, influence),
+        influence=_named_influence(names, held, influence),
         fixed=physics.parameters(values),
         fixed_std=fixed_std,
         initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
@@ -353,16 +341,32 @@ def _spread(rows: Matrix, known: Mask) -> Matrix:
     return whole
 
 
-def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
-    """Yield a warning for each parameter whose search ended at its bound.
+def _determined(Psi: Matrix) -> Basis:
+    """Return an orthonormal basis of the derivatives; refuse indistinguishable parameters."""
+    basis = orthonormal(Psi)
+    if basis.rank < Psi.shape[1]:
+        raise InputError(
+            f"the data determine only {basis.rank} of {Psi.shape[1]} parameters and cannot "
+            "distinguish the others: hold more of them fixed"
+        )
+    return basis
 
-    Parameters
-    ----------
-    names : sequence of str
-        The free parameters.
-    moved : ndarray (d,)
-        Change of each coordinate in the search; elements after the last name are ignored.
-    """
+
+def _named_influence(
+    names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
+) -> dict[str, dict[str, float]]:
+    """Return d ln(estimate)/d ln(fixed parameter) by both names, without the frictions."""
+    return {
+        name: {
+            k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9
+        }
+        for name, row in zip(names, influence, strict=True)
+        if name not in SIGNED | {COULOMB}
+    }
+
+
+def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
+    """Yield a warning for each free parameter that the search moved to its bound."""
     for name, by in zip(names, moved, strict=False):
         if name not in SIGNED and abs(float(by)) > _BOUND_SHARE * MAX_LOG_FACTOR:
             yield (

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import column
 from armrig.numerics.inference import OutputQuality
-from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.physics.grey_box.response import linear_parts
 from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED, UNITS, Physics
 
@@ -295,17 +294,6 @@ def below_zero(values: dict[str, float], std: dict[str, float]) -> list[str]:
     ]
 
 
-def determined(Psi: Matrix) -> Basis:
-    """Return an orthonormal basis of the derivatives; refuse indistinguishable parameters."""
-    basis = orthonormal(Psi)
-    if basis.rank < Psi.shape[1]:
-        raise InputError(
-            f"the data determine only {basis.rank} of {Psi.shape[1]} parameters and cannot "
-            "distinguish the others: hold more of them fixed"
-        )
-    return basis
-
-
 def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
     """Return the derivative of each parameter with respect to its coordinate."""
     return np.array([1.0 if x in SIGNED | {COULOMB} else values[x] for x in names])
@@ -321,16 +309,3 @@ def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
     """Return standard deviations by name."""
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return dict(zip(names, std.tolist(), strict=True))
-
-
-def named_influence(
-    names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
-) -> dict[str, dict[str, float]]:
-    """Return d ln(estimate)/d ln(fixed parameter) by both names, without the frictions."""
-    return {
-        name: {
-            k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9
-        }
-        for name, row in zip(names, influence, strict=True)
-        if name not in SIGNED | {COULOMB}
-    }

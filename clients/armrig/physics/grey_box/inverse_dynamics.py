@@ -373,7 +373,6 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
 
 
 def _every(s: float, Ts: float) -> int:
-    """Return the decimation, in samples per row."""
     return max(1, int(_WIDTHS_PER_ROW * s / Ts))
 
 

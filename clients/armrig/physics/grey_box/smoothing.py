@@ -153,14 +153,8 @@ def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> fl
     the same R(0). `portmanteau_p_value` needs the number N of white residuals that would give R(0)
     the same relative uncertainty. From n residuals, N = n / sum of rho(j)² over all j.
 
-    Parameters
-    ----------
-    residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN where a residual is not known.
-    h : ndarray (n,)
-        Kernel of the noise.
-    m : int
-        Decimation: number of samples per residual.
+    The residuals of each experiment are NaN where they are not known. h is the kernel of the noise,
+    and m is the decimation, the number of samples per residual.
     """
     L = default_lags(sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals))
     R, pairs = autocovariance(joined(residuals, L), L)

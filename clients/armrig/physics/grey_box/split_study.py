@@ -133,7 +133,6 @@ class SplitStudy:
         return "\n".join([*lines, *self._agreement(scatter=True), *self._pooled()])
 
     def _trend(self) -> list[str]:
-        """Return a sentence on the standard deviation against the number of parts."""
         first, last = self.splits[0], self.splits[-1]
         if len(self.splits) == 1:
             return []
@@ -172,7 +171,6 @@ class SplitStudy:
         return lines
 
     def _pooled(self) -> list[str]:
-        """Return a sentence that compares the pooled parts with the estimate from all data."""
         last, whole = self.splits[-1], next((s for s in self.splits if s.k == 1), None)
         if whole is None or last.k == 1:
             return []

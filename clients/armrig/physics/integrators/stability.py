@@ -16,6 +16,7 @@ from __future__ import annotations
 from math import inf
 
 import numpy as np
+from numpy.polynomial.polynomial import polymul, polysub
 from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
@@ -127,27 +128,16 @@ def _boundaries(pi: Array, direction: complex) -> list[float]:
     the unit circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta. p*
     has the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
     """
-    p = [np.trim_zeros(row * direction ** np.arange(pi.shape[1]), "b") for row in pi]
+    p = [row * direction ** np.arange(pi.shape[1]) for row in pi]
     found: list[float] = []
     while len(p) > 1:
-        edge = _less(_product(p[-1], np.conj(p[-1])), _product(p[0], np.conj(p[0])))
+        edge = polysub(polymul(p[-1], np.conj(p[-1])), polymul(p[0], np.conj(p[0])))
         found += _positive_roots(edge.real)
         p = [
-            _less(_product(np.conj(p[-1]), low), _product(p[0], np.conj(high)))
+            polysub(polymul(np.conj(p[-1]), low), polymul(p[0], np.conj(high)))
             for low, high in zip(p[1:], p[-2::-1], strict=True)
         ]
     return sorted(found)
-
-
-def _product(p: Array, q: Array) -> Array:
-    return np.convolve(p, q) if p.size and q.size else np.zeros(1, dtype=np.complex128)
-
-
-def _less(p: Array, q: Array) -> Array:
-    difference = np.zeros(max(p.size, q.size), dtype=np.complex128)
-    difference[: p.size] += p
-    difference[: q.size] -= q
-    return difference
 
 
 def _positive_roots(p: Array) -> list[float]:

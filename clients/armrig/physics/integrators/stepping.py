@@ -75,13 +75,10 @@ def exact(
 
     Parameters
     ----------
-    A : array_like, shape (nx, nx)
-    B : array_like, shape (nx,) or (nx, 1)
-    amplitude : float
-        Amplitude of the input, in its unit.
-    omega : float
-        Angular frequency in rad/s.
-    x0 : array_like, shape (nx,)
+    A, B, x0
+        As for `armrig.integrate`, with one input.
+    amplitude, omega : float
+        Amplitude of the input, in its unit, and angular frequency in rad/s.
     t : array_like, shape (N,)
         Times in s, in any order.
 

@@ -94,10 +94,6 @@ def batch(
 
     Parameters
     ----------
-    folder : Path
-        Folder of the recordings.
-    table : Path
-        Parquet file to write.
     open_executor : callable
         Function that returns a context manager, which yields an executor: see
         `armrig.report.batch.workers`.
@@ -148,24 +144,10 @@ def results(
 ) -> Iterator[tuple[T, R | Exception]]:
     """Yield each item with its result, in the order in which the results arrive.
 
-    If a worker dies, a new executor is opened. The executor does not report which item killed the
-    worker. Therefore all items that ran when the worker died are repeated, one at a time.
-
-    Parameters
-    ----------
-    function : callable
-        Function for the workers; it must not raise an exception.
-    items : sequence
-        Items; no two items are equal.
-    open_executor : callable
-        Function that returns a context manager, which yields an open executor.
-    at_once : int
-        Largest number of items that the executor processes at the same time.
-
-    Yields
-    ------
-    item, result
-        The result is an exception if the executor raised one, or if the item was abandoned.
+    No two items are equal, and the function must not raise an exception. The result is an exception
+    if the executor raised one, or if the item was abandoned. If a worker dies, a new executor is
+    opened. The executor does not report which item killed the worker. Therefore all items that ran
+    when the worker died are repeated, one at a time.
 
     Raises
     ------
@@ -220,13 +202,7 @@ def _is_broken(future: Future[R]) -> bool:
 def header_of(
     task: Task, folder: Path, rigs: Collection[str], kinds: Collection[str]
 ) -> dict[str, str]:
-    """Return the metadata by which a later start recognises the table of the same batch.
-
-    Parameters
-    ----------
-    rigs, kinds : collection of str
-        Rigs and kinds of experiment, as for `batch`.
-    """
+    """Return the metadata by which a later start recognises the table of the same batch."""
     options = msgspec.to_builtins(task)
     if isinstance(task, Validate):
         options["model"] = f"sha256 {sha256(task.model)}"

@@ -25,12 +25,7 @@ class Progress:
     """An open file with one row per line; the first line contains the header of the task."""
 
     def __init__(self, table: Path, header: dict[str, str], *, anew: bool = False) -> None:
-        """Open the file, or create it.
-
-        Parameters
-        ----------
-        anew : bool
-            Discard the rows of an earlier start.
+        """Open the file, or create it; with `anew` the rows of an earlier start are discarded.
 
         Raises
         ------

@@ -102,18 +102,10 @@ class Item(NamedTuple):
 def items_in(
     folder: Path, *, rigs: Collection[str] = (), kinds: Collection[str] = ()
 ) -> list[Item]:
-    """Return the runs in a folder, sorted by name.
+    """Return the runs of some rigs and kinds of experiment, or all runs, sorted by name.
 
-    Parameters
-    ----------
-    rigs, kinds : collection of str
-        Rigs and kinds of experiment of the returned runs; empty for all. An unreadable file is
-        included only if `rigs` and `kinds` are both empty.
-
-    Raises
-    ------
-    OSError
-        The folder does not exist or cannot be read.
+    An unreadable file is included only if `rigs` and `kinds` are both empty. If the folder cannot
+    be read, the function raises an OSError.
     """
     known = catalogue(folder)
     chosen = {
@@ -139,7 +131,6 @@ def items_in(
 
 
 def _run(name: str) -> str:
-    """Return the name of the run to which a file belongs, from the name of the file."""
     return name.rpartition(PART)[0] + ".mcap" if part_number(Path(name)) else name
 
 
@@ -361,11 +352,7 @@ def _model(text: str) -> Fit:
 
 
 def _output(fit: Fit) -> OutputName:
-    """Return the output of a model.
-
-    If the output is not an `OutputName`, the result is theta_1, and `compare` then refuses the
-    model.
-    """
+    """Return the output of a model; for an unknown output theta_1, which `compare` then refuses."""
     outputs: tuple[OutputName, ...] = get_args(OutputName)
     return next((output for output in outputs if fit.output == output), THETA_1)
 
@@ -375,11 +362,7 @@ def _in_a_line(text: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as a type that JSON can contain.
-
-    A number that is not finite is returned as None, which is an empty cell of the table. Bytes of a
-    path that are not UTF-8 are escaped.
-    """
+    """Return a value for JSON: None if it is not finite, and with escapes for bytes not UTF-8."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, float) and not isfinite(value):
