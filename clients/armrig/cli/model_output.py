@@ -132,15 +132,15 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
 
 
 def advice_on(fit: Fit) -> tuple[Finding, ...]:
-    """Return the findings about a model; those about several signals name their channel."""
+    """Return the findings about a model; those about several signals name their channels."""
     found: Any = advice(fit)
     if not isinstance(found, ByChannel):
         return tuple(found.findings)
-    return tuple(
-        replace(f, text=f"{input} to {output}: {f.text}")
-        for (output, input), of_channel in found.results.items()
-        for f in of_channel.findings
-    )
+    channels: dict[Finding, list[str]] = {}
+    for (output, input), of_channel in found.results.items():
+        for f in of_channel.findings:
+            channels.setdefault(f, []).append(f"{input} to {output}")
+    return tuple(replace(f, text=f"{listed(of)}: {f.text}") for f, of in channels.items())
 
 
 def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:

@@ -24,6 +24,7 @@ _DEVIATIONS = "the ordinary deviations", "the robust deviations"
 _MAX_IMAGINARY = 1e-9  # imaginary part below which a pole counts as real
 _MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
 _MAX_DISTANCE_FROM_ONE = 0.01  # distance in the z plane below which a pole or zero is near 1
+_SAME_POLE = 1e-6  # distance in the z plane of equal poles of two channels
 _STD_99 = 2.58
 _Pair = tuple[complex, complex, float]
 """A pole, a zero, and the p value of their difference."""
@@ -105,24 +106,63 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     fit = data_or_fit
     if (fit.ny, fit.nu) != (1, 1):
         each = {
-            (fit.outputs[i], fit.inputs[j]): advice(replace(one, starts=fit.starts))
-            for i, j, one in fit.channels()
+            name: Advice(of=f"{fit[name].label} of {name[0]}", findings=findings)
+            for name, findings in examine_channels(fit).items()
         }
         return ByChannel(results=each, refused={})  # type: ignore[return-value]
     return Advice(of=f"{fit.label} of {fit.output}", findings=tuple(examine_model(fit)))
 
 
+def examine_channels(fit: Fit) -> dict[tuple[str, str], tuple[Finding, ...]]:
+    """Return the findings of each channel of a model: of each output and input.
+
+    If the channels have the same poles, a pole is superfluous only if a zero cancels it in each.
+    """
+    channels = {
+        (fit.outputs[i], fit.inputs[j]): replace(one, starts=fit.starts)
+        for i, j, one in fit.channels()
+    }
+    pairs = {name: overlapping(one) for name, one in channels.items()}
+    everywhere = [*pairs.values()] if fit.shared or fit.form.coupled else []
+    superfluous = {
+        name: [pair for pair in own if all(_cancels(pair[0], other) for other in everywhere)]
+        for name, own in pairs.items()
+    }
+    return {
+        name: tuple(_findings(one, pairs[name], superfluous[name], fit.structure))
+        for name, one in channels.items()
+    }
+
+
+def _cancels(pole: complex, pairs: list[_Pair]) -> bool:
+    return any(abs(pole - other) < _SAME_POLE for other, *_ in pairs)
+
+
 def examine_model(fit: Fit) -> Iterator[Finding]:
-    """Yield the findings of a model."""
+    """Yield the findings of a model of one input and one output."""
+    pairs = overlapping(fit)
+    yield from _findings(fit, pairs, pairs, fit.structure)
+
+
+def _findings(
+    fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], structure: str
+) -> Iterator[Finding]:
+    """Yield the findings of a channel of a model with this structure.
+
+    Of the cancelling pairs, the superfluous ones are not needed by another channel.
+    """
     yield _about_search(fit)
     white = not fit.trusts_robust
     text = whiteness_sentence(fit, *_DEVIATIONS) + ("" if white else f"; {COLOURED}")
     yield finding("residuals", text, good=white)
-    apart, at_one = _overlaps(fit)
-    yield _about_overlap(fit, apart)
+    apart, at_one = _by_distance_from_one(superfluous)
+    if pairs and not superfluous:
+        yield finding("order", "each pole is needed in a channel", good=True)
+    else:
+        yield _about_overlap(apart, structure)
     yield from _about_pair_at_one(fit, at_one)
     yield from _about_poles(fit)
-    if not at_one:
+    if not _by_distance_from_one(pairs)[1]:
         yield from _about_integrator(fit)
     yield from _about_first_coefficient(fit)
     if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
@@ -132,12 +172,11 @@ def examine_model(fit: Fit) -> Iterator[Finding]:
 
 def cancelling(fit: Fit) -> list[_Pair]:
     """Return pole, zero and p value of the pairs that cancel, except pairs near 1."""
-    return _overlaps(fit)[0]
+    return _by_distance_from_one(overlapping(fit))[0]
 
 
-def _overlaps(fit: Fit) -> tuple[list[_Pair], list[_Pair]]:
+def _by_distance_from_one(pairs: list[_Pair]) -> tuple[list[_Pair], list[_Pair]]:
     """Return the cancelling pairs far from 1, and the pairs near 1, which model a constant."""
-    pairs = overlapping(fit)
     at_one = [
         p
         for p in pairs
@@ -156,15 +195,16 @@ def _about_search(fit: Fit) -> Finding:
     return finding("search", text, good=False)
 
 
-def _about_overlap(fit: Fit, pairs: list[_Pair]) -> Finding:
+def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:
     if not pairs:
         return finding("order", "no pole is cancelled by a zero", good=True)
     places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
     text = (
         f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order is "
     )
-    kind = DESCRIBED[fit.structure]
+    kind = DESCRIBED[structure]
     lower = " and ".join(name for name in ("nb", kind.poles) if name in kind.orders)
+    lower = "the order" if lower == "order" else lower
     return finding("order", text + f"too high by the number of pairs; lower {lower}", good=False)
 
 

@@ -10,6 +10,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.numerics.polynomial import filtered
 from armrig.validation.advice import Advice, _about_integrator, _about_poles
 from armrig.validation.data_advice import examine_fit_of
 
@@ -209,3 +210,18 @@ def test_each_channel_of_several_signals_has_advice() -> None:
     assert "u depends on y1" in of_data["y1", "u1"].warnings[0]
     assert of_fit["y1", "u2"].of == "OE[1 1 2] of y1"
     assert [f.text for f in of_fit["y1", "u2"].findings if f.about == "search"] == ["one minimum"]
+
+
+@pytest.mark.parametrize(("nf", "superfluous"), [(2, 0), (3, 2)])
+def test_a_pole_that_another_channel_needs_is_not_superfluous(nf: int, superfluous: int) -> None:
+    """Each pole is cancelled in one of two outputs: both are needed, and a third pole is not."""
+    rng = np.random.default_rng(4)
+    u = rng.choice([-1.0, 1.0], 1000)
+    clean = np.column_stack([filtered([0, 1.0], [1, -pole], u) for pole in (0.9, 0.4)])
+    signals = armrig.Signals(u=u, y=clean + 0.1 * rng.standard_normal(clean.shape), Ts=0.1)
+    fit = armrig.oe(signals, nb=nf, nf=nf, shared="denominator")
+
+    found: Any = armrig.advice(fit)
+
+    cancelled = [name for name in found if told(found[name]) & {"order", "level"}]
+    assert len(cancelled) == superfluous

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.step import LINE, Step
+from armrig.models.characteristics import overlapping
 from armrig.models.fit import Fit
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import advice, data_advice
@@ -179,7 +180,7 @@ def test_a_pole_zero_pair_near_1_is_a_level_and_does_not_count_as_an_order(
 ) -> None:
     fit = made(B=(0, 1, -zero), F=(1, -pole), std=(0.1, 0.1, 0.1), structure="oe")
 
-    far, at_one = advice._overlaps(fit)
+    far, at_one = advice._by_distance_from_one(overlapping(fit))
 
     assert (len(far), len(at_one)) == (int(not near), int(near))
     assert advice.cancelling(fit) == far
