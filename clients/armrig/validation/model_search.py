@@ -271,7 +271,8 @@ def _offset(
         return bool(offset), against, []
     where = "" if level else "in the validation data "
     able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
-    note = f"{where}{found.text}: {able} can estimate it (option offset)"
+    remedy = f"{able} can estimate it (option offset)" if able else "remove the means (detrend)"
+    note = f"{where}{found.text}: {remedy}"
     return True, [f for f in against if f not in level], [note]
 
 

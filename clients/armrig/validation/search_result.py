@@ -259,7 +259,7 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
     if i:
         yield (
-            f"chosen: {chosen.candidate.name}, {chosen.parameters} parameters instead of "
+            f"chosen: {chosen.candidate.name}, {plural(chosen.parameters, 'parameter')} instead of "
             f"{best.parameters}; its mean squared error is higher by {found.excess[i]:.2g} ± "
             f"{found.excess_std[i]:.2g}, within its standard error"
         )

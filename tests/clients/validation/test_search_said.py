@@ -141,6 +141,8 @@ def test_an_offset_is_estimated_if_one_of_the_data_sets_has_a_level(
         if told:
             where = "in the validation data " if data is flat else ""
             assert notes == [f"{where}y is about 5: OE, BJ can estimate it (option offset)"]
+            *_, [note] = model_search._offset(data, validation, known, asked, ("arx",), against)
+            assert note == f"{where}y is about 5: remove the means (detrend)"
 
 
 @pytest.mark.parametrize("outputs", [1, 2])
