@@ -42,28 +42,23 @@ def without_turns(data: Dataset) -> str:
 
 def facts(study: Study) -> list[list[str]]:
     """Return the table of the recordings, one column for each recording."""
-    rows: list[list[str]] = []
-    recordings = study.recordings
-
-    def row(name: str, value: Callable[[Recording], str]) -> None:
-        values = [value(r) for r in recordings]
-        if any(values):
-            rows.append([name, *(v or "–" for v in values)])
-
-    row("run", run_name)
-    row("SHA-256", lambda r: r.short_hash)
-    row("experiment", lambda r: r.manifest.experiment)
-    row("made with", lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()))
-    row("started", lambda r: r.manifest.started.replace("T", " ")[:19])
-    row("paced by", lambda r: {"scheduled": "the device"}.get(r.manifest.pacing, "the host"))
-    row("samples at Ts", lambda r: f"{r.N} at {milliseconds(r.Ts)}")
-    row("length", lambda r: f"{r.N * r.Ts:.1f} s")
-    row("input", _input_range)
-    row("calibrated", lambda r: calibration_date(r.calibration))
-    row("missing samples", lambda r: str(r.missing))
-    row("in the dead band, or just after", lambda r: str(r.hidden))
-    row("outcome", _outcome)
-    return rows
+    texts: dict[str, Callable[[Recording], str]] = {
+        "run": run_name,
+        "SHA-256": lambda r: r.short_hash,
+        "experiment": lambda r: r.manifest.experiment,
+        "made with": lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
+        "started": lambda r: r.manifest.started.replace("T", " ")[:19],
+        "paced by": lambda r: {"scheduled": "the device"}.get(r.manifest.pacing, "the host"),
+        "samples at Ts": lambda r: f"{r.N} at {milliseconds(r.Ts)}",
+        "length": lambda r: f"{r.N * r.Ts:.1f} s",
+        "input": _input_range,
+        "calibrated": lambda r: calibration_date(r.calibration),
+        "missing samples": lambda r: str(r.missing),
+        "in the dead band, or just after": lambda r: str(r.hidden),
+        "outcome": _outcome,
+    }
+    rows = [[name, *map(text, study.recordings)] for name, text in texts.items()]
+    return [[name, *(v or "–" for v in values)] for name, *values in rows if any(values)]
 
 
 def notes(recordings: Sequence[Recording]) -> list[str]:

@@ -170,10 +170,6 @@ class Study:
         """The estimated models, sorted by rms error, the best first."""
         return tuple(sorted(self.estimated, key=lambda m: m.comparison.rms_error))
 
-    def model(self, name: str) -> Assessed:
-        """Return the model with this name in the report."""
-        return next(m for m in self.models if m.name == name)
-
     def recording_of(self, sha256: str) -> Recording:
         """Return the recording with this hash."""
         return next(r for r in self.recordings if r.sha256 == sha256)

@@ -189,7 +189,7 @@ def test_the_abstract_counts_what_the_models_were_estimated_from(done: Study) ->
         deviation=np.full_like(done.best.deviation, 0.025),
     )
 
-    said = abstract(replace(done, estimated=(done.model("ARX"), best)))
+    said = abstract(replace(done, estimated=(done.estimated[0], best)))
 
     assert said.startswith("An ARX and an OE model")
     assert "were estimated from 1500 samples at 10\xa0ms." in said
