@@ -14,8 +14,8 @@ import control
 import numpy as np
 import pytest
 from armrig import Dataset, plots
-from armrig.cli.figures import write_plot
-from armrig.cli.recording_info import _plot_timing
+from armrig.cli.recording_info import TIMING_HEIGHT, timing_figures
+from armrig.cli.results import write_plot
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
@@ -164,7 +164,9 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
         2.0, [partial(plot_velocity, study([e.first, e.second], outputs=("alpha",)))]
     ),
     "handout": lambda e: saved(lambda to: handout(e, to)),
-    "armrig info": lambda e: saved(lambda to: _plot_timing(e.first, to / "a.svg")),
+    "armrig info": lambda e: saved(
+        lambda to: write_plot(to / "a.svg", height=TIMING_HEIGHT, **timing_figures(e.first))
+    ),
     "write_plot": lambda e: saved(
         lambda to: write_plot(
             to / "a.svg", a=lambda ax: ax.plot(0, 0), b=lambda ax: ax.plot(0, 0), height=2.0

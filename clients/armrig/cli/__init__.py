@@ -21,7 +21,8 @@ import typer.core
 from armrig_core.errors import ArmrigError, OperationError, ParameterError
 from armrig_core.loading import is_interrupt, use_one_thread
 
-from armrig.cli.options import HELP, option, tell_error, with_options
+from armrig.cli.options import HELP, option, with_options
+from armrig.cli.printing import tell_error
 
 _HELP_INDENT = 6
 """Number of columns around the name of a command in the help."""

@@ -11,17 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from armrig_core.errors import OperationError
 from armrig_core.signal_pipe import until_signal
 
-from armrig.cli.options import (
-    Commands,
-    Json,
-    agree,
-    argument,
-    echo,
-    group,
-    inform,
-    option,
-    print_json,
-)
+from armrig.cli.options import Commands, Json, argument, group, option
+from armrig.cli.printing import agree, echo, inform, print_json
 
 if TYPE_CHECKING:
     from armrig.lab.installation import Part, Plan

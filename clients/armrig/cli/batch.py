@@ -13,18 +13,8 @@ from armrig_core.telemetry import THETA_1, OutputName
 from msgspec.structs import asdict
 
 from armrig.cli.model_structures import Given, estimation_options, requested
-from armrig.cli.options import (
-    Commands,
-    Detrend,
-    Json,
-    ModelOrders,
-    argument,
-    echo,
-    group,
-    option,
-    print_json,
-    tell,
-)
+from armrig.cli.options import Commands, Detrend, Json, ModelOrders, argument, group, option
+from armrig.cli.printing import echo, print_json, tell
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:

@@ -13,10 +13,11 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.telemetry import ALPHA
 
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading, take_into_use
-from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import naming, say_next
-from armrig.cli.options import Connect, Json, RigId, option, print_json, print_table, tell
+from armrig.cli.options import Connect, Json, RigId, SamplingTime, group, option
+from armrig.cli.printing import fields_of, print_json, print_table, tell
 from armrig.cli.reading_options import recording_path
+from armrig.cli.results import Plot, check_plot, write_plot
 from armrig.numerics.quantities import with_std
 
 if TYPE_CHECKING:
@@ -25,77 +26,95 @@ if TYPE_CHECKING:
     from armrig.recordings.calibration import Estimate
     from armrig.recordings.recording import Recording
 
-Save = Annotated[
-    Path | None,
-    option(
-        "--save TOML", "Calibration file to write.", "calibration-<rig>.toml in ~/.config/armrig"
-    ),
-]
-Volts = Annotated[
-    list[float] | None, option("--volts", "Voltage to apply, in V; repeatable.", "1, 2 and 3")
-]
-LevelSeconds = Annotated[
-    float, option("--level-seconds", "Time for which each voltage is held, in s.")
-]
-RestSeconds = Annotated[
-    float,
-    option("--rest-seconds", "Length of the recordings at rest and with the arm deflected, in s."),
-]
-Meter = Annotated[
-    list[str] | None,
-    option(
-        "--meter CODE=VOLTS",
-        "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
-    ),
-]
-MeterStd = Annotated[float, option("--meter-std", "Standard deviation of a meter's reading, in V.")]
-ByHand = Annotated[
-    bool,
-    option(
-        "--by-hand", "Leave the motor off; deflect the arm by hand to find the sign of its angle."
-    ),
-]
-RestFile = Annotated[
-    Path | None, option("--rest F", "Earlier recording of the rig at rest.", parser=recording_path)
-]
-TurnsFile = Annotated[
-    Path | None, option("--turns F", "Earlier recording of the slow turns.", parser=recording_path)
-]
-SamplingTime = Annotated[float | None, option("--Ts", "Sampling time, in s.", "the daemon's")]
-Yes = Annotated[
-    bool,
-    option(
-        "--yes",
-        "Ask no questions, not even for meter readings; load the calibration into the daemon "
-        "unless --no-use is given.",
-    ),
-]
-Use = Annotated[
-    bool | None,
-    option(
-        "--use/--no-use",
-        "Use the calibration in the running daemon until the daemon ends.",
-        "asked",
-    ),
-]
-
 _DEFAULT_LEVELS_V = (1.0, 2.0, 3.0)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wanted:
+    """Measurements to make, and earlier measurements."""
+
+    volts: Annotated[
+        list[float] | None, option("--volts", "Voltage to apply, in V; repeatable.", "1, 2 and 3")
+    ] = None
+    level_seconds: Annotated[
+        float, option("--level-seconds", "Time for which each voltage is held, in s.")
+    ] = 12.0
+    rest_seconds: Annotated[
+        float,
+        option(
+            "--rest-seconds", "Length of the recordings at rest and with the arm deflected, in s."
+        ),
+    ] = 3.0
+    meter: Annotated[
+        list[str] | None,
+        option(
+            "--meter CODE=VOLTS",
+            "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
+        ),
+    ] = None
+    meter_std: Annotated[
+        float, option("--meter-std", "Standard deviation of a meter's reading, in V.")
+    ] = 0.01
+    by_hand: Annotated[
+        bool,
+        option(
+            "--by-hand",
+            "Leave the motor off; deflect the arm by hand to find the sign of its angle.",
+        ),
+    ] = False
+    rest_file: Annotated[
+        Path | None,
+        option("--rest F", "Earlier recording of the rig at rest.", parser=recording_path),
+    ] = None
+    turns_file: Annotated[
+        Path | None,
+        option("--turns F", "Earlier recording of the slow turns.", parser=recording_path),
+    ] = None
+
+    def __post_init__(self) -> None:
+        """Refuse a wrong reading of the voltmeter."""
+        _ = self.readings
+
+    @property
+    def levels(self) -> list[float]:
+        """Voltages of the turns, in V."""
+        return self.volts or list(_DEFAULT_LEVELS_V)
+
+    @property
+    def readings(self) -> list[tuple[int, float]]:
+        """PWM codes, each with the voltmeter's reading in V."""
+        return [meter_reading(text) for text in self.meter or []]
+
+
 def calibrate(
+    *,
     plot: Plot = None,
-    save: Save = None,
-    volts: Volts = None,
-    level_seconds: LevelSeconds = 12.0,
-    rest_seconds: RestSeconds = 3.0,
-    meter: Meter = None,
-    meter_std: MeterStd = 0.01,
-    by_hand: ByHand = False,
-    rest_file: RestFile = None,
-    turns_file: TurnsFile = None,
+    save: Annotated[
+        Path | None,
+        option(
+            "--save TOML",
+            "Calibration file to write.",
+            "calibration-<rig>.toml in ~/.config/armrig",
+        ),
+    ] = None,
+    wanted: Annotated[_Wanted, group(_Wanted)],
     Ts: SamplingTime = None,
-    yes: Yes = False,
-    use: Use = None,
+    yes: Annotated[
+        bool,
+        option(
+            "--yes",
+            "Ask no questions, not even for meter readings; load the calibration into the daemon "
+            "unless --no-use is given.",
+        ),
+    ] = False,
+    use: Annotated[
+        bool | None,
+        option(
+            "--use/--no-use",
+            "Use the calibration in the running daemon until the daemon ends.",
+            "asked",
+        ),
+    ] = None,
     rig: RigId = "1",
     connect: Connect = None,
     json: Json = False,
@@ -104,48 +123,29 @@ def calibrate(
 
     Each number is printed with its standard deviation.
     """
-    wanted = _Wanted(
-        readings=[meter_reading(text) for text in meter or []],
-        levels=volts or list(_DEFAULT_LEVELS_V),
-        level_seconds=level_seconds,
-        rest_seconds=rest_seconds,
-        by_hand=by_hand,
-        rest_file=rest_file,
-        turns_file=turns_file,
-    )
+    from armrig_core.calibration import Calibration
+
     path = _checked(save or _default(rig))
     _check_figure(plot, wanted)
-    check_turns(wanted.levels, level_seconds)
+    check_turns(wanted.levels, wanted.level_seconds)
     _check_terminal(wanted, yes=yes)
     measured = _measured(wanted, Dialogue(yes=yes), Player(Ts=Ts, rig=rig, connect=connect))
-    base = _base(measured.rest)
-    found = _estimated(measured, meter_std, base)
+    # The calibration of the recording at rest supplies the values that are not measured.
+    base = measured.rest.calibration or Calibration()
+    found = _estimated(measured, wanted.meter_std, base)
     _write(path, found, base, measured.recordings())
     if measured.turns is not None:
         write_plot(plot, calibration=partial(found.plot, measured.turns), height=6.0)
     if not json:
+        _tell(found)
         _print(path, found)
     used = take_into_use(path, wanted=use, asks=not yes, rig=rig, connect=connect)
     if json:
-        _print_facts(path, found, used=used)
+        _tell(found)
+        facts = {"calibration": str(path), "figures": found.figures()}
+        print_json(facts | fields_of(found, "alpha_sign warnings") | {"in_use": used})
     else:
         say_next("calibrate", rig=naming(rig, connect))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Wanted:
-    """Measurements to make, and earlier measurements."""
-
-    readings: list[tuple[int, float]]
-    """PWM codes, each with the voltmeter's reading in V."""
-    levels: list[float]
-    """Voltages of the turns, in V."""
-    level_seconds: float
-    rest_seconds: float
-    by_hand: bool
-    """True if the user deflects the arm by hand and the motor stays off."""
-    rest_file: Path | None
-    turns_file: Path | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -267,13 +267,6 @@ def _loaded(path: Path | None) -> Recording | None:
     return None if path is None else load(path)
 
 
-def _base(rest: Recording) -> Calibration:
-    """Return the calibration of the recording at rest; it supplies the values not measured."""
-    from armrig_core.calibration import Calibration
-
-    return rest.calibration or Calibration()
-
-
 def _write(
     path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, Recording]
 ) -> None:
@@ -309,16 +302,12 @@ def _write(
         whole.replace(target)
 
 
-def _print(path: Path, found: Estimate) -> None:
+def _tell(found: Estimate) -> None:
     for warning in found.warnings:
         tell(warning)
+
+
+def _print(path: Path, found: Estimate) -> None:
     rows = [(name, with_std(figure.value, figure.std)) for name, figure in found.figures().items()]
     sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
     print_table(*rows, (ALPHA, sign[found.alpha_sign]), ("calibration", str(path)))
-
-
-def _print_facts(path: Path, found: Estimate, *, used: bool) -> None:
-    for warning in found.warnings:
-        tell(warning)
-    facts = {"calibration": str(path), "figures": found.figures(), "alpha_sign": found.alpha_sign}
-    print_json(facts | {"warnings": found.warnings, "in_use": used})

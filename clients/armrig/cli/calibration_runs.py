@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from armrig_core.calibration_file import raw_path
 from armrig_core.errors import InputError
 
 from armrig.cli.next_step import say_to_copy
-from armrig.cli.options import inform, question
+from armrig.cli.printing import inform, question
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -59,11 +60,13 @@ class Dialogue:
         return readings
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Player:
     """Player of the runs of a calibration; each method returns the recording of its run."""
 
-    def __init__(self, *, Ts: float | None, rig: str, connect: str | None) -> None:
-        self._Ts, self._rig, self._connect = Ts, rig, connect
+    Ts: float | None
+    rig: str
+    connect: str | None
 
     def rest(self, experiment: str, seconds: float) -> Recording:
         """Record the rig at 0 V."""
@@ -100,12 +103,12 @@ class Player:
             make=make,
             details=details,
             seconds=seconds,
-            Ts=self._Ts,
+            Ts=self.Ts,
             pacing="scheduled",
             owner=_OWNER,
             dead_man=_DEAD_MAN_S,
         )
-        return load(collect(plan, rig=self._rig, connect=self._connect, tell=inform).path)
+        return load(collect(plan, rig=self.rig, connect=self.connect, tell=inform).path)
 
 
 def check_turns(levels: Sequence[float], level_seconds: float) -> None:
@@ -146,13 +149,8 @@ def take_into_use(
 ) -> bool:
     """Load a calibration into the running daemon if wanted; return True if it is in use.
 
-    Parameters
-    ----------
-    wanted : bool, optional
-        True to load the calibration, False not to load it. If None and a daemon runs, the user is
-        asked.
-    asks : bool
-        True if the user may be asked; if False, the calibration is loaded without a question.
+    If `wanted` is None and a daemon runs, the user is asked. Without `asks`, the calibration is
+    then loaded without a question.
 
     Raises
     ------

@@ -14,19 +14,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 from armrig_core.errors import FileError, InputError, OperationError
 
 from armrig.cli.next_step import naming, own_recordings, say_next, step_again, typed
-from armrig.cli.options import (
-    Commands,
-    Connect,
-    Json,
-    RigId,
-    SamplingTime,
-    echo,
-    fields_of,
-    group,
-    inform,
-    option,
-    print_json,
-)
+from armrig.cli.options import Commands, Connect, Json, RigId, SamplingTime, group, option
+from armrig.cli.printing import echo, fields_of, inform, print_json
 
 collect = Commands(
     "Play an input and record the response of the rig.\n\n"
@@ -283,7 +272,6 @@ def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | N
 
 
 def _experiment_name(experiment: str, name: str) -> str:
-    """Return the kind of experiment, with the name that the user added."""
     whole = f"{experiment}-{name}" if name else experiment
     if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _MAX_NAME_LENGTH:
         most = _MAX_NAME_LENGTH - len(experiment) - 1
@@ -328,11 +316,8 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     plans = [
         Plan(
             experiment=_experiment_name(p.experiment, run.name),
-            make=p.make,
-            details=p.details,
-            seconds=p.seconds,
-            Ts=run.Ts,
-            pacing=run.pacing,
+            **fields_of(p, "make details seconds"),
+            **fields_of(run, "Ts pacing"),
             owner=this_user() or "armrig collect" if run.owner is None else run.owner,
             dead_man=run.dead_man or None,
             without_arm=without_arm,
@@ -349,9 +334,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
         verdict, estimation = done.verdict, done.run_id
         first = first or (done.path if verdict else None)
         if run.json:
-            facts = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
-            facts |= {"synced": done.synced}
-            facts |= {"rehearsal": done.rehearsal}
+            facts = {"recording": str(done.path)} | fields_of(done, "samples Ts synced rehearsal")
             print_json(facts | {"verdict": verdict.facts() if verdict else None})
         else:
             echo(str(done.path))
@@ -368,7 +351,6 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    """Print the next command, which repeats a step if the dead band hid its rise."""
     from armrig.recordings.loading import load
 
     again = ""

@@ -10,7 +10,7 @@ import typer
 from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, OutputName
 
-from armrig.cli.options import inform, tell
+from armrig.cli.printing import inform, tell
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:

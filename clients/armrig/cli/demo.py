@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from armrig_core.errors import OperationError
+from armrig_core.errors import InputError, OperationError
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from armrig.cli.options import fields_of
+from armrig.cli.printing import fields_of
 from armrig.excitation import step, telegraph
 
 if TYPE_CHECKING:
@@ -110,33 +110,26 @@ def _toml(path: Path) -> str:
 def demo(
     directory: Path,
     *,
-    seconds: float = 30.0,
-    seed: int = 1,
+    seconds: float,
+    seed: int,
     virtual: bool = False,
     firmware: bool = False,
-    console: Console | None = None,
+    console: Console,
 ) -> dict[str, Any]:
     """Record an emulated rig, identify and validate models, and write a report to `directory`.
 
     Returns the results and the paths of the files, by name.
 
-    In virtual time the same seed gives the same bytes. If the machine stalls too often in real
-    time, the remaining experiments are recorded in virtual time, and the report states this. If
-    `firmware` is True, a simulator runs the firmware of an Uno; this needs `virtual`.
-
-    Raises
-    ------
-    OperationError
-        The experiments cannot be recorded, not even in virtual time.
+    If the machine stalls too often in real time, the remaining experiments are recorded in virtual
+    time. If they cannot be recorded in virtual time either, an OperationError is raised.
+    `firmware` needs `virtual`.
     """
-    console = console or Console()
     directory.mkdir(parents=True, exist_ok=True)
     config, plan = write_config(directory, seed), experiments(seconds, seed)
     paths: list[Path] = []
     why = "" if virtual else _record(plan, config, console, paths)
     if why:
-        given_up = f"  not in real time: {why}"
-        console.print(given_up, highlight=False, markup=False, soft_wrap=True)
+        console.print(f"  not in real time: {why}", highlight=False, markup=False, soft_wrap=True)
         console.print("the demonstration goes on in virtual time", highlight=False)
     n_real = len(paths)
     with console.status("recording in virtual time"):
@@ -156,9 +149,8 @@ def demo(
     _print_results(console, done, names, directory, pdf)
     if not virtual:
         console.print(f"the daemon's log: {directory / 'armrigd.log'}", highlight=False)
-    recordings = dict(zip(names, map(str, paths), strict=True))
     return {
-        "recordings": recordings,
+        "recordings": dict(zip(names, map(str, paths), strict=True)),
         "in_virtual_time": names[n_real:],
         "models": [_row(model) for model in done.models],
         "figures": sorted(map(str, directory.absolute().glob("*.svg"))),
@@ -170,8 +162,6 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
     """Append real-time recordings to `done`; return why some are missing, or "" if none is."""
     if sys.platform != "linux":
         return "emulation in real time needs Linux"
-    from armrig_core.errors import InputError
-
     from armrig.cli.demo_rig import record_in_real_time
     from armrig.rig.session import RigError
 
@@ -194,15 +184,8 @@ def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[S
     from armrig.report.document import report
     from armrig.report.study import study
 
-    recordings = [load(path) for path in paths]
-    done = study(recordings)
-    pdf = report(
-        done,
-        directory / "report.pdf",
-        remarks=remarks,
-        figures=directory,
-    )
-    return done, pdf
+    done = study([load(path) for path in paths])
+    return done, report(done, directory / "report.pdf", remarks=remarks, figures=directory)
 
 
 def _remarks(n: int, n_real: int, why: str) -> list[str]:
@@ -243,7 +226,6 @@ def _print_results(
 
 
 def _row(model: Assessed) -> dict[str, Any]:
-    """Return the errors and fits of a model on the validation recording as JSON fields."""
     row = model.comparison
     return {"model": row.name} | fields_of(row, "rms_error fit_percent velocity_fit_percent")
 
@@ -265,21 +247,9 @@ def record_in_virtual_time(
 ) -> list[Path]:
     """Play experiments on an emulated rig in virtual time; return their recordings.
 
-    Parameters
-    ----------
-    config : Path
-        Configuration of the rig.
-    seed : int
-        Seed of the emulated rig, and of the names and times of its recordings.
-    firmware : bool, default False
-        If True, the device is the Uno's firmware in simavr.
-    meanwhile : callable
-        Function to call while another process plays the experiments.
-
-    Raises
-    ------
-    OperationError
-        The experiments could not be recorded.
+    The seed determines the emulated rig, and the names and times of its recordings. With
+    `firmware`, the device is the Uno's firmware in simavr. `meanwhile` is called while another
+    process plays the experiments. If they cannot be recorded, an OperationError is raised.
     """
     # UTF-8 on any host, for the names of folders in the pipes.
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]

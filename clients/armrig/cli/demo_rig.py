@@ -44,9 +44,8 @@ class Patience:
     def __init__(self, plan: Sequence[Experiment]) -> None:
         """Start the clock."""
         self._left_s = sum(experiment.seconds for experiment in plan)
-        self._until_s = time.monotonic() + max(
-            MAX_REAL_TIME_S, MAX_REAL_TIME_S - _USUAL_S + self._left_s
-        )
+        more_s = max(0.0, self._left_s - _USUAL_S)
+        self._until_s = time.monotonic() + MAX_REAL_TIME_S + more_s
         self._ended = 0
 
     def recorded(self, experiment: Experiment) -> None:
@@ -68,12 +67,8 @@ def record_in_real_time(
 ) -> None:
     """Play experiments on an emulated rig; append the recordings to `done`.
 
-    Raises
-    ------
-    TooBusyError
-        The machine stalls too often.
-    RigError
-        The daemon does not start, or refuses a request.
+    If the daemon does not start, or refuses a request, a RigError is raised. If the machine stalls
+    too often, it is a TooBusyError.
     """
     patience = Patience(plan)
     log = config.with_name("armrigd.log")

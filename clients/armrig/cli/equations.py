@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.telemetry import ALPHA, THETA_1
 
-from armrig.cli.figures import Draw
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next
-from armrig.cli.options import echo, fields_of, group, option, say, say_more
+from armrig.cli.options import group, option
 from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Given, Omega, cases, changes
-from armrig.cli.physics import roots
-from armrig.cli.results import Output
+from armrig.cli.printing import echo, fields_of, say, say_more
+from armrig.cli.results import Draw, Output
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
@@ -167,10 +166,9 @@ def _facts(answer: _Answer) -> dict[str, Any]:
     return {
         "parameters": asdict(p.parameters),
         "states": _STATES,
-        "A": A.tolist(),
-        "B": B.tolist(),
-        **fields_of(p, "steady_speed initial_slope rigid_slope"),
-        **roots(p),
+        "A": A,
+        "B": B,
+        **fields_of(p, "steady_speed initial_slope rigid_slope poles zeros"),
         **{time: getattr(p, time) for time in _TIMES},
         "simulated": {"slope": answer.slope, "speed": answer.speed, "seconds": _SECONDS},
     }
@@ -210,8 +208,13 @@ def integrate(
 
     The input is sinusoidal, u = A sin(ωt). Each solution is compared with the exact solution.
     """
+    from armrig_core.arm import ArmParameters, arm_matrices
+
+    from armrig.physics.integrators.accuracy import sinusoid
+
     out.check()
-    problem = _problem(amplitude=amplitude, omega=omega, span=span)
+    A, B, _ = arm_matrices(ArmParameters())
+    problem = sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
     rows, advice = _solved(problem, method or (), h or (), tolerance)
 
     def say_after() -> None:
@@ -242,20 +245,11 @@ class _Row:
     """Largest error of a state, relative to the largest value of this state; it may be infinite."""
 
 
-def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
-    from armrig_core.arm import ArmParameters, arm_matrices
-
-    from armrig.physics.integrators.accuracy import sinusoid
-
-    A, B, _ = arm_matrices(ArmParameters())
-    return sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
-
-
 def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
 ) -> tuple[list[_Row], Recommendation | None]:
     """Return the solutions of the methods, by default all, and the recommended steps if any."""
-    from armrig.physics.integrators.accuracy import all_methods
+    from armrig.physics.integrators.accuracy import all_methods, recommend_step
     from armrig.physics.integrators.stability import stability_limit
 
     limits = {m: stability_limit(problem.A, m) for m in all_methods(tuple(methods) or None)}
@@ -266,7 +260,10 @@ def _solved(
         if steps:
             steps_of = {m: list(steps) for m in limits}
         else:
-            advice = _recommended(problem, tuple(limits), tolerance)
+            given = fields_of(problem, "omega amplitude span")
+            advice = recommend_step(
+                problem.A, problem.B, tolerance=tolerance, methods=tuple(limits), **given
+            )
             steps_of = {row.method: [row.h] for row in advice.rows}
         rows = [
             _Row(method=m, h=h, limit=limit, stable=h < limit, error=problem.error(h, m))
@@ -274,20 +271,6 @@ def _solved(
             for h in steps_of[m]
         ]
     return rows, advice
-
-
-def _recommended(problem: Sinusoid, methods: Sequence[str], tolerance: float) -> Recommendation:
-    from armrig.physics.integrators.accuracy import recommend_step
-
-    return recommend_step(
-        problem.A,
-        problem.B,
-        omega=problem.omega,
-        tolerance=tolerance,
-        amplitude=problem.amplitude,
-        span=problem.span,
-        methods=methods,
-    )
 
 
 def _check_step(h: float, problem: Sinusoid) -> None:

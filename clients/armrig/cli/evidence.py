@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.telemetry import THETA_1, ChannelName
 
-from armrig.cli.options import (
-    CalibrationFile,
-    From,
-    Json,
-    To,
-    argument,
-    echo,
-    fields_of,
-    inform,
-    option,
-    print_json,
-    print_table,
-    tell,
-    warned,
-)
+from armrig.cli.options import CalibrationFile, From, Json, To, argument, option
+from armrig.cli.printing import echo, fields_of, inform, print_json, print_table, tell, warned
 from armrig.cli.reading_options import File
 from armrig.cli.spinner import spinner
 
@@ -33,17 +21,7 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path, argument("OUT", "File to write.")]
 Csv = Annotated[bool, option("--csv", "Write CSV, for any program.")]
-Mat = Annotated[
-    bool, option("--mat", "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns.")
-]
 Parquet = Annotated[bool, option("--parquet", "Write Parquet, for pandas, polars and others.")]
-Transforms = Annotated[
-    bool,
-    option(
-        "--transforms",
-        "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
-    ),
-]
 Raw = Annotated[bool, option("--raw", "Include the readings and times as recorded.")]
 OutputOfMat = Annotated[ChannelName, option("--signal", "Signal that becomes y in the MAT-file.")]
 
@@ -70,7 +48,7 @@ def verify(file: File, json: Json = False) -> None:
     with spinner("checking"):
         found = verified(file)
     if json:
-        checks = [{"about": c.about, "result": c.result, "text": c.text} for c in found.checks]
+        checks = [fields_of(c, "about result text") for c in found.checks]
         facts = {"recording": str(found.path), "sha256": found.sha256}
         print_json(facts | {"passed": found.passed, "checks": checks})
     else:
@@ -89,9 +67,17 @@ def export(
     file: File,
     out: Out,
     csv: Csv = False,
-    mat: Mat = False,
+    mat: Annotated[
+        bool, option("--mat", "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns.")
+    ] = False,
     parquet: Parquet = False,
-    transforms: Transforms = False,
+    transforms: Annotated[
+        bool,
+        option(
+            "--transforms",
+            "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
+        ),
+    ] = False,
     raw: Raw = False,
     signal: OutputOfMat = THETA_1,
     start: From = None,
@@ -106,25 +92,24 @@ def export(
     In MATLAB: `s = load('data.mat'); z = iddata(s.y, s.u, s.Ts)`. Missing samples have rows, too.
     A missing y is NaN.
     """
-    from armrig.cli.figures import check_output
+    from armrig.cli.results import check_output
     from armrig.recordings.export import write_csv, write_mat, write_parquet, write_transforms
     from armrig.recordings.loading import load
 
     asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
     kind = _kind(out, asked)
+    writers: dict[str, Callable[..., Any]] = {
+        "csv": partial(write_csv, raw=raw),
+        "mat": partial(write_mat, output=signal, raw=raw),
+        "parquet": partial(write_parquet, raw=raw),
+        "transforms": write_transforms,
+    }
     check_output(out, [file])
     with spinner("reading"):
         recording = load(file, calibration, start=start, stop=stop)
     warned(recording)
     with spinner("writing"), _whole(out):
-        if kind == "csv":
-            write_csv(recording, out, raw=raw)
-        elif kind == "mat":
-            write_mat(recording, out, output=signal, raw=raw)
-        elif kind == "parquet":
-            write_parquet(recording, out, raw=raw)
-        else:
-            write_transforms(recording, out)
+        writers[kind](recording, out)
     if json:
         print_json({"file": str(out), "samples": recording.N, "recording": recording.sha256})
     else:

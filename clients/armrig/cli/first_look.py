@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.errors import InputError
 
-from armrig.cli.figures import FIGURE_HELP, Draw, check_plot, figure_path, of_channel, write_plot
 from armrig.cli.next_step import (
     AFTER,
     chassis,
@@ -20,12 +19,10 @@ from armrig.cli.next_step import (
     typed,
     validation_beside,
 )
-from armrig.cli.options import (
-    Json,
+from armrig.cli.options import Json, group, option
+from armrig.cli.printing import (
     fields_of,
-    group,
     inform,
-    option,
     print_json,
     print_table,
     say,
@@ -42,7 +39,17 @@ from armrig.cli.recorded_data import (
     from_recording,
     source_facts,
 )
-from armrig.cli.results import Output, Shown, ShownFigure
+from armrig.cli.results import (
+    FIGURE_HELP,
+    Draw,
+    Output,
+    Shown,
+    ShownFigure,
+    check_plot,
+    figure_path,
+    of_channel,
+    write_plot,
+)
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
@@ -236,14 +243,12 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
     if isinstance(found, str):
         return {"structure": None, "reasons": [found]}
     of = "integrator integrator_shown low_slope low_slope_std high_slope relative_degree "
-    of += "resonances antiresonances nk_interval"
+    of += "resonances antiresonances nk_interval singular_values threshold"
     return {
         "structure": "oe",
         "orders": fields_of(found, "nb nf nk"),
         "structures": [dict(s) for s in found.structures],
         **fields_of(found, of),
-        "singular_values": found.singular_values.tolist(),
-        "threshold": found.threshold,
         "reasons": [line.removeprefix("- ") for line in found.explain().splitlines()],
     }
 

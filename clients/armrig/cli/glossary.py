@@ -8,7 +8,8 @@ from typing import Annotated
 
 from armrig_core.errors import InputError
 
-from armrig.cli.options import Json, argument, echo, print_json
+from armrig.cli.options import Json, argument
+from armrig.cli.printing import echo, print_json
 
 Term = Annotated[str | None, argument("TERM", "Term to explain.", "a list of all terms")]
 _ENTRY = re.compile(r"^- \*\*(?P<term>[^*]+)\*\*(?: \((?P<long>[^)]+)\))?: (?P<text>.+)$", re.M)

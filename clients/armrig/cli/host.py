@@ -13,18 +13,8 @@ import typer
 from armrig_core.errors import InputError, OperationError
 
 from armrig.cli.next_step import opener, say_next
-from armrig.cli.options import (
-    Json,
-    RigId,
-    Verbose,
-    agree,
-    echo,
-    option,
-    print_json,
-    say,
-    say_answer,
-    say_more,
-)
+from armrig.cli.options import Json, RigId, Verbose, option
+from armrig.cli.printing import agree, echo, print_json, say, say_answer, say_more
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:

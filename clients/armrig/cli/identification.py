@@ -12,7 +12,6 @@ import typer
 from armrig_core.errors import InputError
 from msgspec import structs
 
-from armrig.cli.figures import Draw, check_output
 from armrig.cli.model_structures import (
     Given,
     estimated,
@@ -21,7 +20,8 @@ from armrig.cli.model_structures import (
     searched_for,
 )
 from armrig.cli.next_estimation import after_identify
-from armrig.cli.options import fields_of, group, option, say, say_answer, tell
+from armrig.cli.options import group, option
+from armrig.cli.printing import fields_of, say, say_answer, tell
 from armrig.cli.reading_options import DataFile, recording_path
 from armrig.cli.recorded_data import (
     SignalChoice,
@@ -30,7 +30,7 @@ from armrig.cli.recorded_data import (
     source_facts,
     warn_of_estimation_data,
 )
-from armrig.cli.results import Output, ShownFigure
+from armrig.cli.results import Draw, Output, ShownFigure, check_output
 from armrig.cli.spinner import estimating, spinner
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
@@ -353,9 +353,9 @@ def _search_facts(found: SearchResult) -> dict[str, Any]:
             {
                 "model": j.candidate.name,
                 "parameters": j.parameters,
-                "rms_error": float(rms),
-                "excess": float(excess),
-                "excess_std": float(std),
+                "rms_error": rms,
+                "excess": excess,
+                "excess_std": std,
                 "chosen": j is found.chosen,
             }
             for j, rms, excess, std in rows

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from math import degrees, isfinite
@@ -13,20 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from armrig_core.loading import end_at_ctrl_c
 from armrig_core.printable import printable
-from armrig_core.signal_pipe import SignalPipe, until_signal
+from armrig_core.signal_pipe import until_signal
 
 from armrig.cli.next_step import naming, next_line
-from armrig.cli.options import (
-    Connect,
-    Json,
-    RigId,
-    echo,
-    folded,
-    inform,
-    option,
-    print_json,
-    takes_styles,
-)
+from armrig.cli.options import Connect, Json, RigId, option
+from armrig.cli.printing import echo, folded, inform, print_json, takes_styles
 
 if TYPE_CHECKING:
     import subprocess
@@ -38,16 +30,6 @@ if TYPE_CHECKING:
     from armrig.rig.client import Rig
 
 Port = Annotated[str | None, option("--port DEVICE", "Serial port of the rig.", "an emulated rig")]
-Config = Annotated[
-    Path | None, option("--config TOML", "Configuration file, in place of the installed files.")
-]
-Page = Annotated[
-    bool,
-    option(
-        "--dashboard/--no-dashboard",
-        "Also serve the dashboard, and open it if there is a screen; not with --json.",
-    ),
-]
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _STATUS_INTERVAL_S = 0.5
 _VIEW_INTERVAL_S = 0.1
@@ -65,9 +47,17 @@ class _Lab(NamedTuple):
 
 def lab(
     port: Port = None,
-    config: Config = None,
+    config: Annotated[
+        Path | None, option("--config TOML", "Configuration file, in place of the installed files.")
+    ] = None,
     rig: RigId = "1",
-    page: Page = True,
+    page: Annotated[
+        bool,
+        option(
+            "--dashboard/--no-dashboard",
+            "Also serve the dashboard, and open it if there is a screen; not with --json.",
+        ),
+    ] = True,
     json: Json = False,
 ) -> None:
     """Start a rig with its daemon, and show it live until Ctrl-C.
@@ -105,8 +95,6 @@ def lab(
 @contextmanager
 def _page(rig: str) -> Iterator[str]:
     """Serve the dashboard, and open it in a browser if there is a screen."""
-    import webbrowser
-
     from armrig.dashboard.serving import Settings, dashboard
 
     with dashboard(Settings(rig=rig)) as served:
@@ -187,7 +175,6 @@ def _between_words(text: str, columns: int) -> str:
 
 
 def _headed(text: Text) -> Text:
-    """Return the text with its first line in bold."""
     if takes_styles():
         text.stylize("bold", 0, len(text.plain.partition("\n")[0]))
     return text
@@ -240,39 +227,15 @@ def dashboard(
         inform("starting the dashboard …", dim=True)
     # `until_signal` only notes the first Ctrl-C, and the imports take seconds on a busy machine.
     has_loaded = end_at_ctrl_c("armrig")
-    import armrig.dashboard.serving  # noqa: F401 - used by `_serve`
+    import armrig.dashboard.serving  # noqa: F401 - used below
 
     has_loaded()
-    with until_signal() as ended:
-        _serve(
-            *(ended, rig, connect, port),
-            browser=browser,
-            share=share,
-            for_foxglove=for_foxglove,
-            json=json,
-        )
+    with until_signal() as ended, ExitStack() as opened:
+        from armrig.dashboard.serving import Settings
+        from armrig.dashboard.serving import dashboard as serving
+        from armrig.dashboard.share import own_address
 
-
-def _serve(
-    ended: SignalPipe,
-    rig: str,
-    connect: str | None,
-    port: int | None,
-    *,
-    browser: bool,
-    share: bool,
-    for_foxglove: bool,
-    json: bool,
-) -> None:
-    """Serve the dashboard until the process receives a signal."""
-    import webbrowser
-
-    from armrig.dashboard.serving import Settings
-    from armrig.dashboard.serving import dashboard as serving
-    from armrig.dashboard.share import own_address
-
-    address = own_address() if share else None
-    with ExitStack() as opened:
+        address = own_address() if share else None
         settings = Settings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))
         streams = layouts = ""

@@ -13,7 +13,8 @@ from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, argument, echo, inform, option, print_json, tell
+from armrig.cli.options import Json, argument, option
+from armrig.cli.printing import echo, fields_of, inform, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue, LeftOut
@@ -113,14 +114,11 @@ def ls(
 
 
 def _list_rigs(connect: str | None, *, json: bool) -> None:
-    """List the rigs that are alive."""
     from armrig.rig.status import live_rigs
 
     where, found = live_rigs(connect)
     if json:
-        rigs = [
-            {"rig": r.rig, "endpoint": r.endpoint, "status": r.status, "why": r.why} for r in found
-        ]
+        rigs = [fields_of(r, "rig endpoint status why") for r in found]
         print_json({"where": where, "rigs": rigs})
         return
     if not found:
@@ -193,7 +191,6 @@ def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
 
 
 def _names(left_out: Sequence[LeftOut]) -> str:
-    """Return the names of the first files, and the number of the others."""
     from armrig.recordings.recording_summary import shown_path
 
     named = ", ".join(shown_path(Path(left.path.name)) for left in left_out[:_MAX_NAMES])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.cli.options import fields_of
+from armrig.cli.printing import fields_of
 from armrig.cli.recorded_data import source_facts
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.equation import (
@@ -272,16 +272,18 @@ def model_facts(fit: Fit) -> dict[str, Any]:
         **fields_of(fit, "structure orders integrator Ts"),
         "parameters": _parameters(fit),
         **fields_of(fit, "noise_variance loss fpe aic mdl fit_percent"),
-        "p_white": fit.whiteness,
-        "whiteness_test": fit.whiteness_test,
+        **_whiteness(fit),
         **shared,
         "N": fit.N,
         "answers": fit.summary().facts(),
     }
     if fit.canonical_correlations.size:
-        facts["canonical_correlations"] = fit.canonical_correlations.tolist()
-        facts["suggested_order"] = fit.suggested_order
+        facts |= fields_of(fit, "canonical_correlations suggested_order")
     return facts
+
+
+def _whiteness(found: Fit | ResidualTest) -> dict[str, Any]:
+    return {"p_white": found.whiteness, "whiteness_test": found.whiteness_test}
 
 
 def _facts_of_each(fit: Fit) -> dict[str, Any]:
@@ -292,13 +294,13 @@ def _facts_of_each(fit: Fit) -> dict[str, Any]:
         "orders": fit.specification or fit.orders,
         "integrator": list(fit.form.integrators),
         **fields_of(fit, "shared inputs outputs Ts"),
-        "noise_covariance": fit.noise_covariance.tolist(),
+        "noise_covariance": fit.noise_covariance,
         **{name: [getattr(q, name) for q in fit.quality] for name in ("loss", "fit_percent", "N")},
         "p_white": [q.white.p_value for q in fit.quality],
         "whiteness_test": [q.white.test for q in fit.quality],
         "poles": [
-            {"real": z.real, "imag": z.imag, "std": float(std)}
-            for z, std in zip(poles.values.tolist(), poles.std, strict=True)
+            {"real": z.real, "imag": z.imag, "std": std}
+            for z, std in zip(poles.values, poles.std, strict=True)
         ],
         "channels": [
             {
@@ -313,11 +315,8 @@ def _facts_of_each(fit: Fit) -> dict[str, Any]:
 
 
 def _parameters(channel: Fit) -> dict[str, dict[str, float]]:
-    """Return the parameters of a channel with their standard deviations, by their names."""
     rows = zip(channel.names, channel.theta, channel.std, channel.std_robust, strict=True)
-    return {
-        name: {"value": float(v), "std": float(s), "std_robust": float(r)} for name, v, s, r in rows
-    }
+    return {name: {"value": v, "std": s, "std_robust": r} for name, v, s, r in rows}
 
 
 def error_facts(
@@ -341,8 +340,7 @@ def residual_facts(
         | {"on_estimation_data": rows[0].on_estimation_data}
         | error_facts(rows)
         | {
-            "p_white": tests.whiteness,
-            "whiteness_test": tests.whiteness_test,
+            **_whiteness(tests),
             "p_no_dynamics_missing": tests.missing_dynamics,
             "p_no_feedback": tests.feedback,
             "no_power": tests.powerless,
@@ -357,8 +355,8 @@ def residual_facts(
             {
                 "input": input,
                 "output": output,
-                "p_no_dynamics_missing": float(tests.missing_dynamics_by_pair[i, j]),
-                "p_no_feedback": float(tests.feedback_by_pair[i, j]),
+                "p_no_dynamics_missing": tests.missing_dynamics_by_pair[i, j],
+                "p_no_feedback": tests.feedback_by_pair[i, j],
             }
             for i, output in enumerate(tests.outputs)
             for j, input in enumerate(tests.inputs)

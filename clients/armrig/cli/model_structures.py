@@ -40,14 +40,9 @@ _WAY_OUT = {
 def estimation_options(
     *, structure: OfferedName | None = None, nk: int | None = None, without_nk: str = ""
 ) -> Group:
-    """Return the options of an estimation as a group.
+    """Return the options of an estimation as a group, with the defaults of structure and nk.
 
-    Parameters
-    ----------
-    structure, nk : optional
-        Defaults of the options.
-    without_nk : str
-        Text for the default of nk in the help, if `nk` is None.
+    `without_nk` is the text for the default of nk in the help, if `nk` is None.
     """
     searches = structure is None
     what = "Model structure" + "; required without --search" * searches
@@ -68,7 +63,6 @@ def estimation_options(
 
 
 def _order(name: str) -> Any:
-    """Return the option of an order."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:

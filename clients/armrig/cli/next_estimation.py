@@ -148,24 +148,9 @@ def options_after(
 ) -> str:
     """Return the options with which `armrig identify` follows the advice about a channel's model.
 
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    request : Request
-        Request with which the model can be estimated again.
-    about : set of str
-        Names of the findings to act on.
-    searched : bool
-        True if a search chose the model; another search would not improve its residuals.
-    detrended : bool
-        True if the means of the data were subtracted.
-
-    Returns
-    -------
-    str
-        The options of the next estimation. If no finding requires action, the result contains the
-        options of the request. If the data must be tested first, the result is `CHECK`.
+    If no finding of `about` requires action, the result contains the options of the request. If the
+    data must be tested first, the result is `CHECK`. If a search chose the model (`searched`),
+    another search would not improve its residuals. `detrended` data are without their means.
     """
     kind = STRUCTURES[fit.structure]
     orders = fit.orders

@@ -208,14 +208,10 @@ def estimation_of(path: Path) -> str:
         return ""
     from armrig.recordings.recording_summary import summary_of
 
-    of = summary_of(path).validation_of
-    return _named(f"@{of}") if of else ""
-
-
-def _named(text: str) -> str:
-    """Return the short name of the recording with this id; if there is none, return the id."""
-    found = _chosen(text)
-    return typed(found.path) if found else text
+    if not (of := summary_of(path).validation_of):
+        return ""
+    found = _chosen(f"@{of}")  # without such a recording, the id is its name
+    return typed(found.path) if found else f"@{of}"
 
 
 def _chosen(text: str, folder: Path | None = None) -> RecordingSummary | None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from armrig.cli.options import option, tell
+from armrig.cli.options import option
+from armrig.cli.printing import tell
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -37,36 +38,22 @@ def _explained_amplitude(volts: float) -> float:
     return volts
 
 
-def of_changes(note: str = "") -> Any:
-    """Return the option --set, with a note at the end of its help."""
-    return option(
-        "--set NAME=VALUE",
-        f"Value of {PARAMETERS}, in SI units; repeatable{note}.",
-        callback=_doubted,
-    )
-
-
-def of_amplitude(note: str = "") -> Any:
-    """Return the option --amplitude, with a note at the end of its help."""
-    return option(
-        "--amplitude",
-        f"Amplitude of the simulated sinusoid, in V{note}.",
-        callback=_explained_amplitude,
-    )
-
-
-def of_omega(note: str = "") -> Any:
-    """Return the option --omega, with a note at the end of its help."""
-    return option("--omega", f"Angular frequency of the sinusoid, in rad/s{note}.")
-
-
 PARAMETERS = "J_1, J_2, N, K_lin, R_m, K_m or b_1"
 """Names of the parameters of `ArmParameters` for the help, which must not import numpy."""
-Given = Annotated[list[str] | None, of_changes()]
 AMPLITUDE_V, OMEGA = 2.5, 10.0
 """Amplitude in V and frequency in rad/s of the sinusoid of handout part 4."""
-Amplitude = Annotated[float, of_amplitude()]
-Omega = Annotated[float, of_omega()]
+OF_CHANGES = option(
+    "--set NAME=VALUE", f"Value of {PARAMETERS}, in SI units; repeatable.", callback=_doubted
+)
+OF_AMPLITUDE = option(
+    "--amplitude",
+    "Amplitude of the simulated sinusoid, in V.",
+    callback=_explained_amplitude,
+)
+OF_OMEGA = option("--omega", "Angular frequency of the sinusoid, in rad/s.")
+Given = Annotated[list[str] | None, OF_CHANGES]
+Amplitude = Annotated[float, OF_AMPLITUDE]
+Omega = Annotated[float, OF_OMEGA]
 _WITH_UNIT = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d,.\s]")
 _MAX_RATIO = 100.0
 """Ratio of a parameter to the handout's value, or the inverse, above which a note is printed."""

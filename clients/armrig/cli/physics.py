@@ -12,8 +12,9 @@ from armrig_core.telemetry import THETA_1, ChannelName
 
 from armrig.cli.columns import chosen_outputs
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import argument, echo, fields_of, group, option, say, say_answer, say_more
+from armrig.cli.options import argument, group, option
 from armrig.cli.parameters import PARAMETERS, Given, cases, parameters, physics_beside
+from armrig.cli.printing import echo, fields_of, say, say_answer, say_more
 from armrig.cli.reading_options import File, recording_path
 from armrig.cli.recorded_data import Part
 from armrig.cli.results import Output, Shown
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
-    from armrig.physics.step_response import Characteristics
     from armrig.recordings.recording import Recording
 
 Rig = Literal["chassis", "arm"]
@@ -168,9 +168,7 @@ def split(
 
 def _split_facts(study: SplitStudy) -> dict[str, Any]:
     splits = [
-        {"parts": s.k}
-        | {name: getattr(s, name).tolist() for name in ("N", "values", "std")}
-        | fields_of(s, "pooled scaled_std chi2 p_value")
+        {"parts": s.k} | fields_of(s, "N values std pooled scaled_std chi2 p_value")
         for s in study.splits
     ]
     return {"parameter": study.parameter, "splits": splits, "exponent": study.exponent}
@@ -240,17 +238,11 @@ def _simulate_step(compared: dict[str, ArmParameters], out: Output) -> None:
             say_more("the meaning of each number")
 
     out.show(
-        facts=lambda: fields_of(found, "steady_speed initial_slope rigid_slope") | roots(found),
+        facts=lambda: fields_of(found, "steady_speed initial_slope rigid_slope poles zeros"),
         say=say_step,
         figures=lambda: {"step": partial(plot_physical_step, compared)},
         say_next=lambda: say_next("simulate"),
     )
-
-
-def roots(found: Characteristics) -> dict[str, list[list[float]]]:
-    """Return poles and zeros as JSON fields."""
-    each = {"poles": found.poles, "zeros": found.zeros}
-    return {name: [[z.real, z.imag] for z in of.tolist()] for name, of in each.items()}
 
 
 def _rig(recording: Recording, model: Rig | None) -> tuple[Rig, Any]:

@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 
 from armrig_core.recording_file.part_names import part_paths
 
-from armrig.cli.options import CalibrationFile, Detrend, From, To, argument, inform, option
+from armrig.cli.options import CalibrationFile, Detrend, From, To, argument, option
+from armrig.cli.printing import inform
 from armrig.data.files import OTHER_DATA, RECORDING
 
 _NAMES = "@last or @NAME"

@@ -15,53 +15,40 @@ from armrig_core.errors import InputError, OperationError
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.next_step import naming, say_next, typed
-from armrig.cli.options import (
-    From,
-    Json,
-    To,
-    echo,
-    fields_of,
-    inform,
-    option,
-    print_json,
-    tell,
-    tell_error,
-)
+from armrig.cli.options import From, Json, To, option
+from armrig.cli.printing import echo, fields_of, inform, print_json, tell, tell_error
 from armrig.cli.reading_options import File
 
 if TYPE_CHECKING:
     from armrig.rig.playback import PublishedRun
     from armrig.rig.remote_recording import RemoteRecording
 
-Source = Annotated[
-    str | None,
-    option(
-        "--from --connect ENDPOINT",
-        "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
-        "[client] connect, or for one rig the daemon on this machine",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    option(
-        "-o FILE",
-        "File to write; for several rigs, folder for the files.",
-        "RIG-remote-TIME.mcap, here",
-    ),
-]
 Rigs = Annotated[list[str] | None, option("--rig", "Id of a rig; repeatable.", "1")]
 Every = Annotated[bool, option("--all", "Record every rig, including rigs that start later.")]
-Seconds = Annotated[
-    float | None, option("--seconds S", "Length of the recording, in s.", "until Ctrl-C")
-]
 
 
 def record(
-    source: Source = None,
+    source: Annotated[
+        str | None,
+        option(
+            "--from --connect ENDPOINT",
+            "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
+            "[client] connect, or for one rig the daemon on this machine",
+        ),
+    ] = None,
     rigs: Rigs = None,
     every: Every = False,
-    out: Out = None,
-    seconds: Seconds = None,
+    out: Annotated[
+        Path | None,
+        option(
+            "-o FILE",
+            "File to write; for several rigs, folder for the files.",
+            "RIG-remote-TIME.mcap, here",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None, option("--seconds S", "Length of the recording, in s.", "until Ctrl-C")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Record all that a rig publishes, until Ctrl-C.
@@ -281,7 +268,6 @@ def play(
 def _announce(
     run: PublishedRun, rig: str, where: str, speed: float, *, named: str | None, json: bool
 ) -> None:
-    """Print the recording and its endpoint."""
     if json:
         facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
         print_json({**facts, "seconds": run.seconds / speed})

@@ -23,9 +23,10 @@ from armrig.cli.columns import (
     require_as_many,
     tell_of_reading,
 )
-from armrig.cli.figures import name_runs
-from armrig.cli.options import Group, group, inform, tell, warned
+from armrig.cli.options import Group, group
+from armrig.cli.printing import inform, tell, warned
 from armrig.cli.reading_options import OPTIONS, PART, READING, Assumption, DataOptions
+from armrig.cli.results import name_runs
 from armrig.cli.spinner import spinner
 from armrig.data.files import OTHER_DATA
 
@@ -162,7 +163,6 @@ class SignalChoice(DataOptions):
         return self.of(file).signals().dataset()
 
     def _treated(self, file: Path, data: Dataset | Signals, model: Fit | None) -> Dataset | Signals:
-        """Return the data after --hampel and --detrend."""
         from armrig.data.treatment import detrend, hampel
 
         if _without_means(model) and not self.detrend:

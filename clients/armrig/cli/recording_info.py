@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from armrig.cli.figures import Plot, check_plot, name_runs, write_plot
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import (
-    CalibrationFile,
-    From,
-    Json,
-    To,
-    Verbose,
-    print_json,
-    print_table,
-)
+from armrig.cli.options import Json
+from armrig.cli.printing import print_json, print_table
 from armrig.cli.reading_options import File
+from armrig.cli.recorded_data import Part
+from armrig.cli.results import Draw, Shown, name_runs
 
 if TYPE_CHECKING:
     from armrig_core.manifest import Recovered
@@ -29,34 +23,31 @@ if TYPE_CHECKING:
 
 _MAX_GAPS, _MAX_NOTES = 3, 10  # lines without --verbose
 _MAX_TEXT = 1000  # characters
+TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 
-def info(
-    file: File,
-    calibration: CalibrationFile = None,
-    start: From = None,
-    stop: To = None,
-    json: Json = False,
-    verbose: Verbose = False,
-    plot: Plot = None,
-) -> None:
+def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
     from armrig.recordings.loading import load
 
-    check_plot(plot, [file])
-    recording = load(file, calibration, start=start, stop=stop)
+    out.check(file)
+    recording = load(file, part.calibration, start=part.start, stop=part.stop)
     name_runs(recording)
-    _plot_timing(recording, plot)
-    if json:
-        print_json(_recording_facts(recording))
-    else:
-        print_table(*_recording_rows(recording, verbose=verbose), verdict=True)
+
+    def say_next_command() -> None:
         if recording.N:
             say_next("info", file=typed(file))
 
+    out.show(
+        facts=lambda: _recording_facts(recording),
+        say=lambda: print_table(*_recording_rows(recording, verbose=out.verbose), verdict=True),
+        figures=lambda: timing_figures(recording),
+        say_next=say_next_command,
+        height=TIMING_HEIGHT,
+    )
+
 
 def _recording_facts(rec: Recording) -> dict[str, Any]:
-    """Return the contents of a recording as JSON fields."""
     from armrig.recordings.jitter import disturbances, sampling_statistics
     from armrig.recordings.usability import data_verdict, doubts_of_calibration
 
@@ -83,7 +74,6 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
 
 
 def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
-    """Yield the rows of `armrig info`: the name of a quantity and its value as text."""
     from armrig.recordings.daemon_reports import gap_lines
     from armrig.recordings.jitter import disturbances, sampling_statistics
     from armrig.recordings.usability import calibration_date, data_verdict, doubts_of_calibration
@@ -132,7 +122,6 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
 
 
 def _clipped(text: str) -> str:
-    """Return a text, cut to `_MAX_TEXT` characters if it is longer."""
     return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
 
 
@@ -174,9 +163,7 @@ def _microseconds(spread: Any, decimals: int) -> str:
 
 def _jitter(spread: Any) -> str:
     text = _microseconds(spread, 0)
-    return (
-        text if spread.n == 0 else f"{text}; spread of the sampling interval, by the device's clock"
-    )
+    return f"{text}; spread of the sampling interval, by the device's clock" if spread.n else text
 
 
 def _lateness(spread: Any, pacing: str) -> str:
@@ -188,17 +175,12 @@ def _lateness(spread: Any, pacing: str) -> str:
     return f"{text}; lateness of the host's request for each sample"
 
 
-def _plot_timing(recording: Any, path: Path | None) -> None:
-    if path is None:
-        return
+def timing_figures(recording: Recording) -> dict[str, Draw]:
+    """Return the functions that draw the jitter and the lateness of a recording."""
     from armrig.recordings.figures import plot_timing
 
-    write_plot(
-        path,
-        jitter=lambda ax: plot_timing(recording, quantity="jitter", ax=ax),
-        lateness=lambda ax: plot_timing(recording, quantity="lateness", ax=ax),
-        height=2.8,
-    )
+    draw = partial(plot_timing, recording)
+    return {"jitter": draw, "lateness": partial(draw, quantity="lateness")}
 
 
 def replay(file: File, json: Json = False) -> None:

@@ -102,7 +102,6 @@ def replay(path: str | Path) -> Replay:
 
 
 def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
-    """Yield the chunks of the core's steps in the files of a run."""
     return chain.from_iterable(streamed(path, "trace") for path in paths)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,28 +14,12 @@ from armrig_core.printable import printable
 from armrig_core.telemetry import OutputName
 
 from armrig.cli.columns import chosen_outputs
-from armrig.cli.figures import check_output
 from armrig.cli.next_step import REASONS, for_the_report, free_name, opener, say_next
-from armrig.cli.options import (
-    CalibrationFile,
-    Json,
-    ModelOrders,
-    argument,
-    echo,
-    inform,
-    option,
-    print_json,
-    tell,
-)
-from armrig.cli.parameters import (
-    AMPLITUDE_V,
-    OMEGA,
-    cases,
-    of_amplitude,
-    of_changes,
-    of_omega,
-)
+from armrig.cli.options import CalibrationFile, Json, ModelOrders, argument, noted, option
+from armrig.cli.parameters import AMPLITUDE_V, OF_AMPLITUDE, OF_CHANGES, OF_OMEGA, OMEGA, cases
+from armrig.cli.printing import echo, inform, print_json, tell
 from armrig.cli.reading_options import recording_path
+from armrig.cli.results import check_output
 from armrig.cli.spinner import estimating, spinner
 from armrig.data.finding import OWN_DATA
 
@@ -42,67 +27,55 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 
-Source = Annotated[
-    Path | None,
-    option(
-        "--source FOLDER",
-        "New folder for the Typst source and its figures; --from typesets this source.",
-    ),
-]
-Edited = Annotated[
-    Path | None, option("--from FOLDER", "Folder with a source to typeset, in place of recordings.")
-]
-Files = Annotated[
-    list[Path] | None, argument("F…", "Recordings (*.mcap) or their @names.", parser=recording_path)
-]
-Pdf = Annotated[Path, option("-o --output PDF", "PDF to write.")]
-Outputs = Annotated[
-    list[str] | None,
-    option(
-        "--signal NAME",
-        "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
-        "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
-        "theta_1",
-    ),
-]
-Force = Annotated[bool, option("--force", "Overwrite an existing PDF.")]
-Handout = Annotated[
-    bool,
-    option(
-        "--handout",
-        "Write a section for each assignment, at most ten pages in total. The recordings F… "
-        "are then optional.",
-    ),
-]
-Questions = Annotated[
-    Path | None,
-    option("--questions TOML", "New file for the handout's questions; no report is written."),
-]
-AnswersFile = Annotated[
-    Path | None,
-    option("--answers TOML", "File with names, registration numbers and reasons (--handout)."),
-]
-HandoutGiven = Annotated[list[str] | None, of_changes(" (--handout)")]
-HandoutAmplitude = Annotated[float, of_amplitude(" (--handout)")]
-HandoutOmega = Annotated[float, of_omega(" (--handout)")]
-
-
 def report(
     *,
-    files: Files = None,
-    output: Pdf = Path("report.pdf"),
-    signal: Outputs = None,
+    files: Annotated[
+        list[Path] | None,
+        argument("F…", "Recordings (*.mcap) or their @names.", parser=recording_path),
+    ] = None,
+    output: Annotated[Path, option("-o --output PDF", "PDF to write.")] = Path("report.pdf"),
+    signal: Annotated[
+        list[str] | None,
+        option(
+            "--signal NAME",
+            "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
+            "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
+            "theta_1",
+        ),
+    ] = None,
     orders: ModelOrders,
     calibration: CalibrationFile = None,
-    force: Force = False,
-    handout: Handout = False,
-    questions: Questions = None,
-    answers: AnswersFile = None,
-    given: HandoutGiven = None,
-    amplitude: HandoutAmplitude = AMPLITUDE_V,
-    omega: HandoutOmega = OMEGA,
-    source: Source = None,
-    edited: Edited = None,
+    force: Annotated[bool, option("--force", "Overwrite an existing PDF.")] = False,
+    handout: Annotated[
+        bool,
+        option(
+            "--handout",
+            "Write a section for each assignment, at most ten pages in total. The recordings F… "
+            "are then optional.",
+        ),
+    ] = False,
+    questions: Annotated[
+        Path | None,
+        option("--questions TOML", "New file for the handout's questions; no report is written."),
+    ] = None,
+    answers: Annotated[
+        Path | None,
+        option("--answers TOML", "File with names, registration numbers and reasons (--handout)."),
+    ] = None,
+    given: Annotated[list[str] | None, noted(OF_CHANGES, " (--handout)")] = None,
+    amplitude: Annotated[float, noted(OF_AMPLITUDE, " (--handout)")] = AMPLITUDE_V,
+    omega: Annotated[float, noted(OF_OMEGA, " (--handout)")] = OMEGA,
+    source: Annotated[
+        Path | None,
+        option(
+            "--source FOLDER",
+            "New folder for the Typst source and its figures; --from typesets this source.",
+        ),
+    ] = None,
+    edited: Annotated[
+        Path | None,
+        option("--from FOLDER", "Folder with a source to typeset, in place of recordings."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Typeset a report as a PDF.
@@ -138,22 +111,13 @@ def report(
         _typeset_source(edited, output)
     else:
         if handout:
-            recordings = _report_handout(
-                files,
-                output,
-                calibration,
-                answers,
-                source,
-                orders=orders,
-                cases=cases(given) if given else None,
-                amplitude=amplitude,
-                omega=omega,
-            )
+            problem: dict[str, Any] = {"amplitude": amplitude, "omega": omega, "orders": orders}
+            problem["cases"] = cases(given) if given else None
+            recordings, typeset = _handout(files, calibration, answers, **problem)
         else:
-            outputs = chosen_outputs(signal)
-            recordings = _report_study(
-                files, output, calibration, source, orders=orders, outputs=outputs
-            )
+            recordings, typeset = _study(files, calibration, orders, chosen_outputs(signal))
+        with spinner("typesetting"):
+            typeset(output, source=source)
     if json:
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
@@ -178,7 +142,6 @@ def _say_next_answers(path: Path) -> None:
 
 
 def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:
-    """Refuse options that cannot be combined."""
     edited = given["edited"]
     if edited and (
         files or handout or any(given[x] for x in ("source", "answers", "set", "signal"))
@@ -203,7 +166,6 @@ def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object
 
 
 def _write_questions(path: Path) -> None:
-    """Write a file with the handout's questions."""
     from armrig.report.answers import questions_toml
 
     text = questions_toml(printable(quote(str(path))))
@@ -218,7 +180,6 @@ def _write_questions(path: Path) -> None:
 
 
 def _typeset_source(folder: Path, output: Path) -> None:
-    """Typeset the source that a folder contains."""
     from armrig.report.document import TEMPLATE, check_length
     from armrig.report.typesetting import compiled
 
@@ -235,16 +196,13 @@ def _typeset_source(folder: Path, output: Path) -> None:
     output.write_bytes(pdf)
 
 
-def _report_study(
+def _study(
     files: Sequence[Path],
-    output: Path,
     calibration: Path | None,
-    source: Path | None,
-    *,
     orders: dict[str, Any],
     outputs: Sequence[OutputName],
-) -> list[Recording]:
-    """Typeset a study of recordings."""
+) -> tuple[list[Recording], Callable[..., Any]]:
+    """Return the recordings, and the function that typesets a report on them."""
     from armrig.cli.recorded_data import loaded
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study
@@ -257,22 +215,18 @@ def _report_study(
     if done.validation.digest == done.estimation.digest:
         tell(OWN_DATA)
         remarks.append(f"{OWN_DATA[0].upper()}{OWN_DATA[1:]}.")
-    with spinner("typesetting"):
-        typeset(done, output, remarks=remarks, source=source)
-    return recordings
+    return recordings, partial(typeset, done, remarks=remarks)
 
 
-def _report_handout(
+def _handout(
     files: Sequence[Path],
-    output: Path,
     calibration: Path | None,
     answers: Path | None,
-    source: Path | None,
     *,
     orders: dict[str, Any],
     **problem: Any,
-) -> list[Recording]:
-    """Typeset the handout's report from the given recordings."""
+) -> tuple[list[Recording], Callable[..., Any]]:
+    """Return the recordings, and the function that typesets the handout's report."""
     from armrig.cli.recorded_data import loaded
     from armrig.recordings.usability import different_calibrations
     from armrig.report.answers import Answers, read_answers
@@ -286,9 +240,7 @@ def _report_handout(
         tell(text.removesuffix("."))
     with estimating("na, nb and nf"):
         done = handout_study(recordings, orders=Orders(**orders), **problem)
-    with spinner("typesetting"):
-        handout_report(done, output, answers=said, source=source)
-    return recordings
+    return recordings, partial(handout_report, done, answers=said)
 
 
 def _report_ignored(recordings: Sequence[Recording]) -> None:

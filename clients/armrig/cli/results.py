@@ -1,14 +1,179 @@
-"""The form of a command's result: text or JSON, a figure, and the next command."""
+"""Results of commands: text or JSON, figures, and the next command."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from armrig.cli.figures import HEIGHT, WIDTH, Draw, Plot, check_plot, write_plot
-from armrig.cli.options import Json, Verbose, group, print_json
+from armrig_core.errors import InputError
+
+from armrig.cli.options import Json, Verbose, group, option
+from armrig.cli.printing import inform, print_json
+from armrig.cli.spinner import spinner
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from armrig.recordings.recording import Recording
+
+
+Draw = Callable[..., Any]
+"""Function that draws into its argument `ax`."""
+_EACH = "*"  # placeholder for the subject in the names of files in a folder
+HEIGHT = 3.6
+"""Height of a diagram, in inches."""
+WIDTH = 6.3
+"""Width of the text of an A4 page, in inches."""
+_HEIGHT = 8.0  # in inches, of a screen
+_DPI = 200
+_RUNS: dict[str, str] = {}
+"""Run id of each recording that the command read, by the recording's hash."""
+_ESTIMATION: dict[Path, str] = {}
+"""Run ids of estimation recordings, by path; validation recordings that were read name them."""
+_MCAP = b"\x89MCAP0\r\n"
+
+
+def name_runs(*recordings: Recording) -> None:
+    """Store the run ids of recordings; figures of the command show these ids, as `armrig ls` does.
+
+    For a validation recording, the id of the estimation run is also stored if the estimation
+    recording is in the same folder.
+    """
+    for r in recordings:
+        _RUNS[r.sha256] = r.manifest.run_id
+        of = str(r.manifest.details.get("validation_of", ""))
+        if of.isalnum():
+            _ESTIMATION.update((path, of) for path in r.path.parent.glob(f"*-{of}.mcap"))
+
+
+def _runs() -> dict[str, str]:
+    """Return the run id of each recording by the recording's hash; figures show these ids."""
+    from hashlib import file_digest
+
+    runs = dict(_RUNS)
+    for path, of in _ESTIMATION.items():
+        with suppress(OSError), path.open("rb") as file:
+            runs[file_digest(file, "sha256").hexdigest()] = of
+    return runs
+
+
+def figure_path(text: str | Path) -> Path:
+    """Return the path of a figure: FOLDER/*.png for a folder or a text that ends with "/"."""
+    path = Path(text)
+    return path / f"{_EACH}.png" if str(text).endswith("/") or path.is_dir() else path
+
+
+FIGURE_HELP = "Figure to write (such as .png, .pdf, .svg); FOLDER/ gets a .png for each diagram."
+Plot = Annotated[Path | None, option("-o --plot FIGURE", FIGURE_HELP, parser=figure_path)]
+
+
+def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
+    """Refuse, before a command's work, a figure that cannot or must not be written."""
+    if path is None:
+        return
+    folder = path.parent
+    if path.stem != _EACH:
+        check_output(path, inputs)
+    elif folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}/: is a file; give a folder, or leave out the /")
+    elif not folder.is_dir():
+        check_output(folder, ())
+    check_figure(path)
+
+
+def check_figure(path: Path) -> None:
+    """Refuse a suffix that is not a format of figures."""
+    from matplotlib.figure import Figure
+
+    kinds = Figure().canvas.get_supported_filetypes()
+    if path.suffix.lower().removeprefix(".") not in kinds:
+        raise InputError(f"{path}: the name of a figure ends in one of {', '.join(sorted(kinds))}")
+
+
+def write_plot(
+    path: Path | None, width: float = WIDTH, /, *, height: float = HEIGHT, **draw: Draw
+) -> list[Path]:
+    """Write a figure with axes for each subject, print its path, and return the files.
+
+    The path is from `figure_path`; in a folder, each subject has its own file. An existing figure
+    is replaced, and a message names it. `draw` are the functions that draw a subject into `ax`, by
+    the subject's name. The axes of a subject have a width and a height in inches.
+    """
+    if path is None:
+        return []
+    from armrig.plots.captions import named_by_run
+    from armrig.plots.layout import save
+
+    figures = {path: list(draw.values())}
+    if path.stem == _EACH:
+        path.parent.mkdir(exist_ok=True)
+        names = (subject.replace("_", "-") for subject in draw)
+        figures = {
+            path.with_stem(name): [one] for name, one in zip(names, draw.values(), strict=True)
+        }
+        for file in figures:
+            check_output(file, ())
+    replaced = [str(file) for file in figures if file.exists()]
+    with spinner("drawing"), named_by_run(_runs()):
+        for file, subjects in figures.items():
+            save(_drawn(subjects, height, width), file, dpi=_DPI)
+    said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"
+    inform(said + (f"; replaced: {', '.join(replaced)}" if replaced else ""), dim=True)
+    return list(figures)
+
+
+def _drawn(subjects: Sequence[Draw], height: float, width: float) -> Figure:
+    """Return a figure of all subjects, with enough columns to fit on a screen."""
+    from matplotlib.figure import Figure
+
+    columns = ceil(len(subjects) * height / (1.1 * _HEIGHT))
+    rows = ceil(len(subjects) / columns)
+    size = (width * columns, min(height * rows, _HEIGHT))
+    figure = Figure(figsize=size, layout="constrained")
+    places = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, one in zip(places, subjects, strict=False):
+        one(ax=ax)
+    for ax in places[len(subjects) :]:
+        ax.remove()
+    return figure
+
+
+def of_channel(subject: str, draw: Draw, channel: Sequence[str]) -> dict[str, Draw]:
+    """Return a subject's name and function; the panels of a channel show the channel's name."""
+    name = " to ".join(channel)
+
+    def drawing(*, ax: Axes) -> None:
+        draw(ax=ax)
+        ax.text(0.99, 0.95, name, transform=ax.transAxes, ha="right", va="top")
+
+    return {"_".join([subject, *name.split()]): drawing if channel else draw}
+
+
+def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
+    """Refuse, before a command's work, an output that cannot be written or would replace data."""
+    name = f"-o {path}" if suffix else str(path)
+    if path.is_dir():
+        example = path / ("report.pdf" if suffix else "timing.png")
+        raise InputError(f"{name}: is a directory; give a file, such as {example}")
+    if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
+        raise InputError(f"{name}: is an input file, which would be lost; give another name")
+    if path.is_file():
+        with path.open("rb") as file:
+            if file.read(len(_MCAP)) == _MCAP:
+                raise InputError(f"{name}: is a recording, which would be lost; give another name")
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"{name}: a report is a PDF; give a name that ends in {suffix}")
+    if not path.absolute().parent.is_dir():
+        if path.parent.exists():
+            msg = f"{name}: {path.parent} is a file; give an existing directory"
+        else:
+            msg = f"{name}: there is no directory {path.parent}; create it first"
+        raise InputError(msg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,20 +201,9 @@ class Output:
     ) -> None:
         """Print a result as text or JSON, write its files, and print the next command.
 
-        Parameters
-        ----------
-        facts : callable
-            Return the result as a value for JSON.
-        say : callable
-            Print the result as text.
-        figures : callable
-            Return the functions that draw the result, by the names of the diagrams.
-        say_next : callable, optional
-            Print the next command, after the text.
-        write : callable, optional
-            Write other files than the figure.
-        width, height : float
-            Size of each diagram, in inches.
+        `facts` returns the value for JSON, and `say` prints the text. `figures` returns the
+        functions that draw the diagrams, by name; each diagram has a width and a height in inches.
+        `write` writes other files. `say_next` prints the next command after a text.
         """
         if self.json:
             print_json(facts())

@@ -9,17 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
-from armrig.cli.options import (
-    Connect,
-    Json,
-    RigId,
-    argument,
-    echo,
-    option,
-    print_json,
-    print_table,
-    say,
-)
+from armrig.cli.options import Connect, Json, RigId, argument, option
+from armrig.cli.printing import echo, print_json, print_table, say
 
 if TYPE_CHECKING:
     from armrig.rig.client import Rig
@@ -156,10 +147,7 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
     if json:
         print_json({"rig": rig, "was_latched": was_latched})
         return
-    if was_latched:
-        echo(f"rig {rig} was reset")
-    else:
-        echo(f"rig {rig}: no fault is latched")
+    echo(f"rig {rig} was reset" if was_latched else f"rig {rig}: no fault is latched")
     _say_next("reset", rig, connect)
 
 
@@ -181,10 +169,9 @@ def note(
         is_recorded = opened.note(text, owner)
     if json:
         print_json({"rig": rig, "recorded": is_recorded})
-    elif is_recorded:
-        echo(f"rig {rig}: the note is in the recording")
-    else:
-        echo(f"rig {rig}: no run is being recorded, so the note is not in a recording")
+        return
+    missing = "no run is being recorded, so the note is not in a recording"
+    echo(f"rig {rig}: {'the note is in the recording' if is_recorded else missing}")
 
 
 def _say_next(after: str, rig: str, connect: str | None) -> None:

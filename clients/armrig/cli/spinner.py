@@ -26,15 +26,7 @@ Count = Callable[[int, int, str], None]
 def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
     """Show a spinner during an estimation, and suppress the warnings of libraries.
 
-    Parameters
-    ----------
-    orders : str
-        Names of the orders, for the message that they may be too high.
-
-    Raises
-    ------
-    InputError
-        A matrix of the estimation could not be decomposed.
+    If a matrix cannot be decomposed, the InputError names the `orders`, which may be too high.
     """
     import numpy as np
 

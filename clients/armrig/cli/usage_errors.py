@@ -54,7 +54,6 @@ def usage_error(err: Any, given: Sequence[str]) -> str:
 
 
 def _missing(parameter: Any) -> str:
-    """Return a message with the missing parameter and its meaning."""
     name = parameter.metavar
     if parameter.param_type_name == "option":
         name = " ".join(filter(None, (max(parameter.opts, key=len), name)))
@@ -70,7 +69,6 @@ def _example(ctx: Any) -> str:
 
 
 def _too_many(extra: str, ctx: Any) -> str:
-    """Return a message with the superfluous arguments and the arguments of the command."""
     arguments = [p for p in ctx.command.params if p.param_type_name == "argument"]
     if part_number(Path(extra)):
         run = f"{extra.partition(PART)[0]}{RECORDING}"
@@ -84,7 +82,6 @@ def _too_many(extra: str, ctx: Any) -> str:
 
 
 def _no_option(err: Any, given: Sequence[str]) -> str:
-    """Return a message that an option does not exist, with the most similar options."""
     name = err.option_name
     whole = next((text for text in given if text.startswith(name)), name)
     if not name.startswith("--") and len(whole) > 2:
@@ -96,7 +93,6 @@ def _no_option(err: Any, given: Sequence[str]) -> str:
 
 
 def _near(name: str, err: Any) -> list[str]:
-    """Return the options that a wrong name may mean."""
     if name in _TO_WRITE:
         written = [p for p in err.ctx.command.params if "-o" in p.opts]
         return [f"-o {p.metavar or 'FILE'}" for p in written]
@@ -109,7 +105,6 @@ def _alike(a: str, b: str) -> float:
 
 
 def _no_command(name: str, message: str) -> str:
-    """Return a message that a command does not exist, with the most similar commands."""
     if name in _ELSEWHERE:
         return f"no such command '{name}'; {_ELSEWHERE[name]}"
     if PurePath(name).suffix in _FILES or name.startswith("@"):

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.cli.figures import HEIGHT, WIDTH, Draw
 from armrig.cli.next_estimation import after_validate
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import ModelOrders, echo, inform, option, say, say_answer, say_more
+from armrig.cli.options import ModelOrders, option
 from armrig.cli.parameters import Given, physics_beside
+from armrig.cli.printing import echo, inform, say, say_answer, say_more
 from armrig.cli.reading_options import DataFile, File, OtherFile
 from armrig.cli.recorded_data import (
     Part,
@@ -22,7 +22,7 @@ from armrig.cli.recorded_data import (
     spectral_beside,
     warn_of_estimation_data,
 )
-from armrig.cli.results import ShownFigure
+from armrig.cli.results import HEIGHT, WIDTH, Draw, ShownFigure
 from armrig.cli.spinner import estimating
 from armrig.numerics.quantities import listed, plural
 
@@ -332,5 +332,5 @@ def row_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
     return facts | {
         "of_rate": t.integrating,
         "figures": {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()},
-        "poles": [[z.real, z.imag] for z in t.poles.tolist()],
+        "poles": t.poles,
     }

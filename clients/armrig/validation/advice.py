@@ -92,6 +92,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 
     Examples
     --------
+    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> print(armrig.advice(armrig.oe(data, nb=3, nf=3)))
     advice on OE[3 3 1] of alpha: nothing to act on

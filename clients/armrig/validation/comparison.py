@@ -220,6 +220,7 @@ def compare(
 
     Examples
     --------
+    >>> import armrig
     >>> first, second = armrig.example_recording().dataset("alpha").split(2)
     >>> models = armrig.oe(first, nb=3, nf=3), armrig.arx(first, na=3, nb=3)
     >>> print(armrig.compare(second, *models))

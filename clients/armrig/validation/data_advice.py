@@ -158,8 +158,10 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
     if isinstance(late, str):
         yield from _about_delay(known)
     elif not late.interval[0] <= fit.nk <= late.interval[1]:
-        text = f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: "
-        yield finding("delay", f"{text}use nk={late.nk}", good=False)
+        text = (
+            f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: use nk={late.nk}"
+        )
+        yield finding("delay", text, good=False)
 
 
 def _excitation(data: Dataset) -> int:
@@ -232,11 +234,12 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
     loop = known.loop
     if loop is None:
         return
+    if loop.feedback is None:
+        yield finding("feedback", f"not tested: {'; '.join(loop.remarks)}", good=True)
+        return
     p = f"p {p_relation(loop.p_value)}"
     if not loop.feedback:
-        untested = f"not tested: {'; '.join(loop.remarks)}"
-        text = untested if loop.feedback is None else f"none is found ({p})"
-        yield finding("feedback", text, good=True)
+        yield finding("feedback", f"none is found ({p})", good=True)
         return
     text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use "
     text += "ARMAX or BJ with nk >= 1, or record in open loop"
@@ -244,8 +247,9 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
         text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
         text += "take nk=1"
     if loop.p_value >= _MIN_CHANCE_P:
-        text += f". By chance one open-loop recording in {1 / loop.level:.0f} has "
-        text += f"p < {loop.level:g}"
+        text += (
+            f". By chance one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
+        )
     yield finding("feedback", text, good=False)
 
 
@@ -253,13 +257,14 @@ def _about_delay(known: Tested) -> Iterator[Finding]:
     late = known.late
     if isinstance(late, str):
         yield finding("delay", f"not found: {late}", good=False)
+    elif late.delay > 0:
+        late_by = times(late.delay * late.Ts).replace(" ", NBSP)
+        text = (
+            f"u acts first at lag {late.nk}, {plural(late.delay, 'sample')} ({late_by}) later than "
+        )
+        yield finding("delay", text + f"without a delay: estimate with nk={late.nk}", good=True)
     else:
-        text = "none is seen"
-        if late.delay > 0:
-            late_by = times(late.delay * late.Ts).replace(" ", NBSP)
-            text = f"u acts first at lag {late.nk}, {plural(late.delay, 'sample')} ({late_by}) "
-            text += "later than without a delay"
-        yield finding("delay", f"{text}: estimate with nk={late.nk}", good=True)
+        yield finding("delay", f"none is seen: estimate with nk={late.nk}", good=True)
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:

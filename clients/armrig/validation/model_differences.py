@@ -69,17 +69,12 @@ def table(rows: Sequence[Comparison], *, brief: bool) -> list[str]:
 
 def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
     """Return the meaning of a star in the table, and the number of rejected draws."""
-    poles = {name: (t.poles_sampled & (t.poles_std > 0)).any() for name, t in figures.items()}
-    marked = {
-        name: t
-        for name, t in figures.items()
-        if t.draws is not None and (poles[name] or any(_by_draws(t, of) for of in SCALARS))
-    }
+    marked = {name: t for name, t in figures.items() if t.draws is not None and _poor(t)}
     if not marked:
         return []
     of = " and ".join(marked)
     lines = [f"  * linearisation poor ({of}): 95 % of {DRAWS} draws of the parameters"]
-    if any(poles[name] for name in marked):
+    if any((t.poles_sampled & (t.poles_std > 0)).any() for t in marked.values()):
         lines.append("    the σ of a pole cannot be trusted: fit.summary() prints its range")
     lines += [
         f"    {name}: {t.draws.left_out}, left out"
@@ -87,6 +82,11 @@ def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
         if t.draws is not None and t.draws.left_out
     ]
     return lines
+
+
+def _poor(t: ModelCharacteristics) -> bool:
+    figures = any(_by_draws(t, name) for name in SCALARS)
+    return figures or bool((t.poles_sampled & (t.poles_std > 0)).any())
 
 
 def _by_draws(t: ModelCharacteristics, name: str) -> bool:

@@ -134,6 +134,7 @@ def search(
 
     Examples
     --------
+    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
     >>> found.fit.heading

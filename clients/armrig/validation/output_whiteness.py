@@ -44,11 +44,12 @@ def _white(
 ) -> Whiteness:
     """Test whether w = T e, which has m outputs with covariance 1, is white.
 
-    The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. For known parameters, the
+    The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. If the parameters are known, the
     variance of a sum is the number of its products. The estimation changes cov e from Lambda to
-    Lambda - B D^T - D B^T (`Projection.loss`), which shifts the means of the sums. The influence
-    H = (1 - P)^T Z reduces their covariance. For one output the test equals
-    `armrig.numerics.whiteness.portmanteau`, which is quicker.
+    Lambda - B D^T - D B^T. B and D follow from the projection P on the estimated quantities. The
+    last two terms shift the means of the sums, and the influence H = (1 - P)^T Z reduces the
+    covariance of the sums. For one output the test equals `armrig.numerics.whiteness.portmanteau`,
+    which is quicker.
     """
     parts = projected.parts
     m = T.shape[0]

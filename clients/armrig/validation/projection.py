@@ -150,8 +150,8 @@ def _stacked(X: Array) -> Array:
 class Projection:
     """P = B B^T W, the projection on the estimated quantities with the weights W = G^T G.
 
-    The residuals are e = (1 - P) v, with the noise v. The columns of B, with B^T W B = 1, are S of
-    each experiment, and T, the basis of the effects of the parameters.
+    The residuals are e = (1 - P) v, with the noise v. B is an orthonormal basis: B^T W B = 1. Its
+    columns are S of each experiment, and T, the basis of the effects of the parameters.
     """
 
     parts: Sequence[Part]

@@ -48,9 +48,13 @@ class PairTest:
 
     def __repr__(self) -> str:
         """Return the results of both tests."""
-        dynamics = _verdict(*_DYNAMICS, self.missing_dynamics)
-        feedback = _verdict(*_FEEDBACK, self.feedback)
-        return f"{self.input} to {self.output}\n  {dynamics}\n  {feedback}"
+        return "\n".join(
+            [
+                f"{self.input} to {self.output}",
+                f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
+                f"  {_verdict(*_FEEDBACK, self.feedback)}",
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -89,25 +93,28 @@ class ResidualTest:
     """Half width 2.58 sqrt(P / (N R_e(0) R_u(0))) of the 99 % band, (ny, nu), if the parameters are
     exactly known. `residuals` defines P."""
     cross_std: Array
-    """Standard deviation of `cross_correlation`, with the effect of the estimated parameters."""
+    """Standard deviation of `cross_correlation`, including the effect of the estimated
+    parameters."""
     missing_dynamics_by_pair: Array
-    """`missing_dynamics` of each output and input, (ny, nu)."""
+    """For each output and input, the p value of the hypothesis that past and present input, lags
+    0 … L, are uncorrelated with the residuals, (ny, nu)."""
     feedback_by_pair: Array
-    """`feedback` of each output and input, (ny, nu)."""
+    """For each output and input, the p value of the hypothesis that future input, lags -L … -1, is
+    uncorrelated with the residuals, (ny, nu)."""
     missing_dynamics: float
-    """p value of the hypothesis that no past or present input, lags 0 … L, is correlated with any
-    residual."""
+    """p value of the hypothesis that no past or present input is correlated with any residual."""
     feedback: float
-    """p value of the hypothesis that no future input, lags -L … -1, is correlated with any
-    residual."""
+    """p value of the hypothesis that no future input is correlated with any residual."""
     allowance: float
-    """Factor by which the parameters' uncertainty widens a typical band of `cross_correlation`."""
+    """Factor by which the parameters' uncertainty widens the band of a typical
+    cross-correlation."""
     on_estimation_data: bool
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
     """Hash of the recording, or ""."""
     findings: tuple[EstimateFinding, ...] = ()
-    """Warnings, such as "overlap" if the model was also estimated from a part of these data."""
+    """Warnings, with the code "overlap" if the model was also estimated from a part of these data.
+    """
 
     @property
     def whiteness(self) -> float:
@@ -134,18 +141,8 @@ class ResidualTest:
 
     @property
     def powerless(self) -> str:
-        """Reason why the tests have no power, with a remedy; "" if they have power.
-
-        The tests on validation data allow for the uncertainty of the parameters. If it is huge, as
-        for a pole that is 1 within rounding errors, all residuals pass the tests.
-        """
-        if self.on_estimation_data or not self.allowance > _MOST_ALLOWED:
-            return ""
-        return (
-            "the deviations of the parameters widen the bands of the correlations by a factor "
-            f"of {self.allowance:.0f}, so these tests find nothing. Fix a pole near 1 "
-            "(option integrator), lower the orders, or record more data"
-        )
+        """Reason why the tests have no power, with a remedy; "" if they have power."""
+        return lack_of_power(self.allowance, on_estimation_data=self.on_estimation_data)
 
     def __getitem__(self, channel: tuple[str, str]) -> PairTest:
         """Return the tests of one output and input: tests["alpha", "u"].
@@ -236,3 +233,19 @@ def _verdict(good: str, bad: str, look: str, p: float) -> str:
     if p < WHITE_LEVEL:
         return f"{bad} (p {p_relation(p)}): look at the {look}"
     return f"{good} (p {p_relation(p)})"
+
+
+def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:
+    """Return the reason why the tests have no power, with a remedy; "" if they have power.
+
+    The tests on validation data allow for the uncertainty of the parameters. If this uncertainty is
+    huge, all residuals pass the tests. An example is the uncertainty of a pole that is 1 within
+    rounding errors.
+    """
+    if on_estimation_data or not allowance > _MOST_ALLOWED:
+        return ""
+    return (
+        "the deviations of the parameters widen the bands of the correlations by a factor "
+        f"of {allowance:.0f}, so these tests find nothing. Fix a pole near 1 "
+        "(option integrator), lower the orders, or record more data"
+    )

@@ -106,6 +106,7 @@ def residuals(
     --------
     A model of order 2 is too simple for these data.
 
+    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> for n in (2, 3):
     ...     test = armrig.residuals(armrig.oe(data, nb=n, nf=n), data)

@@ -52,7 +52,11 @@ class Candidate:
         return dict(self.orders)[STRUCTURES[self.family].poles]
 
     def request_for(self, data: Dataset | Signals) -> Request:
-        """Return the request that estimates the model; the slow replicates are not drawn."""
+        """Return the request that estimates the model from the data.
+
+        Unstable poles are reflected at |z| = 1 if the structure has this option. Replicates, which
+        cost a hundred estimates, are not drawn.
+        """
         row, columns = STRUCTURES[self.family], data.signals()
         one = (columns.ny, columns.nu) == (1, 1)
         orders = dict(self.orders)
@@ -121,8 +125,11 @@ class SearchResult:
 
     Examples
     --------
+    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
+    >>> found.fit.heading
+    'OE(nb=3, nf=3, nk=1)'
     >>> [scored.candidate.name for scored in found.ranked]
     ['OE[3 3 1]', 'OE[2 2 1]', 'ARX[3 3 1]', 'ARX[2 2 1]']
     >>> found.rms.round(3)
@@ -177,6 +184,7 @@ class SearchResult:
 
         Examples
         --------
+        >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> armrig.search(data, families=["arx", "oe"], orders=[2, 3]).plot()
         <Figure size ... with 1 Axes>
@@ -191,6 +199,7 @@ class SearchResult:
 
         Examples
         --------
+        >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).explain())
         - best simulation of the validation data: OE[3 3 1], rms error 0.0035... rad
@@ -210,6 +219,7 @@ class SearchResult:
 
         Examples
         --------
+        >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).table())
         4 models, simulated, ranked by their error on the second part of the data; the first ...
@@ -294,9 +304,12 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     for f in chosen.model.findings:
         if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.asks == "order":
             yield f.text
-    for first in found.failed[:1]:
-        count = len(found.failed)
-        yield f"without a usable model: {count}, such as {first.candidate.name}: {first.reason}"
+    if found.failed:
+        first = found.failed[0]
+        yield (
+            f"without a usable model: {len(found.failed)}, such as "
+            f"{first.candidate.name}: {first.reason}"
+        )
 
 
 def _about_tests(tests: ResidualTest) -> Iterator[str]:

@@ -193,6 +193,7 @@ def structure_hints(
 
     Examples
     --------
+    >>> import armrig
     >>> hints = armrig.structure_hints(armrig.example_recording().dataset("theta_1")[:400])
     >>> hints.structures[0]
     Recommended(nb=4, nf=4, nk=1, integrator=True)

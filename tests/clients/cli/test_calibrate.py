@@ -198,8 +198,7 @@ def test_calibrate_without_a_terminal_requires_yes(
 
 
 def _wanted(**changes: Any) -> _Wanted:
-    given: dict[str, Any] = {"readings": [], "levels": [2.0], "level_seconds": 1.0}
-    given |= {"rest_seconds": 3.0, "by_hand": False, "rest_file": None, "turns_file": None}
+    given: dict[str, Any] = {"volts": [2.0], "level_seconds": 1.0}
     return _Wanted(**given | changes)
 
 
@@ -224,7 +223,7 @@ def test_calibrate_does_not_request_readings_given_as_options() -> None:
         turns=lambda levels, s: done.append(f"{levels} {s:g} s"),
     )
 
-    measured = _measured(_wanted(readings=[(9, 1.5)]), ask, play)
+    measured = _measured(_wanted(meter=["9=1.5"]), ask, play)
 
     assert measured.readings == [(9, 1.5)]
     assert done == ["calibrate-rest", "[2.0] 1 s"]

@@ -16,7 +16,7 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.options import folded, tell
+from armrig.cli.printing import folded, tell
 from armrig.rig import status
 from armrig_core import telemetry
 
@@ -54,7 +54,7 @@ def test_a_stop_imports_only_what_it_needs(daemon: FakeDaemon, where: str) -> No
     assert heavy == "0 ['typer', 'zenoh']"
     assert {name.split(".")[1] for name in own.split()} == {"__main__", "cli", "rig"}
     assert {name for name in own.split() if ".cli." in name} == {
-        *("armrig.cli.options", "armrig.cli.rig")
+        *("armrig.cli.options", "armrig.cli.printing", "armrig.cli.rig")
     }
 
 

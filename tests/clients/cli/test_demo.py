@@ -184,7 +184,7 @@ def test_the_demonstration_continues_in_virtual_time(
     monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
     out, folder = StringIO(), tmp_path / "demo"
 
-    demo.demo(folder, seconds=5, console=Console(file=out, width=400))
+    demo.demo(folder, seconds=5, seed=1, console=Console(file=out, width=400))
 
     said = out.getvalue()
     assert "the demonstration goes on in virtual time" in said

@@ -11,7 +11,7 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.figures import name_runs, write_plot
+from armrig.cli.results import name_runs, write_plot
 from armrig.plots.captions import sign
 from armrig.report.answers import read_answers
 from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import armrig
 import pytest
-from armrig.cli import main, options, recording_info
+from armrig.cli import main, printing, recording_info
 from armrig.cli.parameters import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.arm import ArmParameters
@@ -67,7 +67,7 @@ def test_a_value_with_a_unit_prefix_is_converted_to_the_unit(
 def terminal(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Give a terminal, whose columns a test may set; 0: there is none."""
     terminal = SimpleNamespace(columns=0)
-    monkeypatch.setattr(options, "_columns", lambda _: terminal.columns)
+    monkeypatch.setattr(printing, "_columns", lambda _: terminal.columns)
     return terminal
 
 
@@ -75,7 +75,7 @@ def test_a_question_leaves_space_for_its_answer(terminal: SimpleNamespace) -> No
     text = "word " * 12
 
     for terminal.columns, widest in ((50, 34), (33, 17), (32, len(text)), (0, len(text))):
-        lines = options.question(text).split("\n")
+        lines = printing.question(text).split("\n")
 
         assert max(map(len, lines)) <= widest
         assert (len(lines) == 1) == (terminal.columns <= 32)
@@ -86,22 +86,22 @@ def test_an_action_requires_consent(
     typed: Callable[[str | None], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     typed("y\nn\n")
-    options.agree("first", yes=True)
-    options.agree("second", yes=False)
+    printing.agree("first", yes=True)
+    printing.agree("second", yes=False)
     with pytest.raises(OperationError, match="nothing was done"):
-        options.agree("third", yes=False)
+        printing.agree("third", yes=False)
     typed(None)
     with pytest.raises(OperationError, match="no terminal for the question: --yes agrees"):
-        options.agree("fourth", yes=False)
+        printing.agree("fourth", yes=False)
     assert capsys.readouterr().err == "second [y/N]:third [y/N]:"
 
 
 def test_values_of_a_table_are_aligned(
     terminal: SimpleNamespace, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options.print_table(("a", "first"), ("longer", "one two three"))
+    printing.print_table(("a", "first"), ("longer", "one two three"))
     terminal.columns = 18
-    options.print_table(("longer", "one two three"))
+    printing.print_table(("longer", "one two three"))
 
     assert capsys.readouterr().out.splitlines() == [
         *("a       first", "longer  one two three", "longer  one two", "        three"),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.cli.figures import write_plot
+from armrig.cli.results import write_plot
 from armrig.cli.spinner import MIN_WAIT_S, estimating, remaining, spinner
 from rich.console import Console
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.options import tell
+from armrig.cli.printing import tell
 from armrig.cli.spinner import spinner
 from armrig.rig.collection import bar
 from armrig_core.manifest import Outcome

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from armrig.cli import main
-from armrig.cli.options import folded
+from armrig.cli.printing import folded
 from armrig.lab import doctor
 from armrig.lab.doctor import examine, is_well
 from armrig.lab.host import Granted, Host, HostCheck, preemption, probe, recordings_directory

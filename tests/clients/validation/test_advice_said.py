@@ -15,7 +15,7 @@ from armrig.numerics.whiteness import Whiteness
 from armrig.validation import advice, data_advice
 from armrig.validation.data_advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
-from armrig.validation.residual_test import ResidualTest
+from armrig.validation.residual_test import ResidualTest, lack_of_power
 from armrig.validation.residuals import _possible
 from armrig_core.errors import InputError
 
@@ -211,7 +211,7 @@ def test_a_first_coefficient_within_its_robust_deviation_may_be_a_delay(
 def test_bands_ten_times_as_wide_have_no_power(
     allowance: float, own: bool, powerless: bool
 ) -> None:
-    said = signals_test(allowance=allowance, on_estimation_data=own).powerless
+    said = lack_of_power(allowance, on_estimation_data=own)
 
     assert bool(said) is powerless
     assert not said or "correlations by a factor of 10, so these tests find nothing" in said

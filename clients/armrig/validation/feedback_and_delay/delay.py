@@ -112,6 +112,7 @@ def delay(
 
     Examples
     --------
+    >>> import armrig
     >>> found = armrig.delay(armrig.example_recording().dataset("alpha"))
     >>> found.nk, found.delay, found.interval
     (1, 0, (1, 1))
@@ -167,7 +168,9 @@ class _LagZero:
     """Possible causes of a coefficient at lag 0: the rig's direct term, or a controller."""
 
     rig: bool
+    """True if the rig may cause the coefficient."""
     controller: bool
+    """True if a controller whose u(t) depends on y(t) may cause the coefficient."""
     remark: str = ""
     """Remark on the cause; "" without evidence of feedback."""
 

@@ -105,8 +105,16 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 def _stems(ax: Axes, lags: Array, g: Array, band: Array, share: str) -> None:
     """Show coefficients, and the band that contains a zero coefficient with probability `share`."""
-    label = f"{share} band of a coefficient that is 0"
-    ax.fill_between(lags, -band, band, step="mid", color=GREY, alpha=0.3, lw=0, label=label)
+    ax.fill_between(
+        lags,
+        -band,
+        band,
+        step="mid",
+        color=GREY,
+        alpha=0.3,
+        lw=0,
+        label=f"{share} band of a coefficient that is 0",
+    )
     ax.vlines(lags, 0, g, color=BLUE, lw=1.0)
     ax.plot(lags, g, "o", color=BLUE, ms=3.5)
     ax.axhline(0, color=INK, lw=0.6)

@@ -64,8 +64,8 @@ class LagTests:
     p_values: Vector
     """p values of H_k: b_first = … = b_k = 0, (n,)."""
     p_without_one: Vector
-    """Largest p value of H_k if any one row is left out, (n,). If u changes rarely, one large error
-    of y can look like an effect of u."""
+    """Largest p value of H_k if any one row is left out, (n,). If u changes rarely, a few rows
+    determine a coefficient, and one large error of y in these rows can look like an effect of u."""
     coefficient: Vector
     """b_k of the model that begins at lag k, (n,), in the unit of y per unit of u."""
     std: Vector
@@ -109,9 +109,10 @@ class LagTests:
         )
 
     def _as_smooth(self, k: int) -> float:
-        """Return the coefficient at lag k if the step response begins like s(j) = c (j - k + 1)^d.
+        """Return the coefficient at lag k if the response begins like s(j) = c (j - k + 1)^d.
 
-        d is the steepest slope of log s against log (j - k + 1) over the first significant lags.
+        s is the step response. d is the steepest slope of log s against log (j - k + 1) over the
+        first significant lags.
         """
         s = np.abs(np.cumsum(self.response[self.shown :])[: _ONSET + 1])
         if k == 0 or s.size < 2 or not np.all(s > 0):  # under a hold, no smooth onset begins at 0

@@ -34,11 +34,13 @@ class OpenLoop:
     """p value of Sims' test; H0: u(t), u(t + 1), … do not depend on y(t). NaN if the data do not
     decide."""
     level: float
-    """Level of the test: share of open-loop experiments in which it finds feedback by chance."""
+    """Level of the test: share of open-loop experiments in which the test finds feedback by
+    chance."""
     sims: Sims | None
     """Numbers of the test; None if the data do not decide."""
     exact: bool
-    """True if u(t) = a y(t) + b in every sample, as under a P controller."""
+    """True if u(t) = a y(t) + b in every sample, as under a P controller with a constant set
+    point."""
     remarks: tuple[str, ...]
     """Limits of the answer, or the reason why there is no answer."""
     few_levels: bool
@@ -176,6 +178,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
 
     Examples
     --------
+    >>> import armrig
     >>> test = armrig.open_loop(armrig.example_recording().dataset("alpha"))
     >>> test.feedback, test.p_value > 0.05
     (False, True)

@@ -36,9 +36,11 @@ class Sims:
     """The F-test of y on future u."""
 
     p_value: float
-    """p value of: given the past, u(t), u(t + 1), … do not help to explain y(t)."""
+    """p value of the hypothesis that u(t), u(t + 1), … do not help to explain y(t), given the
+    past."""
     p_later: float
-    """p value of: given the past and u(t), u(t + 1), … do not help to explain y(t)."""
+    """p value of the hypothesis that u(t + 1), … do not help to explain y(t), given the past and
+    u(t)."""
     F: float
     """Ratio of (RSS_0 - RSS)/q to RSS/(N - d), with d regressors. RSS is the residual sum of
     squares, and RSS_0 the sum without the q future inputs."""
@@ -49,7 +51,8 @@ class Sims:
     p: int
     """Number of past samples of y, and of u, in the regression."""
     explained: float
-    """Share (0 to 1) that future u explains of the variance that the past does not explain."""
+    """Reduction of the variance of y by future u, as a share (0 to 1) of the variance that the past
+    does not explain."""
     lags: Array
     """Lags -(q - 1) … p of the coefficients; at 0 and below, u is applied after y is read."""
     coefficients: Array

@@ -1,0 +1,186 @@
+"""Printing: text for a person, JSON, tables, questions, and messages on standard error."""
+
+from __future__ import annotations
+
+import os
+import sys
+import textwrap
+from contextlib import suppress
+from typing import Any, TextIO
+
+import typer
+from armrig_core.errors import OperationError
+from armrig_core.journal import log_prefix
+from armrig_core.printable import brief, json_printable, printable
+
+_ANSWER_WIDTH = 16  # characters for the default and the answer after a question
+_NO_BREAK_SPACE = "\u00a0"
+
+
+def tell(message: str) -> None:
+    """Print a warning or an error on standard error."""
+    inform(f"armrig: {message}")
+
+
+def inform(message: str, **style: bool) -> None:
+    """Print news for the user on standard error, as a single line, in a style of `say`."""
+    with suppress(OSError):  # the terminal may be closed
+        line = folded(_for_terminal(brief(" ".join(message.split()))), _columns(sys.stderr))
+        typer.echo(_styled(line, sys.stderr, style), err=True)
+
+
+def tell_error(message: str) -> None:
+    """Print a line for the user on standard error; systemd's journal shows the line as an error."""
+    with suppress(OSError):
+        print(log_prefix("error") or "", end="", file=sys.stderr)
+    tell(message)
+
+
+def say(text: str, **style: bool) -> None:
+    """Print text on standard output; on a terminal, lines are folded between words.
+
+    A terminal shows the text in a style, such as `bold=True` or `dim=True`.
+    """
+    text = _for_terminal(folded(text, _columns(sys.stdout)), keep="\n")
+    typer.echo(_styled(text, sys.stdout, style))
+
+
+def say_answer(text: str) -> None:
+    """Print text as `say` does; the first line, which contains the verdict, is bold."""
+    first, _, rest = text.partition("\n")
+    say(first, bold=True)
+    if rest:
+        say(rest)
+
+
+def say_more(contents: str) -> None:
+    """Print what --verbose adds to the output."""
+    say(f"--verbose: {contents}", dim=True)
+
+
+def takes_styles() -> bool:
+    """Return True if the user accepts bold and dim text (https://no-color.org)."""
+    return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def _styled(text: str, stream: TextIO, style: dict[str, bool]) -> str:
+    """Return the text in a style if the stream is a terminal; otherwise return it unchanged."""
+    return typer.style(text, **style) if style and stream.isatty() and takes_styles() else text
+
+
+def echo(text: str) -> None:
+    """Print text on standard output with unprintable characters escaped.
+
+    The text may contain parts from other users or from files of unknown origin. All output
+    therefore uses this function, `print_json` or `print_table`.
+    """
+    typer.echo(_for_terminal(text, keep="\n"))
+
+
+def _for_terminal(text: str, keep: str = "") -> str:
+    """Return the text for a terminal, with ordinary blanks between numbers and units."""
+    return printable(text.replace(_NO_BREAK_SPACE, " "), keep)
+
+
+def question(text: str) -> str:
+    """Return a question, folded into lines; the last line leaves room for the answer."""
+    columns = _columns(sys.stderr)
+    return folded(text, columns - _ANSWER_WIDTH, indent=0) if columns > 2 * _ANSWER_WIDTH else text
+
+
+def agree(text: str, *, yes: bool) -> None:
+    """Ask the user for agreement, unless `yes` is True.
+
+    Raises
+    ------
+    RuntimeError
+        The user does not agree, or there is no terminal.
+    """
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise OperationError(
+            "there is no terminal for the question: --yes agrees, --dry-run only shows the plan"
+        )
+    if not typer.confirm(question(text), err=True):
+        raise OperationError("nothing was done")
+
+
+def folded(text: str, columns: int, indent: int | None = None) -> str:
+    """Return the text with lines of at most `columns` characters, broken at blanks.
+
+    A width of 0 leaves the text as it is. The indent of continuation lines is by default two more
+    than the line's own indent.
+    """
+    if not columns:
+        return text
+    lines = []
+    for line in text.splitlines():
+        own = len(line) - len(line.lstrip())
+        rest = min(own + 2 if indent is None else indent, columns // 2)
+        lines += textwrap.wrap(
+            line,
+            columns,
+            subsequent_indent=" " * rest,
+            break_long_words=False,
+            break_on_hyphens=False,
+        ) or [""]
+    return "\n".join(lines)
+
+
+def _columns(stream: TextIO) -> int:
+    """Return the width of the terminal; 0 if the stream is not a terminal."""
+    try:
+        return os.get_terminal_size(stream.fileno()).columns if stream.isatty() else 0
+    except (OSError, ValueError):
+        return 0
+
+
+def fields_of(value: Any, names: str) -> dict[str, Any]:
+    """Return attributes of a value as JSON fields; blanks separate the names."""
+    return {name: getattr(value, name) for name in names.split()}
+
+
+def print_json(value: Any) -> None:
+    """Print a value as a line of JSON; arrays are lists, a complex number is its two parts."""
+    import msgspec
+
+    try:
+        text = msgspec.json.encode(value, enc_hook=_as_list)
+    except UnicodeEncodeError:  # the name of a file need not be valid text
+        text = msgspec.json.encode(_as_text(msgspec.to_builtins(value, enc_hook=_as_list)))
+    typer.echo(json_printable(text.decode()))
+
+
+def _as_list(value: Any) -> Any:
+    return [value.real, value.imag] if isinstance(value, complex) else value.tolist()
+
+
+def _as_text(value: Any) -> Any:
+    """Return the value with invalid text escaped."""
+    match value:
+        case str():
+            return value.encode("utf-8", "backslashreplace").decode()
+        case dict():
+            return {_as_text(key): _as_text(item) for key, item in value.items()}
+        case list():
+            return [_as_text(item) for item in value]
+    return value
+
+
+def print_table(*rows: tuple[str, str], verdict: bool = False) -> None:
+    """Print each value in a line of its own, after its name; a verdict in the first row is bold."""
+    width = max(len(name) for name, _ in rows)
+    columns = _columns(sys.stdout)
+    for i, (name, value) in enumerate(rows):
+        line = folded(_for_terminal(f"{name:{width}}  {value}"), columns, indent=width + 2)
+        typer.echo(_styled(line, sys.stdout, {"bold": True} if verdict and not i else {}))
+
+
+def warned(recording: Any) -> Any:
+    """Return the recording, and print its damage."""
+    if recording.truncated:
+        unfinished = recording.path.suffix == ".active"
+        why = "still being recorded, or the daemon was killed; " if unfinished else ""
+        tell(f"{recording.path}: {why}{recording.damage}")
+    return recording
