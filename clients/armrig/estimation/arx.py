@@ -91,7 +91,6 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     coloured. `oe` and `bj` describe such noise. The table "When a model does not follow the data"
     on the page of the handout lists what to try next.
 
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> fit = armrig.arx(data, na=3, nb=3)
     >>> fit.heading

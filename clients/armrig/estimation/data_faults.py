@@ -54,12 +54,7 @@ def data_faults(
 ) -> Iterator[EstimateFinding]:
     """Yield a warning for each fault of the data that spoils the estimate.
 
-    Parameters
-    ----------
-    residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN where the residual is not known.
-    way_out : str
-        Text of the remedy for an offset; "" if the model already has an offset.
+    An unknown residual is NaN. `way_out` is the remedy for an offset, or "" if it is estimated.
     """
     yield from swapped(data)
     if way_out and constant_input(data):

@@ -58,12 +58,8 @@ class ErrorProcess:
 def error_process(errors: Sequence[Array]) -> ErrorProcess:
     """Return the autoregression with 10 lags, or with fewer lags if there are few errors.
 
-    The variance of w is corrected for the number of estimated coefficients.
-
-    Parameters
-    ----------
-    errors : sequence of ndarray
-        One-step errors (N, ny) of each experiment, NaN where an output is missing.
+    The one-step errors (N, ny) of each experiment are NaN where an output is missing. The variance
+    of w is corrected for the number of estimated coefficients.
     """
     known = np.vstack(errors)
     ny = known.shape[1]

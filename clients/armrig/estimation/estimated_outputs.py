@@ -48,12 +48,8 @@ def fit_of_outputs(
 ) -> Fit:
     """Return the model with its covariance, loss and tests of whiteness.
 
-    Parameters
-    ----------
-    W : ndarray (d, r)
-        Matrix that transforms the influences of the residuals to the d estimated coefficients.
-    **fields
-        Other fields of the `Fit`.
+    W (d, r) transforms the influences of the residuals to the d estimated coefficients. The other
+    `fields` are fields of the `Fit`.
     """
     names = estimates[0].polynomials
     found = infer(

@@ -70,19 +70,8 @@ def curvature(
 
         (V(theta ± 2 s v) - V(theta)) / lambda = 4
 
-    Parameters
-    ----------
-    theta : ndarray (n,)
-        Parameters (c, d, f) at the minimum.
-    covariance : ndarray (n, n)
-        Covariance of theta.
-    noise_variance : float
-        Variance lambda of e.
-
-    Returns
-    -------
-    float
-        0 if the loss is a parabola or the model has no c, d or f; at most 6.9.
+    theta (n,) contains (c, d, f) at the minimum; lambda is `noise_variance`. The result is 0 if the
+    loss is a parabola or the model has no c, d or f, and at most 6.9.
 
     References
     ----------

@@ -72,7 +72,6 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     --------
     Noise on the output biases `arx`, but not `iv4` and `oe`.
 
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> armrig.iv4(data, na=3, nb=3).A.round(2)
     array([ 1.  , -2.51,  2.11, -0.59])

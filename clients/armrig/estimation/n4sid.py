@@ -163,7 +163,6 @@ def n4sid(
 
     Examples
     --------
-    >>> import armrig
     >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
     >>> fit.heading
     'N4SID(order=3, nk=1)'

@@ -123,7 +123,6 @@ def select_orders(
 
     Examples
     --------
-    >>> import armrig
     >>> first, second = armrig.example_recording().dataset("alpha").split(2)
     >>> table = armrig.select_orders(first, range(1, 6), range(1, 6), [1, 2], validation=second)
     >>> table.best()

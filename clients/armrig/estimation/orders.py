@@ -32,13 +32,7 @@ def require_samples(orders: str, *, needed: int, got: int) -> None:
 
 
 def by_channel(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
-    """Return the orders (ny, nu) of an argument such as nb.
-
-    Raises
-    ------
-    ValueError
-        The shape is wrong, a channel is not named, or an order is below `least`.
-    """
+    """Return the orders (ny, nu) of an argument such as nb; refuse an order below `least`."""
     signals = data.signals()
     keys = [[(y, u) for u in signals.inputs] for y in signals.outputs]
     return _matrix(name, value, keys, least, "a row for each output and a column for each input")
@@ -96,13 +90,7 @@ def _checked(name: str, values: Any, least: int) -> Integers:
 def integrating_outputs(
     integrator: bool | str | Sequence[str], data: Signals | Dataset
 ) -> tuple[bool, ...]:
-    """Return whether each output integrates.
-
-    Raises
-    ------
-    ValueError
-        `integrator` names an unknown output.
-    """
+    """Return whether each output integrates; refuse the name of an unknown output."""
     outputs = data.signals().outputs
     if isinstance(integrator, bool | np.bool_):
         return (bool(integrator),) * len(outputs)

@@ -95,7 +95,6 @@ def oe(
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("theta_1")
     >>> fit = armrig.oe(data, nb=4, nf=4, integrator=True)
     >>> fit.heading, fit.white.coloured
@@ -152,7 +151,6 @@ def armax(
     --------
     The noise of the example is white noise on the output, so that C equals A.
 
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> fit = armrig.armax(data, na=3, nb=3, nc=3)
     >>> fit.A.round(1)
@@ -203,7 +201,6 @@ def ararx(
     --------
     D whitens the noise. Without D the noise biases A.
 
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> armrig.ararx(data, na=3, nb=3, nd=10).A.round(1)
     array([ 1. , -2.5,  2.1, -0.6])
@@ -254,7 +251,7 @@ def bj(
 
     Examples
     --------
-    >>> import armrig, numpy as np
+    >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> data = armrig.example_recording().dataset("alpha")
     >>> noise = lfilter([1], [1, -0.9], 0.01 * np.random.default_rng(1).standard_normal(data.N))
@@ -307,7 +304,6 @@ def pem(
     --------
     The noise of the example is white, so that d1 is 0 within two standard deviations.
 
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> fit = armrig.pem(data, nb=3, nf=3, nd=1)
     >>> fit.names

@@ -28,7 +28,6 @@ class RarxState:
     --------
     The samples satisfy y(t) = 0.5 y(t-1) + 2 u(t-1).
 
-    >>> import armrig
     >>> state = armrig.rarx_start(na=1, nb=1)
     >>> for u, y in [(1.0, 0.0), (0.0, 2.0), (1.0, 1.0), (0.0, 2.5)]:
     ...     state = armrig.rarx_step(state, u, y)
@@ -139,7 +138,6 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
 
     Examples
     --------
-    >>> import armrig
     >>> state = armrig.rarx_start(na=2, nb=2, forgetting=0.99)
     >>> state.determined, state.theta
     (False, array([0., 0., 0., 0.]))
@@ -174,7 +172,6 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")[:500]
     >>> state = armrig.rarx_start(na=2, nb=2, forgetting=0.99)
     >>> for u, y in zip(data.u, data.y, strict=True):
@@ -227,7 +224,7 @@ def rarx(
     --------
     After the last sample, the result equals the result of `arx`.
 
-    >>> import armrig, numpy as np
+    >>> import numpy as np
     >>> data = armrig.example_recording().dataset("alpha")
     >>> estimate = armrig.rarx(data, na=3, nb=3)
     >>> estimate.theta.shape

@@ -65,13 +65,8 @@ def searched_minimum(
     least two roots and the noise is strong. If C, D and F have more than 30 coefficients, no mode
     is moved, because a single mode then has little meaning.
 
-    Parameters
-    ----------
-    part : PolynomialProblem, optional
-        Problem for a part of long data. All searches start on this part. From each minimum on the
-        part, one search continues on all data.
-    thorough : bool
-        True: move complex pairs and real roots of C, D and F. False: move only complex pairs of F.
+    All searches start on `part`, a part of long data. From each minimum on the part, one search
+    continues on all data. If the search is not thorough, it moves only complex pairs of F.
     """
     ends = from_starts(problem) if part is None else _through(part, problem)
     if not (thorough or _largest_order(problem) >= 2):
@@ -222,12 +217,8 @@ def moved_modes(
 
     A complex pair, or the two smallest real roots, is replaced by another complex pair or by two
     other real roots. A real root is replaced by another real root. For each polynomial and each
-    kind of move, the start values of least cost are returned.
-
-    Parameters
-    ----------
-    all_kinds : bool
-        True: move all modes. False: move only pairs of F, to other frequencies.
+    kind of move, the start values of least cost are returned. Without `all_kinds` only pairs of F
+    are moved.
     """
     kinds = (other_pairs, _other_reals, other_real) if all_kinds else (other_pairs,)
     for k, letter in enumerate(problem.layout.letters):
@@ -460,12 +451,7 @@ def ranked(ends: Iterable[End], criterion: Callable[[End], float]) -> list[End]:
     """Return the results of searches, best first; results at the same minimum keep their order.
 
     At the same minimum only rounding errors, which differ from processor to processor, decide which
-    cost is lower.
-
-    Parameters
-    ----------
-    criterion : callable
-        Function that returns the logarithm of the cost of a result.
+    cost is lower. `criterion` returns the logarithm of the cost of a result.
     """
     found = list(ends)
     values = np.array([criterion(end) for end in found])

@@ -133,7 +133,6 @@ def ss(
 
     Examples
     --------
-    >>> import armrig
     >>> signals = armrig.example_recording().signals()[:1000]
     >>> fit = armrig.ss(signals, order=4, noise=False)
     >>> A, B, C, D, K = fit.state_space()

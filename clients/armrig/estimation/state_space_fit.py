@@ -140,14 +140,8 @@ def inference(
 ) -> Inference:
     """Return the covariance of the parameters, and the quality of each output.
 
-    Parameters
-    ----------
-    Psi : ndarray, shape (ny N, d)
-        Derivatives of the whitened predictions.
-    states : sequence of Basis
-        Effects of the initial states in each experiment, which are projected out of Psi.
-    residuals : sequence of ndarray (N_i, ny)
-        Errors of the scaled outputs, NaN where an output is missing.
+    The derivatives Psi (ny N, d) and the effects of the initial states, which are projected out of
+    Psi, are those of `influence`. The residuals (N_i, ny) are errors of the scaled outputs.
     """
     basis, ny = orthonormal(Psi), sy.size
     W = basis.W if ny > 1 else basis.W * problem.parts[0].weights.max() / sy

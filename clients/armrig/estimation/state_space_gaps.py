@@ -45,12 +45,8 @@ def kalman_steps(
 ) -> Iterator[tuple[int, Array, Array, Array]]:
     """Yield t, o, the root of S(t) and G(t) root(S(t)) of m filters while P is not 0.
 
-    P is taken as 0 as soon as it increases the variances of e by less than the share `settled`.
-
-    Parameters
-    ----------
-    A, C, K : ndarray, shapes (m, n, n), (m, ny, n), (m, n, ny)
-        Matrices of each filter.
+    A (m, n, n), C (m, ny, n) and K (m, n, ny) are the matrices of each filter. P is taken as 0 as
+    soon as it increases the variances of e by less than the share `settled`.
     """
     noise = K @ Lambda
     Q, P = noise @ K.swapaxes(1, 2), np.zeros(A.shape)

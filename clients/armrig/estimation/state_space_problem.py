@@ -19,7 +19,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -86,11 +86,13 @@ class StateSpaceProblem:
         """Return the linear parameters by least squares; Bbar and D may be given."""
         n, (ny, _) = self.order, C.shape
         nu = self.parts[0].u.shape[1]
+        bare = self._bare(Abar, C)
         states, left, raw = [], [], []
         for part in self.parts:
-            driven, free = self.responses(part, Abar, C)
+            signals = np.hstack([part.u, part.y]) if self.noise else part.u
+            driven, free = self._responses(part, bare, signals)
             Z = basis_of_states(part, free)
-            left_over = part.y - self._fed(part, Abar, C)
+            left_over = part.y if self.gain is None else part.y - bare.predicted(part, 0)
             both = whitened(part, np.concatenate([driven, left_over.T[None]]))
             states.append(Z)
             raw.append(both)
@@ -106,12 +108,11 @@ class StateSpaceProblem:
         first = [
             Z.coefficients(M[:, -1] - M[:, :-1] @ theta) for Z, M in zip(states, raw, strict=True)
         ]
-        at = Predictor(
-            Abar=Abar,
+        at = replace(
+            bare,
             Bbar=signals[:, :nu],
-            C=C,
             D=D,
-            K=signals[:, nu:] if self.noise else self._gain(ny),
+            K=signals[:, nu:] if self.noise else bare.K,
             x0=tuple(x[:n] for x in first),
             levels=tuple(x[n:] for x in first if self.level),
         )
@@ -124,64 +125,48 @@ class StateSpaceProblem:
             e=basis.without(right),
         )
 
-    def responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
+    def _responses(
+        self, part: Part, at: Predictor, signals: Array, moved: tuple[Array, ...] = ()
+    ) -> tuple[Array, Array]:
         """Return the outputs (k, ny, N) due to each linear parameter, and to the initial state.
 
-        With `level` the second outputs also contain those due to constant offsets.
+        The inputs of the linear parameters are `signals`. With the states and the directions
+        `moved`, the outputs due to directions of Abar and C precede those of the parameters. With
+        `level` the second outputs also contain those due to constant offsets.
         """
-        of_D = part.u if self.direct else None
-        if self.gain is None or part.rows.all() or not self.gain.any():
-            signals = np.hstack([part.u, part.y]) if self.noise else part.u
-            driven, free = state_responses(signals, Abar, C, direct=of_D)
-            return driven, self._with_offsets(free, Abar, C)
-        w, at_once = entries(part.u, self.order, of_D, len(C))
-        at = self._bare(Abar, C)
-        driven = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
-        return driven.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
-
-    def _gain(self, ny: int) -> Array:
-        return np.zeros((self.order, ny)) if self.gain is None else self.gain
+        (n, ny), of_D = at.K.shape, part.u if self.direct else None
+        if part.rows.all() or not at.K.any():
+            driven, free = state_responses(signals, at.Abar, at.C, direct=of_D)
+            if self.level:
+                free = np.concatenate([free, offsets(at.Abar, at.C, len(part.u))])
+            return np.concatenate([_moved(at, *moved), driven]) if moved else driven, free
+        w, at_once = entries(signals, n, of_D, ny)
+        if moved:
+            x, directions = moved
+            by_A, by_C = np.split(directions.T, [n * n], axis=1)
+            w = np.concatenate([x @ by_A.reshape(-1, n, n).swapaxes(1, 2), w])
+            at_once = np.concatenate([x @ by_C.reshape(-1, ny, n).swapaxes(1, 2), at_once])
+        by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
+        return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
 
     def _bare(self, Abar: Array, C: Array) -> Predictor:
         """Return the predictor with the given gain whose other linear parameters are 0."""
-        nu, ny = self.parts[0].u.shape[1], len(C)
-        zero = np.zeros((self.order, nu)), np.zeros((ny, nu))
-        x0 = (np.zeros(self.order),) * len(self.parts)
-        return Predictor(Abar=Abar, Bbar=zero[0], C=C, D=zero[1], K=self._gain(ny), x0=x0)
-
-    def _fed(self, part: Part, Abar: Array, C: Array) -> Array | float:
-        """Return the part (N, ny) of the predictions that y drives through the given gain."""
-        return 0.0 if self.gain is None else self._bare(Abar, C).predicted(part, 0)
-
-    def cost(self, Abar: Array, C: Array) -> float:
-        """Return the sum of squared whitened errors."""
-        e = self.linear(Abar, C).e
-        return float(e @ e)
-
-    def derivatives(self, at: Predictor, directions: Array) -> list[Array]:
-        """Return the derivatives of yhat in given directions, (k, ny, N) for each experiment.
-
-        Parameters
-        ----------
-        directions : ndarray, shape (n (n + ny), k)
-            Changes of Abar, then of C, each row by row.
-        """
-        return [
-            _moved(at, _states(at, part.u @ at.Bbar.T + part.y @ at.K.T, x0), directions)
-            for part, x0 in zip(self.parts, at.x0, strict=True)
-        ]
+        n, nu, ny = self.order, self.parts[0].u.shape[1], len(C)
+        K = np.zeros((n, ny)) if self.gain is None else self.gain
+        x0 = (np.zeros(n),) * len(self.parts)
+        return Predictor(Abar=Abar, Bbar=np.zeros((n, nu)), C=C, D=np.zeros((ny, nu)), K=K, x0=x0)
 
     def linearised(self, Abar: Array, C: Array, directions: Array) -> tuple[Linear, Array]:
         """Return the linear part, and the derivatives of the whitened predictions.
 
-        The effects of the linear parameters and initial states are projected out.
+        The derivatives are those in the directions (n (n + ny), k) of Abar, then of C, each row by
+        row. The effects of the linear parameters and initial states are projected out.
         """
-        linear = self.linear(Abar, C)
-        by = self.derivatives(linear.at, directions)
-        J = [
-            without(Z, whitened(part, d))
-            for part, d, Z in zip(self.parts, by, linear.states, strict=True)
-        ]
+        linear, J = self.linear(Abar, C), []
+        at = linear.at
+        for part, x0, Z in zip(self.parts, at.x0, linear.states, strict=True):
+            x = _states(at, part.u @ at.Bbar.T + part.y @ at.K.T, x0)
+            J.append(without(Z, whitened(part, _moved(at, x, directions))))
         return linear, without(linear.basis, stacked(J))
 
     def sensitivities(self, i: int, at: Predictor, directions: Array) -> tuple[Array, Array]:
@@ -192,25 +177,12 @@ class StateSpaceProblem:
         row. The other responses are those to the initial state and to offsets. The changes of the
         gains of a Kalman filter after a missing output are neglected.
         """
-        part, K, of_D = self.parts[i], at.K, self.parts[i].u if self.direct else None
+        part, K = self.parts[i], at.K
         yhat = at.predicted(part, i)
         y = np.where(part.rows, part.y, yhat) if K.any() else part.y
         signals = np.hstack([part.u, np.where(part.rows, part.y - yhat, 0.0)][: 1 + self.noise])
         x = _states(at, part.u @ at.Bbar.T + y @ K.T, at.x0[i])
-        if part.rows.all() or not K.any():
-            driven, free = state_responses(signals, at.Abar, at.C, direct=of_D)
-            free = self._with_offsets(free, at.Abar, at.C)
-            return np.concatenate([_moved(at, x, directions), driven]), free
-        n, ny = K.shape
-        w, at_once = entries(signals, n, of_D, ny)
-        by_A, by_C = np.split(directions.T, [n * n], axis=1)
-        w = np.concatenate([x @ by_A.reshape(-1, n, n).swapaxes(1, 2), w])
-        at_once = np.concatenate([x @ by_C.reshape(-1, ny, n).swapaxes(1, 2), at_once])
-        by = held_responses(part, at, w.swapaxes(0, 1), at_once.swapaxes(0, 1))
-        return by.transpose(1, 2, 0), held_free_responses(part, at, level=self.level)
-
-    def _with_offsets(self, free: Array, Abar: Array, C: Array) -> Array:
-        return np.concatenate([free, offsets(Abar, C, free.shape[2])]) if self.level else free
+        return self._responses(part, at, signals, (x, directions))
 
     def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Linear, Optimum]:
         """Return Abar, C and the linear part after at most `most` steps along the tangent space."""

@@ -21,11 +21,6 @@ from armrig.numerics.recursion import (
     varying_recursion,
 )
 
-_MAX_MODULUS = 1 - 1e-7  # largest modulus of an eigenvalue of Abar in a search
-_EIGENVALUE_TOLERANCE = 1e-10  # singular value of 1 - Abar that shows the eigenvalue 1
-_ORBIT_TOLERANCE = 1e-10  # a smaller relative singular value is a rounding error
-
-
 _EIGENVALUE_TOLERANCE = 1e-10  # singular value of 1 - Abar that shows the eigenvalue 1
 
 
@@ -171,14 +166,8 @@ def held_responses(
 
         x(t+1) = (Abar + (K - K(t)) C) x(t) + w(t) + (K - K(t)) v(t),    C x(t) + v(t)
 
-    Parameters
-    ----------
-    w : ndarray, shape (N, k, n)
-        Right-hand sides.
-    at_once : ndarray, shape (N, k, ny)
-        Parts v of the outputs that do not depend on the state.
-    x0 : ndarray, shape (k, n), optional
-        Initial states; by default 0.
+    w (N, k, n) are right-hand sides. `at_once` (N, k, ny) are the parts v of the outputs that do
+    not depend on the state. The initial states x0 (k, n) are 0 by default.
     """
     lost = at.K - part.gains_of(at.K)
     w = w + at_once @ lost.swapaxes(1, 2)

@@ -25,13 +25,7 @@ _MOVED_MODULUS = 0.8  # modulus of a moved mode
 def starts(
     problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]]
 ) -> dict[str, tuple[Array, Array]]:
-    """Return the pairs (Abar, C) of subspace estimates and of reduced ARX models, by name.
-
-    Raises
-    ------
-    ValueError
-        No start value was found.
-    """
+    """Return the pairs (Abar, C) of subspace estimates and of reduced ARX models, by name."""
     n = problem.order
     ny = signals[0][1].shape[1]
     signals = [(u, interpolated(y)) for u, y in signals]

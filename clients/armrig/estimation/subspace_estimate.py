@@ -228,22 +228,10 @@ def completed(
 ) -> tuple[Predictor, list[Array], tuple[Basis, ...]]:
     """Return the predictor whose B, D and initial states minimise the one-step errors.
 
-    Without the gains of a Kalman filter the error of a missing output is 0. With an
+    Then return the predictions (N, ny) of each experiment, and the effects of the initial states on
+    them. Without the gains of a Kalman filter the error of a missing output is 0. With an
     integrator, constant offsets of the signals are estimated, too. If B and D are `given`, only the
     initial states and the offsets are estimated.
-
-    Returns
-    -------
-    Predictor
-    list of ndarray
-        Predictions (N, ny) of each experiment.
-    tuple of Basis
-        Effects of the initial states on the predictions of each experiment.
-
-    Raises
-    ------
-    ValueError
-        u determines fewer coefficients than B and D have.
     """
     problem = StateSpaceProblem(
         parts=tuple(parts),

@@ -129,7 +129,6 @@ def correlation(
 
     Examples
     --------
-    >>> import armrig
     >>> print(armrig.correlation(armrig.example_recording().dataset("alpha")))
     correlation analysis of alpha, 2999 samples at 0.01 s, input whitened by order 1
       largest g -0.011... at lag 4; 99 % band of no relation ±0.0015...

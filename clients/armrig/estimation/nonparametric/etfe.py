@@ -79,7 +79,6 @@ def etfe(
 
     Examples
     --------
-    >>> import armrig
     >>> from scipy.signal import lfilter
     >>> u = armrig.multisine(500, lines=[1, 3, 10, 30], periods=5)
     >>> data = armrig.Dataset(u=u, y=lfilter([0, 0.1], [1, -0.9], u), Ts=0.01)
@@ -271,7 +270,6 @@ def bla(
     --------
     The cubic term causes nonlinear distortion at each of the ten lines.
 
-    >>> import armrig
     >>> from scipy.signal import lfilter
     >>> u = [armrig.multisine(600, range(1, 20, 2), seed=k, periods=3) for k in (1, 2, 3)]
     >>> y = [lfilter([0, 0.1], [1, -0.9], x) + 0.001 * x**3 for x in u]

@@ -270,7 +270,6 @@ def impulse_response(
 
     Examples
     --------
-    >>> import armrig
     >>> response = armrig.impulse_response(armrig.example_recording().dataset("alpha"))
     >>> peak = abs(response.g).argmax()
     >>> print(f"lag {response.lags[peak]}: {response.g[peak]:.4f} ± {response.std[peak]:.4f} rad/V")

@@ -197,7 +197,6 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
 
     Examples
     --------
-    >>> import armrig
     >>> found = armrig.sampling_time(armrig.example_recording().dataset("theta_1"))
     >>> found.Ts
     0.005

@@ -180,12 +180,7 @@ def filled(data: Dataset, *, integrator: bool) -> Dataset:
 def welch(data: Dataset, length: int, omega: Vector) -> Spectra:
     """Return the spectra, averaged over Hann-tapered segments that overlap by half.
 
-    The mean of each segment is subtracted.
-
-    Raises
-    ------
-    ValueError
-        Every segment of this length has a missing sample.
+    The mean of each segment is subtracted. A segment with a missing sample is not used.
     """
     taper = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
     turn = np.exp(-1j * np.outer(np.arange(length), omega) * data.Ts)
@@ -233,13 +228,8 @@ def _segments(data: Dataset, length: int) -> list[slice]:
 def explained(estimate: SpectralEstimate) -> Integers:
     """Return the indices of the frequencies in the range where u explains y.
 
-    The range extends from the first to the last frequency at which u explains y. Frequencies at
-    which G is not known are left out.
-
-    Raises
-    ------
-    ValueError
-        u explains y at fewer than three frequencies.
+    The range extends from the first to the last frequency at which u explains y; at least three
+    such frequencies are needed. Frequencies at which G is not known are left out.
     """
     coherence = np.nan_to_num(np.zeros(1) if estimate.coherence is None else estimate.coherence)
     good = np.flatnonzero(coherence > COHERENT)

@@ -108,7 +108,6 @@ def spa(
 
     Examples
     --------
-    >>> import armrig
     >>> estimate = armrig.spa(armrig.example_recording().dataset("alpha"), window=120)
     >>> peak = abs(estimate.G).argmax()
     >>> print(f"{estimate.omega[peak]:.0f} rad/s, coherence {estimate.coherence[peak]:.2f}")
@@ -282,11 +281,6 @@ def spectral_reference(data: Dataset) -> SpectralEstimate:
     short window a blunted resonance would seem to contradict a correct model. With a long window
     the error bars are wide, but they do not contradict a correct model. The 40 frequencies are
     equally spaced on a logarithmic scale from the lowest resolved frequency, 2 pi/(window Ts).
-
-    Raises
-    ------
-    ValueError
-        u is constant, or there are too few samples.
     """
     window = max(2, min(data.N // 10, MAX_LAGS))
     nyquist = np.pi / data.Ts

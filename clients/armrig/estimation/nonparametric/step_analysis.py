@@ -188,7 +188,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
 
     Examples
     --------
-    >>> import armrig, numpy as np
+    >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> u = armrig.step(300, at=50)
     >>> noise = 0.01 * np.random.default_rng(1).standard_normal(300)

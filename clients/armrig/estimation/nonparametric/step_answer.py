@@ -140,24 +140,12 @@ def step_answer(
 ) -> Answer:
     """Return the posterior of the response to a step at k = 0.
 
-    Parameters
-    ----------
-    k : array of int, shape (N,)
-        Number of each sample relative to the step, negative before the step.
-    y : ndarray, shape (N,)
-        Response divided by its final value; NaN if not known. If the output integrates, y is the
-        angle divided by the final value of the rate.
-    weight : ndarray, shape (N,)
-        Weight of each sample; the noise variance of the sample is inversely proportional to this
-        weight.
-    Ts : float
-        Sampling time, in s.
-    integrates : bool
-        True to analyse the rate of y.
-    band : float
-        Half width of the band about 1; the response has settled when it stays in this band.
-    least_variance : float, default 0
-        Lower limit of the estimated noise variance of a sample with the largest weight.
+    k (N,) is the number of each sample relative to the step, negative before the step. y (N,) is
+    the response divided by its final value; NaN if not known. If the output integrates, y is the
+    angle divided by the final value of the rate, and the rate is analysed. The noise variance of a
+    sample is inversely proportional to its `weight` (N,). The response has settled when it stays
+    within `band` of 1. `least_variance` is the lower limit of the estimated noise variance of a
+    sample with the largest weight.
 
     References
     ----------
