@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -98,7 +97,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     A = free = np.append(1.0, theta[:na])
     if stable and (A := stabilised(free)) is not free:
         theta, e = _with_given_poles(A, prewhitened)
-    basis = orthonormal(np.vstack(instruments))
+    basis = orthonormal(instruments)
     found = infer(
         least_squares_residuals(e, basis),
         inverse @ basis.W,
@@ -180,11 +179,11 @@ def _filtered(L: Array, block: Array) -> Array:
 
 def _solved(
     Z: Sequence[Array], blocks: Sequence[Array], orders: str
-) -> tuple[Array, Array, list[Array], list[Array]]:
+) -> tuple[Array, Array, Array, list[Array]]:
     """Return theta with Z^T (y - Phi theta) = 0; NaN in a block [Phi, y] is an unknown value.
 
-    With Z = Q R the function also returns (Q^T Phi)^-1, the rows of Q in each experiment, and the
-    residuals.
+    With Z = Q R the function also returns (Q^T Phi)^-1, Q with zeros in rows that are not used, and
+    the residuals.
     """
     rows = [complete(z, block) for z, block in zip(Z, blocks, strict=True)]
     basis = orthonormal(np.vstack([z[r] for z, r in zip(Z, rows, strict=True)]))
@@ -203,10 +202,4 @@ def _solved(
         np.where(r, block[:, -1] - block[:, :-1] @ theta, np.nan)
         for block, r in zip(blocks, rows, strict=True)
     ]
-    edges = np.cumsum([0, *(int(np.count_nonzero(r)) for r in rows)])
-    instruments = []
-    for r, (a, b) in zip(rows, pairwise(edges), strict=True):
-        whole = np.zeros((r.size, d))
-        whole[r] = basis.Q[a:b]
-        instruments.append(whole)
-    return theta, inverse, instruments, e
+    return theta, inverse, basis.spread(np.concatenate(rows)).Q, e

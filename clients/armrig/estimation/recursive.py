@@ -191,12 +191,8 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
     if not np.isfinite(row).all():
         return after
     error = float(y - phi @ state.theta) if state.weight else float("nan")
-    R = _rotated(sqrt(state.forgetting) * state.R, row)
-    return replace(after, R=R, weight=state.forgetting * state.weight + 1, error=error)
-
-
-def _rotated(R: Array, row: Array) -> Array:
-    return np.asarray(np.linalg.qr(np.vstack([R, row]), mode="r"))
+    R = np.linalg.qr(np.vstack([sqrt(state.forgetting) * state.R, row]), mode="r")
+    return replace(after, R=np.asarray(R), weight=state.forgetting * state.weight + 1, error=error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

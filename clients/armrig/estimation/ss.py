@@ -31,7 +31,6 @@ from armrig.estimation.state_space_responses import Part
 from armrig.estimation.state_space_starts import moved_modes, starts
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
-from armrig.models.matrices import Matrices
 from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.polynomial import Array
@@ -194,10 +193,11 @@ def ss(
     V = tangent(predictor.Abar, predictor.C)
     by = derivatives(problem, predictor, V, fixed_predictor=gaps)
     form, T = matrices(predictor, by, su, sy, delays)
-    found = inference(data, problem, Psi, states, residuals, sy)
-    fields = found.fields()
-    fields["covariance"] = T @ found.covariance @ T.T
-    fields["covariance_robust"] = T @ found.covariance_robust @ T.T
+    found = inference(data, problem, Psi, states, residuals, sy).transformed(T)
+    notes, steps = list[EstimateFinding](), best.iterations
+    if not best.converged:
+        text = f"the search did not converge in {steps} steps"
+        notes.append(warning("not_converged", text, steps=steps))
     return Fit(
         structure="ss",
         specification=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
@@ -213,8 +213,8 @@ def ss(
             )
             for e in ends
         ),
-        findings=tuple(_findings(best, form)),
-        **fields,
+        findings=(*notes, *instability(form)),
+        **found.fields(),
         **origin(data),
     )
 
@@ -342,11 +342,3 @@ def _round(
         iterations=end.iterations + found.iterations,
         converged=abs(end.criterion - value) <= tolerance,
     )
-
-
-def _findings(best: _End, form: Matrices) -> list[EstimateFinding]:
-    notes = []
-    if not best.converged:
-        text = f"the search did not converge in {best.iterations} steps"
-        notes.append(warning("not_converged", text, steps=best.iterations))
-    return [*notes, *instability(form)]

@@ -125,17 +125,12 @@ def _way_out(fit: Fit) -> tuple[str, Asks]:
     """Return the remedy for an unstable pole; the pole may be an integrator."""
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
-        real = z.imag == 0 and not fit.integrator
-        if real and abs(z) >= 1 - CIRCLE_ROUNDING and std > _MAX_POLE_STD:
-            return (
-                f"its standard deviation is {std:.2g}, so the data do not determine the model",
-                "",
-            )
-        if (
-            real
-            and abs(z) >= 1 - CIRCLE_ROUNDING
-            and abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING
-        ):
+        if z.imag != 0 or fit.integrator or abs(z) < 1 - CIRCLE_ROUNDING:
+            continue
+        if std > _MAX_POLE_STD:
+            text = f"its standard deviation is {std:.2g}, so the data do not determine the model"
+            return text, ""
+        if abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING:
             what = f"the pole is 1 within its accuracy; if {fit.output} integrates, "
             if "integrator" in STRUCTURES[fit.structure].takes:
                 return what + "set the option integrator", "integrator"

@@ -75,13 +75,8 @@ def denominators(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
     """
     smooth, measured = paths(problem, [[(x.u, x.y) for x in of] for of in problem.experiments])
     sizes = _sizes(problem)
-    yield (
-        "ARX",
-        _first(
-            steiglitz_mcbride(p, np.ones(1), n, iterations=1)
-            for p, n in zip(measured, sizes, strict=True)
-        ),
-    )
+    pairs = zip(measured, sizes, strict=True)
+    yield "ARX", np.concatenate([reflected(equation_error(p, np.ones(1), n))[1:] for p, n in pairs])
     first = [
         [*steiglitz_mcbride(p, np.ones(1), n, iterations=5)][-1]
         for p, n in zip(smooth, sizes, strict=True)
@@ -108,10 +103,6 @@ def filtered_denominators(problem: PolynomialProblem, signals: Signals) -> Itera
 def _sizes(problem: PolynomialProblem) -> list[int]:
     """Return the number of coefficients of each F of an output-error problem."""
     return [part.stop - part.start for part in problem.layout.slices if part.stop > part.start]
-
-
-def _first(iterations: Iterator[Iterator[Array]]) -> Array:
-    return np.concatenate([next(of)[1:] for of in iterations])
 
 
 def _together(iterations: Sequence[Iterator[Array]]) -> Iterator[Array]:
@@ -349,9 +340,8 @@ def _regressors(x: Experiment, y: Array, n: Structure, order: int) -> Array:
 
     An unknown value is NaN.
     """
-    lags = [range(n.nk[j], n.nk[j] + (order or n.nb[j])) for j in range(len(n.nb)) if n.nb[j]]
-    used = [j for j in range(len(n.nb)) if n.nb[j]]
-    inputs = [past(x.u[:, j], own) for j, own in zip(used, lags, strict=True)]
+    used = [(j, k, m) for j, (k, m) in enumerate(zip(n.nk, n.nb, strict=True)) if m]
+    inputs = [past(x.u[:, j], range(k, k + (order or m))) for j, k, m in used]
     return np.hstack([-past(y, range(1, (order or n.na) + 1)), *inputs])
 
 

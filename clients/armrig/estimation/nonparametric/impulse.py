@@ -18,6 +18,7 @@ from armrig.estimation.nonparametric.kernels import (
     Evidence,
     FirRegression,
     Kernel,
+    Posterior,
     regression,
 )
 from armrig.models.responses import StepResponse
@@ -94,9 +95,7 @@ class ImpulseResponse:
     @property
     def rate_std(self) -> Vector | None:
         """Standard deviations of `rate`; None if y does not integrate."""
-        if self.rate_covariance is None:
-            return None
-        return np.sqrt(np.maximum(np.diag(self.rate_covariance), 0.0))
+        return self.decaying[1] if self.integrator else None
 
     @property
     def integrator(self) -> bool:
@@ -106,9 +105,7 @@ class ImpulseResponse:
     @property
     def died_out(self) -> bool:
         """True if the last tenth of the response (of the rate if y integrates) is about 0."""
-        g, _ = self.decaying
-        covariance = self.covariance if self.rate_covariance is None else self.rate_covariance
-        return died_out(g, covariance)
+        return died_out(*self._decaying)
 
     @property
     def band_name(self) -> str:
@@ -118,9 +115,15 @@ class ImpulseResponse:
     @property
     def decaying(self) -> tuple[Vector, Vector]:
         """Decaying response and its standard deviations: `rate` if y integrates, otherwise g."""
-        if self.rate is None or self.rate_std is None:
-            return self.g, self.std
-        return self.rate, self.rate_std
+        g, covariance = self._decaying
+        return g, np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+    @property
+    def _decaying(self) -> tuple[Vector, Matrix]:
+        """Decaying response and its covariance."""
+        if self.rate is None or self.rate_covariance is None:
+            return self.g, self.covariance
+        return self.rate, self.rate_covariance
 
     def band(self, level: float = 0.95) -> Vector:
         """Return the half width of the band of g at each lag, for a level between 0 and 1."""
@@ -151,8 +154,7 @@ class ImpulseResponse:
     def spectrum(self, omega: ArrayLike) -> SpectralEstimate:
         """Return the Fourier transform of g at omega (n,) in rad/s, with standard deviations."""
         w = column("omega", np.atleast_1d(omega))
-        g, _ = self.decaying
-        covariance = self.covariance if self.rate_covariance is None else self.rate_covariance
+        g, covariance = self._decaying
         turn = np.exp(-1j * np.outer(w, self.lags) * self.Ts)
         G = turn @ g
         along = turn * np.exp(-1j * np.angle(G))[:, None]
@@ -316,13 +318,13 @@ def _response(
     data: Dataset,
     rows: FirRegression,
     lags: NDArray[np.int_],
-    estimate: Estimate,
+    estimate: Posterior,
     kernel: Kernel | None,
     *,
     integrates: bool,
 ) -> ImpulseResponse:
     """Return the response with a whiteness test; a response of the rate is also integrated."""
-    g, covariance, variance, hyperparameters = estimate
+    g, covariance = estimate.g, estimate.covariance
     p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
     white = Whiteness(p_value=p, test=LJUNG_BOX)
     g, covariance = g[: lags.size], covariance[: lags.size, : lags.size]
@@ -334,8 +336,8 @@ def _response(
         rate=g if integrates else None,
         rate_covariance=covariance if integrates else None,
         kernel=kernel,
-        hyperparameters=hyperparameters,
-        noise_variance=variance,
+        hyperparameters=estimate.hyperparameters,
+        noise_variance=estimate.noise_variance,
         whiteness=p,
         N=rows.N,
         **labels(data),
@@ -367,9 +369,6 @@ def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> Im
     return min(tried, key=left)
 
 
-Estimate = tuple[Vector, Matrix, float, dict[str, float]]
-
-
 def died_out(g: Vector, covariance: Matrix) -> bool:
     """Return True if |mean of the last tenth of g| is at most 4 std or at most 2 % of max |g|."""
     tail = max(1, g.size // 10)
@@ -378,7 +377,7 @@ def died_out(g: Vector, covariance: Matrix) -> bool:
     return bool(abs(mean @ g[-tail:]) <= max(4 * std, 0.02 * float(np.max(np.abs(g)))))
 
 
-def _plain(rows: FirRegression) -> Estimate:
+def _plain(rows: FirRegression) -> Posterior:
     """Return the least-squares estimate, computed from the triangular factor of [Phi y]."""
     R = rows.triangle()
     d = R.shape[0] - 1
@@ -388,15 +387,17 @@ def _plain(rows: FirRegression) -> Estimate:
     degrees = rows.N - d - rows.nuisance
     middle = exogenous_score_in_blocks(rows.backwards(), rows.residuals(g), d) * rows.N / degrees
     bread = basis.W @ basis.W.T
-    return g, bread @ middle @ bread, float(R[d, d] ** 2) / degrees, {}
+    variance = float(R[d, d] ** 2) / degrees
+    covariance = bread @ middle @ bread
+    return Posterior(g=g, covariance=covariance, noise_variance=variance, hyperparameters={})
 
 
-def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
+def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Posterior:
     """Return the posterior of all lags; the first m lags are negative and have a flat prior."""
     R = rows.triangle()
     d = R.shape[0] - 1
     _require_rank(orthonormal(R[:, :m]), m, "negative lags")
-    posterior = Evidence(
+    found = Evidence(
         kernel=kernel,
         R=R[m:d, m:d],
         r=R[m:d, d],
@@ -404,18 +405,16 @@ def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
         M=rows.N - rows.nuisance - m,
     ).posterior()
     if m == 0:
-        found = posterior
-        return found.g, found.covariance, found.noise_variance, found.hyperparameters
+        return found
     # For negative lags f (flat prior) and the other lags p, each g_p of the posterior leads to g_f
     # = R_ff^-1 (r_f - R_fp g_p).
     inverse = np.linalg.inv(R[:m, :m])
     slope = -inverse @ R[:m, m:d]
-    flat = inverse @ R[:m, d] + slope @ posterior.g
-    own = posterior.noise_variance * inverse @ inverse.T
-    both = slope @ posterior.covariance
-    covariance = np.block([[own + both @ slope.T, both], [both.T, posterior.covariance]])
-    g = np.concatenate([flat, posterior.g])
-    return g, covariance, posterior.noise_variance, posterior.hyperparameters
+    flat = inverse @ R[:m, d] + slope @ found.g
+    own = found.noise_variance * inverse @ inverse.T
+    both = slope @ found.covariance
+    covariance = np.block([[own + both @ slope.T, both], [both.T, found.covariance]])
+    return replace(found, g=np.concatenate([flat, found.g]), covariance=covariance)
 
 
 def _require_rank(basis: Basis, d: int, what: str) -> None:
