@@ -194,11 +194,7 @@ def n4sid(
     if not one:
         parts = parts_of(scaled, weights_of(found) if Lambda is None else Lambda)
     problem = StateSpaceProblem(
-        parts=parts,
-        order=len(found.model.A),
-        direct=options.direct,
-        noise=True,
-        level=integrator,
+        parts=parts, order=len(found.model.A), direct=options.direct, noise=True, level=integrator
     )
     sensitive = problem if Lambda is None else replace(problem, parts=found.parts)
     V = directions(found.at.Abar, found.at.C)

@@ -299,12 +299,7 @@ class PolynomialProblem:
         return LinearPart(X=whole[:, :-1], y=whole[:, -1], unknown=past)
 
     def _solved(
-        self,
-        theta: Array,
-        equations: _Equations,
-        *,
-        ab: Array | None = None,
-        scaled: bool = False,
+        self, theta: Array, equations: _Equations, *, ab: Array | None = None, scaled: bool = False
     ) -> Solution:
         basis, by_ab, y = equations.projected()
         e = basis.without(y) if ab is None else y - by_ab @ ab
@@ -344,12 +339,7 @@ class PolynomialProblem:
         return found
 
     def _by_theta(
-        self,
-        parts: list[tuple[Errors, ...]],
-        equations: _Equations,
-        size: int,
-        *,
-        scaled: bool,
+        self, parts: list[tuple[Errors, ...]], equations: _Equations, size: int, *, scaled: bool
     ) -> Array:
         """Return the derivatives of the prediction, or of the scaled prediction, by theta."""
         changes = self._scale_changes(parts, equations) if scaled and equations.scaled else None

@@ -182,10 +182,7 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
     inputs = np.append(u, state.u)
     phi = np.append(-state.y, inputs[state.nk : state.nk + state.nb])
     after = replace(
-        state,
-        u=inputs[: state.u.size],
-        y=np.append(y, state.y)[: state.na],
-        error=float("nan"),
+        state, u=inputs[: state.u.size], y=np.append(y, state.y)[: state.na], error=float("nan")
     )
     row = np.append(phi, y)
     if not np.isfinite(row).all():

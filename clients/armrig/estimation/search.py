@@ -51,10 +51,7 @@ _MOVED_STARTS = 3  # start values with a moved mode in each of these rounds
 
 
 def searched_minimum(
-    problem: PolynomialProblem,
-    part: PolynomialProblem | None = None,
-    *,
-    thorough: bool = True,
+    problem: PolynomialProblem, part: PolynomialProblem | None = None, *, thorough: bool = True
 ) -> Ends:
     """Return the minimum reached from each start value, best first.
 

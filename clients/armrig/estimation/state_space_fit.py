@@ -112,10 +112,7 @@ def matrices(
 
 
 def influence(
-    problem: StateSpaceProblem,
-    at: Predictor,
-    V: Array,
-    states: Sequence[Basis] | None = None,
+    problem: StateSpaceProblem, at: Predictor, V: Array, states: Sequence[Basis] | None = None
 ) -> tuple[Array, tuple[Basis, ...]]:
     """Return the derivatives of the whitened predictions, and the effects of the initial states.
 

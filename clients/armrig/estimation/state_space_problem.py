@@ -203,10 +203,7 @@ class StateSpaceProblem:
             return linear.e, J
 
         found = levenberg_marquardt(
-            linearise,
-            np.zeros(V.shape[1]),
-            admissible=lambda t: stable_matrix(at(t)[0]),
-            most=most,
+            linearise, np.zeros(V.shape[1]), admissible=lambda t: stable_matrix(at(t)[0]), most=most
         )
         Abar, C = at(found.theta)
         linear = last.get(found.theta.tobytes()) or self.linear(Abar, C)

@@ -173,12 +173,7 @@ def innovations_at(w: Windows, found: Projection, order: int, *, integrator: boo
         K = space.gain()
         steady = bool(K.any())
     model = Innovations(
-        A=A,
-        C=C,
-        K=K,
-        horizon=w.future,
-        singular_values=found.singular_values,
-        steady=steady,
+        A=A, C=C, K=K, horizon=w.future, singular_values=found.singular_values, steady=steady
     )
     return model.integrating() if integrator else model
 

@@ -171,10 +171,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     return merge(
         [
             part.replaced(
-                u=part.u[: part.N - delay],
-                y=part.y[delay:],
-                valid=part.valid[delay:],
-                step=None,
+                u=part.u[: part.N - delay], y=part.y[delay:], valid=part.valid[delay:], step=None
             )
             for part in parts
         ]

@@ -338,13 +338,7 @@ def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: flo
 
 
 def _answer(
-    y: Vector,
-    k: NDArray[np.int_],
-    weight: Vector,
-    data: Dataset,
-    gain: float,
-    *,
-    integrates: bool,
+    y: Vector, k: NDArray[np.int_], weight: Vector, data: Dataset, gain: float, *, integrates: bool
 ) -> Answer:
     """Return the posterior of the response divided by the gain."""
     y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y / gain)
