@@ -86,7 +86,7 @@ def curvature(
     for value, axis in zip(values, axes.T, strict=True):
         step = _PROBED_SIGMAS * np.sqrt(max(value, 0.0)) * deviation * axis
         for moved in (theta + step, theta - step):
-            if not problem.admissible(moved):
+            if not problem.circle.admits(moved):
                 return _MAX_CURVATURE
             rise = (problem.cost(moved) - least) / noise_variance / _PROBED_SIGMAS**2
             worst = max(worst, abs(float(np.log(max(rise, _MIN_RISE_RATIO)))))

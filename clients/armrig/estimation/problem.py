@@ -373,35 +373,43 @@ class PolynomialProblem:
 
     def minimise(self, theta: Array, most: int = MAX_STEPS, known: float = np.nan) -> Optimum:
         """Return the minimum that a search from theta reaches with stable C and F."""
+        circle = self.circle
         return levenberg_marquardt(
-            self.linearise, theta, admissible=self.admissible, most=most, known=known, walls=self
+            self.linearise, theta, admissible=circle.admits, most=most, known=known, walls=circle
         )
 
-    def _bounded(self) -> list[slice]:
-        """Return the slices of theta with the polynomials that must be stable: each C and F."""
+    @property
+    def circle(self) -> UnitCircle:
+        """Boundary of the roots of each C and F, outside which the predictor is not stable."""
         pairs = zip(self.layout.letters, self.layout.slices, strict=True)
-        return [part for letter, part in pairs if letter in "cf" and part.stop > part.start]
+        return UnitCircle(tuple(p for letter, p in pairs if letter in "cf" and p.stop > p.start))
 
-    def admissible(self, theta: Array) -> bool:
-        """Return whether the predictor is stable, that is, whether each C and F is stable."""
-        return all(stable(monic(theta[part])) for part in self._bounded())
+
+@dataclass(frozen=True, slots=True)
+class UnitCircle:
+    """Boundary of the roots of monic polynomials, whose coefficients are slices of theta."""
+
+    parts: tuple[slice, ...]
+
+    def admits(self, theta: Array) -> bool:
+        """Return whether all roots are inside the circle."""
+        return all(stable(monic(theta[part])) for part in self.parts)
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Move the roots of C and F that are outside the unit circle inside; return theta."""
+        """Move the roots that are outside the circle inside; return theta."""
         theta = theta.copy()
-        for part in self._bounded():
+        for part in self.parts:
             theta[part] = drawn_to_edge(monic(theta[part]), monic(previous[part]))[1:]
         return theta
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradient d|z|/dtheta for each root z of C and F on the unit circle."""
+        """Return the gradient d|z|/dtheta for each root z on the circle."""
         found = [np.zeros((0, theta.size))]
-        for part in self._bounded():
+        for part in self.parts:
             rows = outward_normals(monic(theta[part]))
-            if len(rows):
-                whole = np.zeros((len(rows), theta.size))
-                whole[:, part] = rows
-                found.append(whole)
+            whole = np.zeros((len(rows), theta.size))
+            whole[:, part] = rows
+            found.append(whole)
         return np.vstack(found)
 
 

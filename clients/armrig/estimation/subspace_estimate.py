@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.errors import InputError
 
+from armrig.estimation.problem import UnitCircle
 from armrig.estimation.stability import stabilised
 from armrig.estimation.start_values import noise_start
 from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
@@ -29,11 +30,8 @@ from armrig.numerics.least_squares import Basis
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 from armrig.numerics.polynomial import (
     Array,
-    drawn_to_edge,
     filtered,
-    outward_normals,
     reflected,
-    stable,
     without_integrator,
 )
 from armrig.numerics.stretches import stretches
@@ -331,22 +329,6 @@ def _searched_poles(parts: tuple[Part, ...], model: Innovations, *, direct: bool
         linear, J = problem.linearised(transition(f), model.C, V)
         return linear.e, J
 
-    walls = _Circle()
+    walls = UnitCircle((slice(0, start.size - 1),))
     found = levenberg_marquardt(linearise, start[1:], admissible=walls.admits, walls=walls)
     return transition(stabilised(np.append(1.0, found.theta))[1:])
-
-
-class _Circle:
-    """Unit circle, the boundary of the roots of a monic polynomial."""
-
-    def admits(self, f: Array) -> bool:
-        """Return whether the roots are inside the circle."""
-        return stable(np.append(1.0, f))
-
-    def inside(self, f: Array, previous: Array) -> Array:
-        """Return f with the roots that left the circle moved inside."""
-        return drawn_to_edge(np.append(1.0, f), np.append(1.0, previous))[1:]
-
-    def normals(self, f: Array) -> Array:
-        """Return the gradient of |z| for each root z on the circle."""
-        return outward_normals(np.append(1.0, f))

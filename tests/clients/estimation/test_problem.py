@@ -125,7 +125,7 @@ def test_the_normal_of_a_root_on_the_circle_points_outwards(nc: int, nd: int) ->
     C, F = np.poly([1.0, 0.3][:nc]), np.poly([*np.exp([0.7j, -0.7j]), -0.4]).real
     theta = np.concatenate([C[1:], [0.6, -0.2][:nd], F[1:]])
 
-    rows = p.normals(theta)
+    rows = p.circle.normals(theta)
 
     def modulus(which: str, at: NDArray[np.float64]) -> float:
         c, _, f = p.polynomials(at)
