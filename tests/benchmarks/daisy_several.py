@@ -86,8 +86,7 @@ def main() -> None:
         for label, focus in (("n4sid", "prediction"), ("n4sid, simulation", "simulation")):
             begin = time.perf_counter()
             own = armrig.n4sid(parts[0], n, nk=0, focus=focus, replicates=0)
-            if signals.ny > 1:  # for one channel, n4sid returns a Fit
-                _say(label, own, parts, time.perf_counter() - begin)
+            _say(label, own, parts, time.perf_counter() - begin)
         for label, found in (
             ("Octave's n4sid", _octave(parts[0], n) if shutil.which("octave-cli") else None),
             ("nfoursid", _nfoursid(nfoursid, parts[0], n) if nfoursid else None),
@@ -95,14 +94,17 @@ def main() -> None:
             if found is None:
                 continue
             form, seconds = found
-            _say(label, replace(fit, form=form), parts, seconds)
+            unknown = np.zeros((form.theta.size,) * 2)
+            other = replace(fit, form=form, covariance=unknown, covariance_robust=unknown)
+            _say(label, other, parts, seconds)
 
 
 def _say(label: str, fit: Fit, parts: tuple[Signals, Signals], seconds: float) -> None:
     """Print one line."""
     fits = []
     for part in parts:
-        e, spread = part.y - fit.predict(part, None), part.y - part.y.mean(axis=0)
+        predicted = fit.predict(part, None).reshape(part.y.shape)  # (N,) for one channel
+        e, spread = part.y - predicted, part.y - part.y.mean(axis=0)
         fits.append(100 * (1 - np.linalg.norm(e) / np.linalg.norm(spread)))
     print(f"    {label:18} {fits[0]:6.1f} / {fits[1]:5.1f}   {seconds:6.2f} s", flush=True)
 
