@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.errors import OperationError
 from armrig_core.signal_pipe import until_signal
 
 from armrig.cli.options import Commands, Json, argument, group, option
 from armrig.cli.printing import agree, echo, inform, print_json
+from armrig.lab import installation
 
 if TYPE_CHECKING:
     from armrig.lab.installation import Part, Plan
@@ -67,11 +69,9 @@ def install(
     Before any change the command shows each new file, and the differences of each changed file. An
     existing installation is updated.
     """
-    from armrig.lab.installation import installing
-
     chosen: dict[Part, bool] = {"router": router, "recorder": recorder}
     parts = [part for part, is_chosen in chosen.items() if is_chosen] or ["rig"]
-    if _carry_out(installing(root.absolute(), parts), root, dry_run=dry_run, yes=yes):
+    if _carry_out(installation.installing(root.absolute(), parts), root, dry_run=dry_run, yes=yes):
         echo("\n".join(f"installed; {_NEXT[part]}" for part in parts))
 
 
@@ -81,9 +81,7 @@ def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -
 
     Configurations, recordings, drop-ins and users stay.
     """
-    from armrig.lab.installation import uninstalling
-
-    plan = uninstalling(root.absolute())
+    plan = installation.uninstalling(root.absolute())
     if not (plan.first or plan.removed):
         echo("\n".join([*plan.lines(), "nothing is installed"]))
         return
@@ -95,15 +93,12 @@ def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -
 @service.add("service status")
 def status(root: Root = _SYSTEM, json: Json = False) -> None:
     """Show the installed files, and the state of each rig, the router and the recorder."""
-    from armrig.lab.installation import files, parts_of, units_of
-
-    parts = parts_of(root.absolute()) or {"rig"}
-    states = {str(file.path): file.state for file in files(root.absolute(), parts)}
-    units = units_of(root.absolute())
+    parts = installation.parts_of(root.absolute()) or {"rig"}
+    states = {str(file.path): file.state for file in installation.files(root.absolute(), parts)}
+    units = installation.units_of(root.absolute())
     if json:
-        of_rigs = [unit for unit in units if unit.rig]
         others = {unit.part: unit for unit in units if not unit.rig}
-        print_json({"files": states, "rigs": of_rigs, **others})
+        print_json({"files": states, "rigs": [unit for unit in units if unit.rig], **others})
         return
     echo("\n".join(f"{state:9}  {path}" for path, state in states.items()))
     for unit in units:
@@ -117,8 +112,6 @@ def status(root: Root = _SYSTEM, json: Json = False) -> None:
 
 def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     """Show a plan, and carry it out if the user agrees; return True if it was carried out."""
-    from armrig.lab.installation import run_command
-
     echo("\n".join(plan.lines()))
     if dry_run:
         return False
@@ -127,7 +120,7 @@ def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
             "only root may do this: repeat it with sudo and the full path of armrig"
         )
     agree("Do this?", yes=yes)
-    plan.carry_out(run_command)
+    plan.carry_out(installation.run_command)
     return True
 
 
@@ -198,9 +191,7 @@ def rig(
     """Make the certificate of a rig's daemon, for clients and for a router."""
     from armrig.lab.pki import issue_to_rig
 
-    days, force = issuing.days, issuing.force
-    issued = issue_to_rig(issuing.directory, name, host or (), days=days, force=force)
-    _say(issued, json=issuing.json)
+    _issue(issue_to_rig, issuing, name, host or ())
 
 
 @pki.add("pki router --host lab.example.edu", "router")
@@ -213,8 +204,7 @@ def of_router(
     """Make the certificate of a lab's router."""
     from armrig.lab.pki import issue_to_router
 
-    issued = issue_to_router(issuing.directory, host, days=issuing.days, force=issuing.force)
-    _say(issued, json=issuing.json)
+    _issue(issue_to_router, issuing, host)
 
 
 @pki.add("pki operator anna")
@@ -226,7 +216,9 @@ def operator(
     issuing: Issuing,
 ) -> None:
     """Make the certificate of a person who may drive and watch the rigs."""
-    _issue_to_person(name, "operators", issuing)
+    from armrig.lab.pki import issue_to_person
+
+    _issue(issue_to_person, issuing, name, "operators")
 
 
 @pki.add("pki observer wall-screen")
@@ -234,16 +226,13 @@ def observer(
     name: Annotated[str, argument("NAME", "Name of a person: a-z, 0-9 and -.")], issuing: Issuing
 ) -> None:
     """Make the certificate of a person who may watch the rigs."""
-    _issue_to_person(name, "observers", issuing)
-
-
-def _issue_to_person(
-    name: str, group: Literal["operators", "observers"], issuing: _Issuing
-) -> None:
     from armrig.lab.pki import issue_to_person
 
-    days, force = issuing.days, issuing.force
-    issued = issue_to_person(issuing.directory, name, group, days=days, force=force)
+    _issue(issue_to_person, issuing, name, "observers")
+
+
+def _issue(issue: Callable[..., Issued], issuing: _Issuing, *whom: Any) -> None:
+    issued = issue(issuing.directory, *whom, days=issuing.days, force=issuing.force)
     _say(issued, json=issuing.json)
 
 

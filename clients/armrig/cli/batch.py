@@ -14,7 +14,7 @@ from msgspec.structs import asdict
 
 from armrig.cli.model_structures import Given, estimation_options, requested
 from armrig.cli.options import Commands, Detrend, Json, ModelOrders, argument, group, option
-from armrig.cli.printing import echo, print_json, tell
+from armrig.cli.printing import echo, print_json, some, tell
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
@@ -177,24 +177,20 @@ def _say(done: Batch, *, json: bool) -> None:
         for row in done.rows
         if row["damage"] and not row["problem"] and row["recording"] not in failed
     }
+    without = {row["recording"]: row["problem"] for row in problems}
     if json:
-        facts: dict[str, Any] = {
-            "table": str(done.table),
-            "rows": len(done.rows),
-            "done_before": done.done_before,
-            "problems": {row["recording"]: row["problem"] for row in problems},
-            "damaged": damaged,
-            "failed": failed,
-        }
-        print_json(facts)
+        facts = {"table": str(done.table), "rows": len(done.rows), "done_before": done.done_before}
+        print_json(facts | {"problems": without, "damaged": damaged, "failed": failed})
     else:
         before = f", {done.done_before} of them processed before" if done.done_before else ""
-        echo(f"{done.table}: {len(done.rows)} recordings{before}; {len(problems)} without a result")
-        _list({row["recording"]: row["problem"] for row in problems}, "column problem contains")
+        echo(f"{done.table}: {len(done.rows)} recordings{before}; {len(without)} without a result")
+        _list(without, "column problem contains")
         _list(damaged, "column damage contains")
         _list(failed, "columns of the checks contain")
     if failed:
-        tell(f"{len(failed)} failed a check: {_some([*failed])}; the table contains the checks")
+        tell(
+            f"{len(failed)} failed a check: {some([*failed], _MAX_NAMES)}; the table contains the checks"
+        )
     if problems or failed:
         raise typer.Exit(1)
 
@@ -213,8 +209,3 @@ def _list(found: dict[str, str], columns: str) -> None:
         echo(f"  {name}: {text}")
     if len(found) > _MAX_NAMES:
         echo(f"  and {len(found) - _MAX_NAMES} more; the {columns} all reasons")
-
-
-def _some(names: list[str]) -> str:
-    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
-    return ", ".join(names[:_MAX_NAMES]) + more

@@ -38,9 +38,7 @@ class Dialogue:
     def ready(self, text: str) -> None:
         """Print an instruction, and wait until the user confirms that it was followed."""
         if not self._quiet:
-            typer.prompt(
-                question(f"{text} Then press Enter"), default="", show_default=False, err=True
-            )
+            _prompt(f"{text} Then press Enter")
 
     def has_meter(self) -> bool:
         """Ask, before the motor turns, whether a voltmeter is connected to the motor."""
@@ -53,11 +51,13 @@ class Dialogue:
 
         readings: list[tuple[int, float]] = []
         for u in levels:
-            text = f"Reading of the meter at {u:g} V, in V (Enter: none)"
-            shown = typer.prompt(question(text), default="", show_default=False, err=True)
-            if shown:
+            if shown := _prompt(f"Reading of the meter at {u:g} V, in V (Enter: none)"):
                 readings.append(meter_reading(f"{code_of(u)}={shown}"))
         return readings
+
+
+def _prompt(text: str) -> str:
+    return str(typer.prompt(question(text), default="", show_default=False, err=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, OutputName
 
 from armrig.cli.printing import inform, tell
+from armrig.data.step import DOUBT, codes_of
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ UNNAMED = ("", "y")
 """Names of model outputs that may mean any signal."""
 _INPUTS = ("u",)
 """Inputs of a recording."""
+_OUTPUTS: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
+"""Outputs of a recording."""
 _IS = ("is", "are")
 _MIN_SAMPLES = 20
 """Smallest number of samples for which a note about the mean is printed."""
@@ -40,10 +43,9 @@ def names(option: str, text: str | None) -> tuple[str, ...]:
 
 def recorded_outputs(chosen: Sequence[str]) -> list[OutputName]:
     """Return the names as outputs of a recording; refuse any other name."""
-    known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
-    if unknown := [name for name in chosen if name not in known]:
-        raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(known)}")
-    return [known[name] for name in chosen]
+    if unknown := [name for name in chosen if name not in _OUTPUTS]:
+        raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(_OUTPUTS)}")
+    return [_OUTPUTS[name] for name in chosen]
 
 
 def chosen_outputs(signal: Sequence[str] | None) -> list[OutputName]:
@@ -58,19 +60,18 @@ def modelled_outputs(model: Fit, chosen: Sequence[str]) -> list[OutputName]:
     """
     if (model.ny, model.nu) == (1, 1) and model.output in UNNAMED:
         return recorded_outputs(chosen or (THETA_1,))
-    known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
-    if not set(model.outputs) <= known.keys() or model.inputs != _INPUTS:
+    if not set(model.outputs) <= _OUTPUTS.keys() or model.inputs != _INPUTS:
         raise InputError(
             f"the model's inputs are {', '.join(model.inputs)} and its outputs "
             f"{', '.join(model.outputs)}, but a recording has the input u and the outputs "
-            f"{', '.join(known)}; use data with the model's signals"
+            f"{', '.join(_OUTPUTS)}; use data with the model's signals"
         )
     if chosen and set(chosen) != set(model.outputs):
         raise typer.BadParameter(
             f"--signal {','.join(chosen)}: the model has {plural(model.ny, 'output')}, "
             f"{listed(model.outputs)}; leave --signal out"
         )
-    return [known[name] for name in model.outputs]
+    return [_OUTPUTS[name] for name in model.outputs]
 
 
 def require_as_many(model: Fit, outputs: Sequence[str], inputs: Sequence[str]) -> None:
@@ -147,8 +148,6 @@ def tell_of_reading(
     file: Path, data: Dataset | Signals, columns: Sequence[str], missing: str
 ) -> None:
     """Print first the doubts about the reading of a file, then its other facts."""
-    from armrig.data.step import DOUBT, codes_of
-
     steps = list(zip(data.history, codes_of(data.history), strict=True))
     for text, code in steps:
         if code == DOUBT:

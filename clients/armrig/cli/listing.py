@@ -14,7 +14,7 @@ from armrig_core.printable import printable
 
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, argument, option
-from armrig.cli.printing import echo, fields_of, inform, print_json, tell
+from armrig.cli.printing import echo, fields_of, inform, print_json, some, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue, LeftOut
@@ -193,6 +193,4 @@ def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
 def _names(left_out: Sequence[LeftOut]) -> str:
     from armrig.recordings.recording_summary import shown_path
 
-    named = ", ".join(shown_path(Path(left.path.name)) for left in left_out[:_MAX_NAMES])
-    more = len(left_out) - _MAX_NAMES
-    return f"{named} and {more} more" if more > 0 else named
+    return some([shown_path(Path(left.path.name)) for left in left_out], _MAX_NAMES)

@@ -63,18 +63,24 @@ def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
 
 def _roots(found: Roots) -> str:
     """Return the roots and their standard deviations as text; a complex pair is one text."""
-    with np.errstate(invalid="ignore"):  # rounding may make a variance negative
-        stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     texts = []
-    for z, (real, imag) in zip(found.values.tolist(), stds.tolist(), strict=True):
+    for z, (real, imag) in _each_root(found):
         if z.imag > 0:
             least = min((s for s in (real, imag) if s > 0), default=0.0)
             decimals = min(places(least), _MAX_DECIMALS)
             pair = f"{z.real:.{decimals}f} ± {z.imag:.{decimals}f}i"
             texts.append(f"{pair} (σ {real:.2g}, {imag:.2g})")
-        elif z.imag == 0:
+        else:
             texts.append(near_one(z.real, real) if real else f"{z.real:g} (fixed)")
     return _listed(texts) or "none"
+
+
+def _each_root(found: Roots) -> list[tuple[complex, list[float]]]:
+    """Return each real root and each pair, with the deviations of its real and imaginary part."""
+    with np.errstate(invalid="ignore"):  # rounding may make a variance negative
+        stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    each = zip(found.values.tolist(), stds.tolist(), strict=True)
+    return [(z, std) for z, std in each if z.imag >= 0]
 
 
 def _listed(numbers: Sequence[str]) -> str:
@@ -191,11 +197,7 @@ def root_lines(fit: Fit) -> list[str]:
     """Return poles and zeros in the z plane with their standard deviations; a pair is one row."""
     lines = [f"  {'root of z':12} {'value':>22} {'σ':>10} {'σ of the imaginary part':>24}"]
     for name, found in (("pole", fit.poles()), ("zero", fit.zeros())):
-        with np.errstate(invalid="ignore"):  # as above
-            stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
-        for z, (real, imag) in zip(found.values.tolist(), stds.tolist(), strict=True):
-            if z.imag < 0:
-                continue
+        for z, (real, imag) in _each_root(found):
             pair = f" ± {z.imag:.5f}i" if z.imag > 0 else ""
             std = f"{'fixed':>10}" if real == 0 and not pair else _std(real)
             lines.append(

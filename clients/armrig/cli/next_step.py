@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from armrig_core.errors import ArmrigError
 from armrig_core.printable import printable
+from armrig_core.recording_file.budget import DamageError
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -180,8 +181,6 @@ def naming(rig: str, connect: str | None = None) -> str:
 
 def typed(path: Path) -> str:
     """Return the @name of a recording, or its quoted path, as a user types it."""
-    from armrig_core.recording_file.budget import DamageError
-
     from armrig.recordings.catalogue import newest_first
     from armrig.recordings.recording_names import (
         NoSuchRecordingError,
@@ -226,8 +225,6 @@ def _chosen(text: str, folder: Path | None = None) -> RecordingSummary | None:
 
 def kind_of(path: Path) -> str:
     """Return the kind of experiment of a recording; "" if the file cannot be read."""
-    from armrig_core.recording_file.budget import DamageError
-
     from armrig.recordings.recording_summary import summary_of
 
     try:

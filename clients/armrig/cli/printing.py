@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import textwrap
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, TextIO
 
@@ -134,6 +135,12 @@ def _columns(stream: TextIO) -> int:
         return os.get_terminal_size(stream.fileno()).columns if stream.isatty() else 0
     except (OSError, ValueError):
         return 0
+
+
+def some(names: Sequence[str], most: int) -> str:
+    """Return the first `most` names as text, and the number of the others."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def fields_of(value: Any, names: str) -> dict[str, Any]:

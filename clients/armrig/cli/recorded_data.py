@@ -29,6 +29,7 @@ from armrig.cli.reading_options import OPTIONS, PART, READING, Assumption, DataO
 from armrig.cli.results import name_runs
 from armrig.cli.spinner import spinner
 from armrig.data.files import OTHER_DATA
+from armrig.data.step import MEAN, codes_of
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals, Vector
@@ -317,8 +318,6 @@ def source_facts(data: Dataset | Signals) -> dict[str, str]:
 
 
 def _without_means(model: Fit | None) -> bool:
-    from armrig.data.step import MEAN, codes_of
-
     return MEAN in codes_of(getattr(model, "history", ()))
 
 
