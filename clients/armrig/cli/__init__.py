@@ -14,14 +14,14 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from traceback import format_exception
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 import typer.core
 from armrig_core.errors import ArmrigError, OperationError, ParameterError
 from armrig_core.loading import is_interrupt, use_one_thread
 
-from armrig.cli.options import HELP, option, with_options
+from armrig.cli.options import HELP, chosen, with_options
 from armrig.cli.printing import tell_error
 
 _HELP_INDENT = 6
@@ -116,11 +116,10 @@ def _print_version(wanted: bool) -> None:
 
 
 def _options(
-    print_version: Annotated[
-        bool,
-        option("--version", "Show the version and exit.", is_eager=True, callback=_print_version),
-    ] = False,
-    debug: Annotated[bool, option(_DEBUG, "Print the traceback of an internal error.")] = False,
+    print_version: bool = chosen(
+        False, "--version", "Show the version and exit.", is_eager=True, callback=_print_version
+    ),
+    debug: bool = chosen(False, _DEBUG, "Print the traceback of an internal error."),
 ) -> None:
     """Define the options that precede the command; `_internal` reads `debug` from the arguments."""
 
@@ -137,7 +136,7 @@ def app(*names: str) -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     found.callback(help="Record, identify and validate models of a control laboratory's rig.")(
-        _options
+        with_options(_options)
     )
     for name in names or _MODULES:
         command = getattr(import_module(f"armrig.cli.{_MODULES[name]}"), name)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from armrig_core.errors import OperationError
 from armrig_core.signal_pipe import until_signal
 
-from armrig.cli.options import Commands, Json, argument, group, option
+from armrig.cli.options import Commands, Json, argument, chosen, group, option
 from armrig.cli.printing import agree, echo, inform, print_json
 from armrig.lab import installation
 
@@ -56,10 +56,8 @@ _NOT_STARTED: dict[Part, str] = {
 
 @service.add("service install --dry-run")
 def install(
-    router: Annotated[bool, option("--router", "Install a lab's router.")] = False,
-    recorder: Annotated[
-        bool, option("--recorder", "Install the recorder of all rigs of a router.")
-    ] = False,
+    router: bool = chosen(False, "--router", "Install a lab's router."),
+    recorder: bool = chosen(False, "--recorder", "Install the recorder of all rigs of a router."),
     root: Root = _SYSTEM,
     dry_run: DryRun = False,
     yes: Yes = False,
@@ -143,7 +141,7 @@ class _Issuing:
 
     directory: Directory = _PKI
     days: Days = 365
-    force: Annotated[bool, option("--force", "Replace an existing file.")] = False
+    force: bool = chosen(False, "--force", "Replace an existing file.")
     json: Json = False
 
 
@@ -154,10 +152,9 @@ Issuing = Annotated[_Issuing, group(_Issuing)]
 def ca(
     directory: Directory = _PKI,
     days: Days = 3650,
-    force: Annotated[
-        bool,
-        option("--force", "Replace an existing authority; all its certificates become invalid."),
-    ] = False,
+    force: bool = chosen(
+        False, "--force", "Replace an existing authority; all its certificates become invalid."
+    ),
     json: Json = False,
 ) -> None:
     """Make a certificate authority, which signs all certificates, and an empty access list."""
@@ -178,14 +175,12 @@ def ca(
 def rig(
     *,
     name: Annotated[str, argument("ID", "Id of the rig.")],
-    host: Annotated[
-        list[str] | None,
-        option(
-            "--host",
-            "Host name or address that clients use; repeatable.",
-            "none, only through a router",
-        ),
-    ] = None,
+    host: list[str] | None = chosen(
+        None,
+        "--host",
+        "Host name or address that clients use; repeatable.",
+        "none, only through a router",
+    ),
     issuing: Issuing,
 ) -> None:
     """Make the certificate of a rig's daemon, for clients and for a router."""
@@ -303,15 +298,13 @@ def _day(when: datetime) -> str:
 
 
 def router(
-    listen: Annotated[
-        str, option("--listen ENDPOINT", "Endpoint for rigs and clients.")
-    ] = "tls/0.0.0.0:7447",
-    certificate: Annotated[
-        Path, option("--certificate", "Certificate file of the router, from `armrig pki router`.")
-    ] = Path("router.pem"),
-    names: Annotated[Path, option("--names", "Access list, from `armrig pki`.")] = Path(
-        "access.toml"
+    listen: str = chosen("tls/0.0.0.0:7447", "--listen ENDPOINT", "Endpoint for rigs and clients."),
+    certificate: Path = chosen(
+        Path("router.pem"),
+        "--certificate",
+        "Certificate file of the router, from `armrig pki router`.",
     ),
+    names: Path = chosen(Path("access.toml"), "--names", "Access list, from `armrig pki`."),
 ) -> None:
     """Run the router of a lab, until Ctrl-C. Clients reach the rigs through it.
 

@@ -13,7 +13,7 @@ from armrig_core.telemetry import THETA_1, OutputName
 from msgspec.structs import asdict
 
 from armrig.cli.model_structures import Given, estimation_options, requested
-from armrig.cli.options import Commands, Detrend, Json, ModelOrders, argument, group, option
+from armrig.cli.options import Commands, Detrend, Json, ModelOrders, argument, chosen, group, option
 from armrig.cli.printing import echo, print_json, some, tell
 from armrig.cli.spinner import spinner
 
@@ -38,26 +38,19 @@ _MAX_NAMES = 3  # recordings in a message
 class _Selection:
     """Options of all batches: the recordings, the processes and the form of the result."""
 
-    rig: Annotated[
-        list[str] | None, option("--rig", "Id of a rig to include; repeatable.", "all")
-    ] = None
-    kind: Annotated[
-        list[str] | None, option("--kind", "Kind of experiment to include; repeatable.", "all")
-    ] = None
-    workers: Annotated[
-        int | None,
-        option("--workers", "Number of processes on this machine.", "one for each core", min=1),
-    ] = None
-    scheduler: Annotated[
-        str | None,
-        option(
-            "--scheduler ADDRESS",
-            "Address of a Dask scheduler whose workers process the recordings.",
-        ),
-    ] = None
-    force: Annotated[
-        bool, option("--force", "Process all recordings again and replace the table.")
-    ] = False
+    rig: list[str] | None = chosen(None, "--rig", "Id of a rig to include; repeatable.", "all")
+    kind: list[str] | None = chosen(
+        None, "--kind", "Kind of experiment to include; repeatable.", "all"
+    )
+    workers: int | None = chosen(
+        None, "--workers", "Number of processes on this machine.", "one for each core", min=1
+    )
+    scheduler: str | None = chosen(
+        None,
+        "--scheduler ADDRESS",
+        "Address of a Dask scheduler whose workers process the recordings.",
+    )
+    force: bool = chosen(False, "--force", "Process all recordings again and replace the table.")
     json: Json = False
 
 
@@ -70,7 +63,7 @@ def identify(
     folder: Folder,
     output: Table,
     given: Annotated[Given, estimation_options(structure="oe", nk=1)],
-    signal: Annotated[OutputName, option("--signal", "Output of the model.")] = THETA_1,
+    signal: OutputName = chosen(THETA_1, "--signal", "Output of the model."),
     detrend: Detrend = False,
     selection: Selection,
 ) -> None:
@@ -124,7 +117,7 @@ def report(
     *,
     folder: Folder,
     output: Table,
-    reports: Annotated[Path, option("--reports FOLDER", "Folder for the PDFs.")] = Path("reports"),
+    reports: Path = chosen(Path("reports"), "--reports FOLDER", "Folder for the PDFs."),
     orders: ModelOrders,
     selection: Selection,
 ) -> None:
@@ -188,9 +181,8 @@ def _say(done: Batch, *, json: bool) -> None:
         _list(damaged, "column damage contains")
         _list(failed, "columns of the checks contain")
     if failed:
-        tell(
-            f"{len(failed)} failed a check: {some([*failed], _MAX_NAMES)}; the table contains the checks"
-        )
+        names = some([*failed], _MAX_NAMES)
+        tell(f"{len(failed)} failed a check: {names}; the table contains the checks")
     if problems or failed:
         raise typer.Exit(1)
 

@@ -14,7 +14,7 @@ from armrig_core.telemetry import ALPHA
 
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading, take_into_use
 from armrig.cli.next_step import naming, say_next
-from armrig.cli.options import Connect, Json, RigId, SamplingTime, group, option
+from armrig.cli.options import Connect, Json, RigId, SamplingTime, chosen, group
 from armrig.cli.printing import fields_of, print_json, print_table, tell
 from armrig.cli.reading_options import recording_path
 from armrig.cli.results import Plot, check_plot, write_plot
@@ -33,43 +33,32 @@ _DEFAULT_LEVELS_V = (1.0, 2.0, 3.0)
 class _Wanted:
     """Measurements to make, and earlier measurements."""
 
-    volts: Annotated[
-        list[float] | None, option("--volts", "Voltage to apply, in V; repeatable.", "1, 2 and 3")
-    ] = None
-    level_seconds: Annotated[
-        float, option("--level-seconds", "Time for which each voltage is held, in s.")
-    ] = 12.0
-    rest_seconds: Annotated[
-        float,
-        option(
-            "--rest-seconds", "Length of the recordings at rest and with the arm deflected, in s."
-        ),
-    ] = 3.0
-    meter: Annotated[
-        list[str] | None,
-        option(
-            "--meter CODE=VOLTS",
-            "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
-        ),
-    ] = None
-    meter_std: Annotated[
-        float, option("--meter-std", "Standard deviation of a meter's reading, in V.")
-    ] = 0.01
-    by_hand: Annotated[
-        bool,
-        option(
-            "--by-hand",
-            "Leave the motor off; deflect the arm by hand to find the sign of its angle.",
-        ),
-    ] = False
-    rest_file: Annotated[
-        Path | None,
-        option("--rest F", "Earlier recording of the rig at rest.", parser=recording_path),
-    ] = None
-    turns_file: Annotated[
-        Path | None,
-        option("--turns F", "Earlier recording of the slow turns.", parser=recording_path),
-    ] = None
+    volts: list[float] | None = chosen(
+        None, "--volts", "Voltage to apply, in V; repeatable.", "1, 2 and 3"
+    )
+    level_seconds: float = chosen(
+        12.0, "--level-seconds", "Time for which each voltage is held, in s."
+    )
+    rest_seconds: float = chosen(
+        3.0, "--rest-seconds", "Length of the recordings at rest and with the arm deflected, in s."
+    )
+    meter: list[str] | None = chosen(
+        None,
+        "--meter CODE=VOLTS",
+        "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
+    )
+    meter_std: float = chosen(0.01, "--meter-std", "Standard deviation of a meter's reading, in V.")
+    by_hand: bool = chosen(
+        False,
+        "--by-hand",
+        "Leave the motor off; deflect the arm by hand to find the sign of its angle.",
+    )
+    rest_file: Path | None = chosen(
+        None, "--rest F", "Earlier recording of the rig at rest.", parser=recording_path
+    )
+    turns_file: Path | None = chosen(
+        None, "--turns F", "Earlier recording of the slow turns.", parser=recording_path
+    )
 
     def __post_init__(self) -> None:
         """Refuse a wrong reading of the voltmeter."""
@@ -89,32 +78,26 @@ class _Wanted:
 def calibrate(
     *,
     plot: Plot = None,
-    save: Annotated[
-        Path | None,
-        option(
-            "--save TOML",
-            "Calibration file to write.",
-            "calibration-<rig>.toml in ~/.config/armrig",
-        ),
-    ] = None,
+    save: Path | None = chosen(
+        None,
+        "--save TOML",
+        "Calibration file to write.",
+        "calibration-<rig>.toml in ~/.config/armrig",
+    ),
     wanted: Annotated[_Wanted, group(_Wanted)],
     Ts: SamplingTime = None,
-    yes: Annotated[
-        bool,
-        option(
-            "--yes",
-            "Ask no questions, not even for meter readings; load the calibration into the daemon "
-            "unless --no-use is given.",
-        ),
-    ] = False,
-    use: Annotated[
-        bool | None,
-        option(
-            "--use/--no-use",
-            "Use the calibration in the running daemon until the daemon ends.",
-            "asked",
-        ),
-    ] = None,
+    yes: bool = chosen(
+        False,
+        "--yes",
+        "Ask no questions, not even for meter readings; load the calibration into the daemon "
+        "unless --no-use is given.",
+    ),
+    use: bool | None = chosen(
+        None,
+        "--use/--no-use",
+        "Use the calibration in the running daemon until the daemon ends.",
+        "asked",
+    ),
     rig: RigId = "1",
     connect: Connect = None,
     json: Json = False,

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from armrig_core.errors import FileError, InputError, OperationError
 
 from armrig.cli.next_step import naming, own_recordings, say_next, step_again, typed
-from armrig.cli.options import Commands, Connect, Json, RigId, SamplingTime, group, option
+from armrig.cli.options import Commands, Connect, Json, RigId, SamplingTime, chosen, group, option
 from armrig.cli.printing import echo, fields_of, inform, print_json
 
 collect = Commands(
@@ -38,28 +38,21 @@ class _Run:
     """Options common to all kinds of experiment."""
 
     Ts: SamplingTime = None
-    name: Annotated[
-        str, option("--name", "Name of the recording, for @NAME: a-z, 0-9 and -.", "none")
-    ] = ""
-    pacing: Annotated[
-        Literal["scheduled", "exchange"],
-        option(
-            "--pacing",
-            "Clock of the samples: the device's timer (scheduled) or the host (exchange).",
-        ),
-    ] = "scheduled"
-    owner: Annotated[
-        str | None,
-        option("--owner", "Name of the rig's owner, shown to other users.", "this user"),
-    ] = None
-    dead_man: Annotated[
-        float,
-        option(
-            "--dead-man SECONDS",
-            "Time, 0.5 to 60 s, after which the daemon stops the run if this program is killed, "
-            "frozen or disconnected. 0 plays the run to its end.",
-        ),
-    ] = DEAD_MAN_S
+    name: str = chosen("", "--name", "Name of the recording, for @NAME: a-z, 0-9 and -.", "none")
+    pacing: Literal["scheduled", "exchange"] = chosen(
+        "scheduled",
+        "--pacing",
+        "Clock of the samples: the device's timer (scheduled) or the host (exchange).",
+    )
+    owner: str | None = chosen(
+        None, "--owner", "Name of the rig's owner, shown to other users.", "this user"
+    )
+    dead_man: float = chosen(
+        DEAD_MAN_S,
+        "--dead-man SECONDS",
+        "Time, 0.5 to 60 s, after which the daemon stops the run if this program is killed, "
+        "frozen or disconnected. 0 plays the run to its end.",
+    )
     rig: RigId = "1"
     connect: Connect = None
     json: Json = False
@@ -69,37 +62,28 @@ class _Run:
 class ChosenInput:
     """Options of a random input, or of the user's own input."""
 
-    seconds: Annotated[
-        float | None,
-        option("--seconds", "Length, in s; at most 4 000 000 samples; not with --file.", "30"),
-    ] = None
-    input: Annotated[
-        Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None,
-        option("--input", "Input signal.", "telegraph"),
-    ] = None
-    file: Annotated[
-        Path | None,
-        option(
-            "--file CSV", "File with your own input: a row with u, or t and u, for each sample."
-        ),
-    ] = None
-    a: Annotated[
-        float, option("--a", "Probability of a switch at each sample (telegraph, prbs).")
-    ] = 0.05
+    seconds: float | None = chosen(
+        None, "--seconds", "Length, in s; at most 4 000 000 samples; not with --file.", "30"
+    )
+    input: Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None = chosen(
+        None, "--input", "Input signal.", "telegraph"
+    )
+    file: Path | None = chosen(
+        None, "--file CSV", "File with your own input: a row with u, or t and u, for each sample."
+    )
+    a: float = chosen(0.05, "--a", "Probability of a switch at each sample (telegraph, prbs).")
     low: Low = 0.5
     high: High = 4.5
-    seed: Annotated[
-        int,
-        option(
-            "--seed",
-            "Seed of the random numbers (telegraph, prbs, white, multisine).",
-            min=0,
-            max=_MAX_SEED,
-        ),
-    ] = 1
-    validation: Annotated[
-        bool, option("--validation", "Record a second run for validation, with the next seed.")
-    ] = False
+    seed: int = chosen(
+        1,
+        "--seed",
+        "Seed of the random numbers (telegraph, prbs, white, multisine).",
+        min=0,
+        max=_MAX_SEED,
+    )
+    validation: bool = chosen(
+        False, "--validation", "Record a second run for validation, with the next seed."
+    )
 
 
 Run = Annotated[_Run, group(_Run)]
@@ -125,7 +109,7 @@ def greybox(chosen: Chosen, run: Run) -> None:
 def step(
     *,
     seconds: Seconds = 5.0,
-    at: Annotated[float, option("--at", "Time of the step, in s.")] = 1.0,
+    at: float = chosen(1.0, "--at", "Time of the step, in s."),
     low: Low = 0.5,
     high: High = 4.5,
     run: Run,
@@ -147,7 +131,7 @@ def step(
 def staircase(
     *,
     seconds: Seconds = SECONDS,
-    levels: Annotated[int, option("--levels", "Number of levels.", min=2)] = 6,
+    levels: int = chosen(6, "--levels", "Number of levels.", min=2),
     low: Low = 0.5,
     high: High = 4.5,
     run: Run,
@@ -167,19 +151,17 @@ def staircase(
 @collect.add("collect bla --realisations 4")
 def bla(
     *,
-    seconds: Annotated[
-        float | None,
-        option("--seconds", "Length of each recording, in s; use it instead of --period."),
-    ] = None,
-    period: Annotated[float | None, option("--period", "Length of a period, in s.", "5")] = None,
-    periods: Annotated[int, option("--periods", "Number of periods in each recording.", min=2)] = 5,
-    count: Annotated[
-        int,
-        option("--realisations", "Number of recordings, each with different phases.", min=1),
-    ] = 4,
+    seconds: float | None = chosen(
+        None, "--seconds", "Length of each recording, in s; use it instead of --period."
+    ),
+    period: float | None = chosen(None, "--period", "Length of a period, in s.", "5"),
+    periods: int = chosen(5, "--periods", "Number of periods in each recording.", min=2),
+    count: int = chosen(
+        4, "--realisations", "Number of recordings, each with different phases.", min=1
+    ),
     low: Low = 0.5,
     high: High = 4.5,
-    seed: Annotated[int, option("--seed", "Seed of the random phases.", min=0, max=_MAX_SEED)] = 1,
+    seed: int = chosen(1, "--seed", "Seed of the random phases.", min=0, max=_MAX_SEED),
     run: Run,
 ) -> None:
     """Play multisines for `armrig.bla`, the best linear approximation.

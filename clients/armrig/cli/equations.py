@@ -12,7 +12,7 @@ import typer
 from armrig_core.telemetry import ALPHA, THETA_1
 
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next
-from armrig.cli.options import group, option
+from armrig.cli.options import chosen, group
 from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Given, Omega, cases, changes
 from armrig.cli.printing import echo, fields_of, say, say_more
 from armrig.cli.results import Draw, Output
@@ -182,26 +182,19 @@ def _figures(compared: dict[str, ArmParameters]) -> dict[str, Draw]:
 
 def integrate(
     *,
-    method: Annotated[
-        list[str] | None,
-        option(
-            "--method",
-            "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
-            "all",
-        ),
-    ] = None,
-    h: Annotated[
-        list[float] | None,
-        option("--h S", "Step size, in s; repeatable.", "a recommended step"),
-    ] = None,
+    method: list[str] | None = chosen(
+        None,
+        "--method",
+        "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
+        "all",
+    ),
+    h: list[float] | None = chosen(
+        None, "--h S", "Step size, in s; repeatable.", "a recommended step"
+    ),
     omega: Omega = OMEGA,
     amplitude: Amplitude = AMPLITUDE_V,
-    span: Annotated[
-        float | None, option("--span S", "Length of the solution, in s.", "three periods")
-    ] = None,
-    tolerance: Annotated[
-        float, option("--tolerance", "Largest relative error of a recommended step.")
-    ] = 1e-3,
+    span: float | None = chosen(None, "--span S", "Length of the solution, in s.", "three periods"),
+    tolerance: float = chosen(1e-3, "--tolerance", "Largest relative error of a recommended step."),
     out: Annotated[Output, group(Output, ("json", "plot", "verbose"))],
 ) -> None:
     """Solve the arm's equations numerically (handout 4).

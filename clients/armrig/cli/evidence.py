@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.telemetry import THETA_1, ChannelName
 
-from armrig.cli.options import CalibrationFile, From, Json, To, argument, option
+from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen, option
 from armrig.cli.printing import echo, fields_of, inform, print_json, print_table, tell, warned
 from armrig.cli.reading_options import File
 from armrig.cli.spinner import spinner
@@ -20,10 +20,7 @@ if TYPE_CHECKING:
     from armrig_core.recording_file.recovery import RecoveredFile
 
 Out = Annotated[Path, argument("OUT", "File to write.")]
-Csv = Annotated[bool, option("--csv", "Write CSV, for any program.")]
 Parquet = Annotated[bool, option("--parquet", "Write Parquet, for pandas, polars and others.")]
-Raw = Annotated[bool, option("--raw", "Include the readings and times as recorded.")]
-OutputOfMat = Annotated[ChannelName, option("--signal", "Signal that becomes y in the MAT-file.")]
 
 Where = Annotated[
     list[Path] | None,
@@ -66,20 +63,18 @@ def verify(file: File, json: Json = False) -> None:
 def export(
     file: File,
     out: Out,
-    csv: Csv = False,
-    mat: Annotated[
-        bool, option("--mat", "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns.")
-    ] = False,
+    csv: bool = chosen(False, "--csv", "Write CSV, for any program."),
+    mat: bool = chosen(
+        False, "--mat", "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."
+    ),
     parquet: Parquet = False,
-    transforms: Annotated[
-        bool,
-        option(
-            "--transforms",
-            "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
-        ),
-    ] = False,
-    raw: Raw = False,
-    signal: OutputOfMat = THETA_1,
+    transforms: bool = chosen(
+        False,
+        "--transforms",
+        "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
+    ),
+    raw: bool = chosen(False, "--raw", "Include the readings and times as recorded."),
+    signal: ChannelName = chosen(THETA_1, "--signal", "Signal that becomes y in the MAT-file."),
     start: From = None,
     stop: To = None,
     calibration: CalibrationFile = None,

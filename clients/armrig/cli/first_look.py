@@ -19,7 +19,7 @@ from armrig.cli.next_step import (
     typed,
     validation_beside,
 )
-from armrig.cli.options import Json, group, option
+from armrig.cli.options import Json, chosen, group
 from armrig.cli.printing import (
     fields_of,
     inform,
@@ -66,10 +66,14 @@ _CHASSIS = (
 )
 _TESTS = {"open loop": "3.7", "delay": "3.8"}
 """Tests of `armrig check`, with their assignments in the handout."""
-Drawing = Annotated[Path, option("-o --plot FIGURE", FIGURE_HELP, parser=figure_path)]
 
 
-def plot(file: File, part: Part, figure: Drawing = Path("plot.png"), json: Json = False) -> None:
+def plot(
+    file: File,
+    part: Part,
+    figure: Path = chosen(Path("plot.png"), "-o --plot FIGURE", FIGURE_HELP, parser=figure_path),
+    json: Json = False,
+) -> None:
     """Plot a recording, and report its faults (handout 3.1.4).
 
     The figure shows u, theta_1, its rate and alpha. Missing samples and the dead band are shaded,
@@ -257,9 +261,7 @@ def check(
     *,
     file: DataFile,
     signals: Annotated[SignalChoice, data_group()],
-    level: Annotated[
-        float, option("--level", "Significance level of the test for feedback.")
-    ] = 0.05,
+    level: float = chosen(0.05, "--level", "Significance level of the test for feedback."),
     out: Shown,
 ) -> None:
     """Test the data for feedback and a delay (handout 3.7, 3.8).

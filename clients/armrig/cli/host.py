@@ -13,7 +13,7 @@ import typer
 from armrig_core.errors import InputError, OperationError
 
 from armrig.cli.next_step import opener, say_next
-from armrig.cli.options import Json, RigId, Verbose, option
+from armrig.cli.options import Json, RigId, Verbose, chosen, option
 from armrig.cli.printing import agree, echo, print_json, say, say_answer, say_more
 from armrig.cli.spinner import spinner
 
@@ -45,27 +45,22 @@ _MAX_DEMO_S = 600.0
 
 
 def demo(
-    directory: Annotated[Path, option("--directory", "Folder for all files.")] = Path("demo"),
-    seconds: Annotated[
-        float, option("--seconds", "Length of each telegraph signal, in s.", min=5)
-    ] = 30.0,
-    seed: Annotated[
-        int, option("--seed", "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2)
-    ] = 1,
-    virtual: Annotated[
-        bool,
-        option(
-            "--virtual", "Run in virtual time, without waiting; the same seed gives the same bytes."
-        ),
-    ] = False,
-    firmware: Annotated[
-        bool,
-        option(
-            "--firmware",
-            "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
-            "builds the necessary program, which no wheel contains.",
-        ),
-    ] = False,
+    directory: Path = chosen(Path("demo"), "--directory", "Folder for all files."),
+    seconds: float = chosen(30.0, "--seconds", "Length of each telegraph signal, in s.", min=5),
+    seed: int = chosen(
+        1, "--seed", "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2
+    ),
+    virtual: bool = chosen(
+        False,
+        "--virtual",
+        "Run in virtual time, without waiting; the same seed gives the same bytes.",
+    ),
+    firmware: bool = chosen(
+        False,
+        "--firmware",
+        "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
+        "builds the necessary program, which no wheel contains.",
+    ),
     json: Json = False,
 ) -> None:
     """Emulate a rig, record it, identify models and write a report.
@@ -118,28 +113,20 @@ def doctor(
 
 
 def flash(
-    port: Annotated[
-        str | None, option("--port DEVICE", "Serial port of the board.", "the only Uno plugged in")
-    ] = None,
-    image: Annotated[
-        Path | None, option("--hex FILE", "Firmware file to write.", "armrig's own")
-    ] = None,
-    baud: Annotated[
-        int, option("--baud", "Speed of the firmware's serial line, in bit/s ([device] baud).")
-    ] = _BAUD,
-    dry_run: Annotated[
-        bool, option("--dry-run", "Show the plan only, without opening the port.")
-    ] = False,
-    yes: Annotated[
-        bool, option("--yes", "Confirm that the motor is unplugged; do not ask.")
-    ] = False,
-    fuse: Annotated[
-        str | None,
-        option(
-            "--fuse PROGRAMMER",
-            "Read only the brown-out fuse, with this ISP programmer, such as usbasp.",
-        ),
-    ] = None,
+    port: str | None = chosen(
+        None, "--port DEVICE", "Serial port of the board.", "the only Uno plugged in"
+    ),
+    image: Path | None = chosen(None, "--hex FILE", "Firmware file to write.", "armrig's own"),
+    baud: int = chosen(
+        _BAUD, "--baud", "Speed of the firmware's serial line, in bit/s ([device] baud)."
+    ),
+    dry_run: bool = chosen(False, "--dry-run", "Show the plan only, without opening the port."),
+    yes: bool = chosen(False, "--yes", "Confirm that the motor is unplugged; do not ask."),
+    fuse: str | None = chosen(
+        None,
+        "--fuse PROGRAMMER",
+        "Read only the brown-out fuse, with this ISP programmer, such as usbasp.",
+    ),
     json: Json = False,
 ) -> None:
     """Write the firmware to an Uno, and check what the board runs.
@@ -258,10 +245,10 @@ def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str,
 
 def conformance(
     device: Annotated[str, option("--device DEVICE", "Serial port of the device.")],
-    baud: Annotated[int, option("--baud", "Speed of the line, in bit/s.")] = _BAUD,
-    motor_unplugged: Annotated[
-        bool, option("--motor-unplugged", "Confirm that the motor is unplugged; do not ask.")
-    ] = False,
+    baud: int = chosen(_BAUD, "--baud", "Speed of the line, in bit/s."),
+    motor_unplugged: bool = chosen(
+        False, "--motor-unplugged", "Confirm that the motor is unplugged; do not ask."
+    ),
     json: Json = False,
 ) -> None:
     """Test a device against PROTOCOL.md, with the motor unplugged.

@@ -20,7 +20,7 @@ from armrig.cli.model_structures import (
     searched_for,
 )
 from armrig.cli.next_estimation import after_identify
-from armrig.cli.options import group, option
+from armrig.cli.options import chosen, group
 from armrig.cli.printing import fields_of, say, say_answer, tell
 from armrig.cli.reading_options import DataFile, recording_path
 from armrig.cli.recorded_data import (
@@ -45,21 +45,17 @@ if TYPE_CHECKING:
     from armrig.validation.search_result import SearchResult
 
 _NK = "1; estimated with --search of one input and one output"
-Save = Annotated[Path | None, option("--save JSON", "Model file to write.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Search:
     """Range of a search."""
 
-    search: Annotated[
-        bool,
-        option(
-            "--search", "Search several structures, or the given structure, with several orders."
-        ),
-    ] = False
-    most: Annotated[int, option("--max-order", "Highest order that --search tries.", min=1)] = 5
-    jobs: Annotated[int, option("--jobs", "Number of processes that --search uses.", min=1)] = 1
+    search: bool = chosen(
+        False, "--search", "Search several structures, or the given structure, with several orders."
+    )
+    most: int = chosen(5, "--max-order", "Highest order that --search tries.", min=1)
+    jobs: int = chosen(1, "--jobs", "Number of processes that --search uses.", min=1)
     fixed: Given = field(default_factory=dict)
     """Fixed arguments of the search; the search chooses all other arguments."""
 
@@ -69,12 +65,11 @@ def identify(
     file: DataFile,
     given: Annotated[Given, estimation_options(without_nk=_NK)],
     searching: Annotated[_Search, group(_Search, ("search", "most", "jobs"))],
-    validate: Annotated[
-        Path | None,
-        option("--validate F2", "Recording, or other data, for validation.", parser=recording_path),
-    ] = None,
+    validate: Path | None = chosen(
+        None, "--validate F2", "Recording, or other data, for validation.", parser=recording_path
+    ),
     signals: Annotated[SignalChoice, data_group()],
-    save: Save = None,
+    save: Path | None = chosen(None, "--save JSON", "Model file to write."),
     out: ShownFigure,
 ) -> None:
     """Estimate a model from data, or search for a model.

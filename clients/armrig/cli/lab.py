@@ -17,7 +17,7 @@ from armrig_core.printable import printable
 from armrig_core.signal_pipe import until_signal
 
 from armrig.cli.next_step import naming, next_line
-from armrig.cli.options import Connect, Json, RigId, option
+from armrig.cli.options import Connect, Json, RigId, chosen, option
 from armrig.cli.printing import echo, folded, inform, print_json, takes_styles
 
 if TYPE_CHECKING:
@@ -47,17 +47,15 @@ class _Lab(NamedTuple):
 
 def lab(
     port: Port = None,
-    config: Annotated[
-        Path | None, option("--config TOML", "Configuration file, in place of the installed files.")
-    ] = None,
+    config: Path | None = chosen(
+        None, "--config TOML", "Configuration file, in place of the installed files."
+    ),
     rig: RigId = "1",
-    page: Annotated[
-        bool,
-        option(
-            "--dashboard/--no-dashboard",
-            "Also serve the dashboard, and open it if there is a screen; not with --json.",
-        ),
-    ] = True,
+    page: bool = chosen(
+        True,
+        "--dashboard/--no-dashboard",
+        "Also serve the dashboard, and open it if there is a screen; not with --json.",
+    ),
     json: Json = False,
 ) -> None:
     """Start a rig with its daemon, and show it live until Ctrl-C.
@@ -203,17 +201,16 @@ def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str]
 def dashboard(
     rig: RigId = "1",
     connect: Connect = None,
-    port: Annotated[
-        int | None,
-        option("--port", "TCP port on this machine.", "8807, or a free one", min=1, max=65_535),
-    ] = None,
-    browser: Annotated[bool, option("--open", "Open the page in the browser.")] = False,
-    share: Annotated[
-        bool, option("--share", "Let visitors on this network watch and stop the rig, over TLS.")
-    ] = False,
-    for_foxglove: Annotated[
-        bool, option("--foxglove", "Also serve the streams to Foxglove on this machine.")
-    ] = False,
+    port: int | None = chosen(
+        None, "--port", "TCP port on this machine.", "8807, or a free one", min=1, max=65_535
+    ),
+    browser: bool = chosen(False, "--open", "Open the page in the browser."),
+    share: bool = chosen(
+        False, "--share", "Let visitors on this network watch and stop the rig, over TLS."
+    ),
+    for_foxglove: bool = chosen(
+        False, "--foxglove", "Also serve the streams to Foxglove on this machine."
+    ),
     json: Json = False,
 ) -> None:
     """Serve a page that shows and drives a rig, until Ctrl-C.

@@ -13,7 +13,7 @@ from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, argument, option
+from armrig.cli.options import Json, argument, chosen, option
 from armrig.cli.printing import echo, fields_of, inform, print_json, some, tell
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from armrig.recordings.recording_names import Answering
     from armrig.recordings.recording_summary import RecordingSummary
 
-Count = Annotated[int, option("--count", "Number of the newest recordings to list.", min=1)]
-All = Annotated[bool, option("--all", "List all recordings.")]
 Live = Annotated[bool, option("--live", "List the rigs that are alive.")]
 Folder = Annotated[
     Path | None,
@@ -46,8 +44,10 @@ _OPTIONAL = 2  # number of optional columns, which are the last columns
 
 def ls(
     where: Folder = None,
-    count: Count = _DEFAULT_COUNT,
-    every: All = False,
+    count: int = chosen(
+        _DEFAULT_COUNT, "--count", "Number of the newest recordings to list.", min=1
+    ),
+    every: bool = chosen(False, "--all", "List all recordings."),
     live: Live = False,
     connect: Connect = None,
     json: Json = False,

@@ -5,13 +5,16 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, fields
+from dataclasses import Field, dataclass, field, fields
 from functools import wraps
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import typer
+
+HELP = {"help_option_names": ["-h", "--help"]}
+_OPTION = "option"  # key of a field's metadata
 
 
 def option(names: str, text: str, shown: str | bool = True, **more: Any) -> Any:
@@ -22,6 +25,14 @@ def option(names: str, text: str, shown: str | bool = True, **more: Any) -> Any:
     flags = [word for word in names.split() if word.startswith("-")]
     metavar = names.removeprefix(" ".join(flags)).strip() or None
     return typer.Option(*flags, metavar=metavar, help=text, show_default=shown, **more)
+
+
+def chosen(default: Any, names: str, text: str, shown: str | bool = True, **more: Any) -> Any:
+    """Return the value of a parameter or field that is an option with a default of its own.
+
+    Such as `seconds: float = chosen(30.0, "--seconds", "Length, in s.")`.
+    """
+    return field(default=default, metadata={_OPTION: option(names, text, shown, **more)})
 
 
 def argument(metavar: str, text: str, shown: str | bool = True, **more: Any) -> Any:
@@ -64,30 +75,36 @@ def group(
     does. The options of the fields `repeatable` may be repeated; each is then a list.
     """
     kinds = get_type_hints(kind, include_extras=True)
-    defaults = {field.name: field.default for field in fields(kind)}
+    known = {one.name: one for one in fields(kind)}
     options = []
-    for name in names or defaults:
-        taken, which = get_args(kinds[name])
+    for name in names or known:
+        taken, which = kinds[name], known[name].metadata.get(_OPTION)
+        if which is None:
+            taken, which = get_args(taken)
         if name in repeatable:
             taken, which = list[str] | None, noted(which, "; repeatable")
-        options.append(parameter(name, taken, which, defaults[name]))
+        options.append(parameter(name, taken, which, known[name].default))
     return Group(options, made or kind)
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the options of its groups in place of the arguments.
+    """Return the command with its options in the form of typer, and without groups.
 
-    The annotation of such an argument is `Annotated[TYPE, Group]`.
+    The annotation of a group is `Annotated[TYPE, Group]`.
     """
     signature = inspect.signature(command, eval_str=True)
-    groups = {
-        p.name: note
-        for p in signature.parameters.values()
-        for note in getattr(p.annotation, "__metadata__", ())
-        if isinstance(note, Group)
-    }
-    if not groups:
-        return command
+    groups: dict[str, Group] = {}
+    taken: list[inspect.Parameter] = []
+    for p in signature.parameters.values():
+        notes = getattr(p.annotation, "__metadata__", ())
+        if notes and isinstance(notes[0], Group):
+            groups[p.name] = notes[0]
+            taken += notes[0].options
+        elif isinstance(p.default, Field):
+            which, default = p.default.metadata[_OPTION], p.default.default
+            taken.append(parameter(p.name, p.annotation, which, default))
+        else:
+            taken.append(p)
 
     @wraps(command)
     def taking(**values: Any) -> None:
@@ -97,11 +114,6 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         }
         command(**made, **values)
 
-    taken = [
-        p
-        for one in signature.parameters.values()
-        for p in (groups[one.name].options if one.name in groups else [one])
-    ]
     taking.__signature__ = signature.replace(  # type: ignore[attr-defined]
         parameters=[p.replace(kind=p.KEYWORD_ONLY) for p in taken]
     )
@@ -175,13 +187,11 @@ Detrend = Annotated[bool, option("--detrend", "Subtract the mean of each signal 
 
 @dataclass(frozen=True, kw_only=True)
 class _ModelOrders:
-    na: Annotated[int, option("--na", "Number of a's (ARX).")] = 4
-    nb: Annotated[int, option("--nb", "Number of b's.")] = 4
-    nf: Annotated[int, option("--nf", "Number of f's (OE); an integrator counts as one.")] = 4
-    nk: Annotated[int, option("--nk", "Delay from u to y, in samples.")] = 1
+    na: int = chosen(4, "--na", "Number of a's (ARX).")
+    nb: int = chosen(4, "--nb", "Number of b's.")
+    nf: int = chosen(4, "--nf", "Number of f's (OE); an integrator counts as one.")
+    nk: int = chosen(1, "--nk", "Delay from u to y, in samples.")
 
 
 ModelOrders = Annotated[dict[str, Any], group(_ModelOrders, made=dict)]
 """Orders of the models of a study, by name."""
-
-HELP = {"help_option_names": ["-h", "--help"]}

@@ -12,7 +12,7 @@ from armrig_core.telemetry import THETA_1, ChannelName
 
 from armrig.cli.columns import chosen_outputs
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import argument, group, option
+from armrig.cli.options import argument, chosen, group, option
 from armrig.cli.parameters import PARAMETERS, Given, cases, parameters, physics_beside
 from armrig.cli.printing import echo, fields_of, say, say_answer, say_more
 from armrig.cli.reading_options import File, recording_path
@@ -44,20 +44,17 @@ def greybox(
     *,
     file: File,
     model: Model = None,
-    free: Annotated[list[str] | None, option("--free NAME", f"{_FREE}.", "J_1")] = None,
-    friction: Annotated[
-        Literal["viscous", "coulomb", "both"] | None,
-        option("--friction", "Friction to estimate in addition; the handout neglects friction."),
-    ] = None,
+    free: list[str] | None = chosen(None, "--free NAME", f"{_FREE}.", "J_1"),
+    friction: Literal["viscous", "coulomb", "both"] | None = chosen(
+        None, "--friction", "Friction to estimate in addition; the handout neglects friction."
+    ),
     given: Given = None,
-    signal: Annotated[
-        list[str] | None,
-        option(
-            "--signal NAME",
-            "Output to fit, theta_1 or alpha; repeatable, for both outputs together.",
-            "theta_1",
-        ),
-    ] = None,
+    signal: list[str] | None = chosen(
+        None,
+        "--signal NAME",
+        "Output to fit, theta_1 or alpha; repeatable, for both outputs together.",
+        "theta_1",
+    ),
     part: Part,
     out: Shown,
 ) -> None:
@@ -120,16 +117,15 @@ def _grey_facts(fit: GreyFit) -> dict[str, Any]:
 def split(
     *,
     file: File,
-    parts: Annotated[
-        str, option("--parts K,…", "Numbers of parts into which the recording is cut.")
-    ] = "1,2,4",
+    parts: str = chosen(
+        "1,2,4", "--parts K,…", "Numbers of parts into which the recording is cut."
+    ),
     model: Model = None,
-    free: Annotated[
-        list[str] | None,
-        option("--free NAME", f"{_FREE}; estimates of the first parameter are compared.", "J_1"),
-    ] = None,
+    free: list[str] | None = chosen(
+        None, "--free NAME", f"{_FREE}; estimates of the first parameter are compared.", "J_1"
+    ),
     given: Given = None,
-    signal: Annotated[ChannelName, option("--signal", "Output to fit.")] = THETA_1,
+    signal: ChannelName = chosen(THETA_1, "--signal", "Output to fit."),
     part: Part,
     out: Shown,
 ) -> None:
@@ -180,10 +176,9 @@ def simulate(
         Path | None,
         argument("F", "Recording with the input of the simulation.", parser=recording_path),
     ] = None,
-    model: Annotated[
-        list[Path] | None,
-        option("--model JSON", "Additional model file to simulate; repeatable."),
-    ] = None,
+    model: list[Path] | None = chosen(
+        None, "--model JSON", "Additional model file to simulate; repeatable."
+    ),
     given: Given = None,
     part: Part,
     out: Annotated[Output, group(Output, ("json", "plot", "verbose"))],

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from armrig_core.recording_file.part_names import part_paths
 
-from armrig.cli.options import CalibrationFile, Detrend, From, To, argument, option
+from armrig.cli.options import CalibrationFile, Detrend, From, To, argument, chosen
 from armrig.cli.printing import inform
 from armrig.data.files import OTHER_DATA, RECORDING
 
@@ -67,71 +67,52 @@ _DIGITS = 12  # of a number in a command line
 class DataOptions:
     """Options that choose and treat the data of a command."""
 
-    input: Annotated[
-        str | None,
-        option(
-            "--input NAME",
-            "Column of the input in other data: its name, or its number from 1.",
-            "u",
-        ),
-    ] = None
-    signal: Annotated[
-        str | None,
-        option(
-            "--signal NAME",
-            "Output: theta_1, alpha or velocity; in other data, the column's name, or its number "
-            "from 1.",
-            "theta_1; y of other data",
-        ),
-    ] = None
-    time: Annotated[
-        str | None,
-        option("--time NAME", "Column of the times in other data.", "t or time, if there is one"),
-    ] = None
-    Ts: Annotated[
-        float | None, option("--Ts", "Sampling time of other data, in s.", "by the times")
-    ] = None
-    topic: Annotated[
-        str | None,
-        option(
-            "--topic NAME",
-            "Topic of an MCAP file of another program; its messages' fields are the columns.",
-        ),
-    ] = None
-    decimal: Annotated[
-        Literal[",", "."] | None,
-        option(
-            "--decimal", "Decimal mark of other data: comma or point.", "by all numbers of the file"
-        ),
-    ] = None
-    resample: Annotated[bool, option("--resample", "Interpolate other data at uneven times.")] = (
-        False
+    input: str | None = chosen(
+        None,
+        "--input NAME",
+        "Column of the input in other data: its name, or its number from 1.",
+        "u",
     )
-    hold_input: Annotated[
-        bool, option("--hold-input", "Hold the input where its cell is empty.")
-    ] = False
-    mask_rails: Annotated[
-        bool, option("--mask-rails", "Mark samples at a rail of the converter as missing.")
-    ] = False
-    unwrap: Annotated[
-        float | None,
-        option(
-            "--unwrap RANGE",
-            "Remove the jumps of a counter or angle that wraps, such as 65536 or 360.",
-        ),
-    ] = None
+    signal: str | None = chosen(
+        None,
+        "--signal NAME",
+        "Output: theta_1, alpha or velocity; in other data, the column's name, or its number "
+        "from 1.",
+        "theta_1; y of other data",
+    )
+    time: str | None = chosen(
+        None, "--time NAME", "Column of the times in other data.", "t or time, if there is one"
+    )
+    Ts: float | None = chosen(None, "--Ts", "Sampling time of other data, in s.", "by the times")
+    topic: str | None = chosen(
+        None,
+        "--topic NAME",
+        "Topic of an MCAP file of another program; its messages' fields are the columns.",
+    )
+    decimal: Literal[",", "."] | None = chosen(
+        None,
+        "--decimal",
+        "Decimal mark of other data: comma or point.",
+        "by all numbers of the file",
+    )
+    resample: bool = chosen(False, "--resample", "Interpolate other data at uneven times.")
+    hold_input: bool = chosen(False, "--hold-input", "Hold the input where its cell is empty.")
+    mask_rails: bool = chosen(
+        False, "--mask-rails", "Mark samples at a rail of the converter as missing."
+    )
+    unwrap: float | None = chosen(
+        None,
+        "--unwrap RANGE",
+        "Remove the jumps of a counter or angle that wraps, such as 65536 or 360.",
+    )
     detrend: Detrend = False
-    hampel: Annotated[
-        bool, option("--hampel", "Mark single outliers of the output as missing.")
-    ] = False
-    assume: Annotated[
-        Assumption | None,
-        option(
-            "--assume",
-            "Take the output as the integral of its rate, or as an output that settles.",
-            "a test of the data decides",
-        ),
-    ] = None
+    hampel: bool = chosen(False, "--hampel", "Mark single outliers of the output as missing.")
+    assume: Assumption | None = chosen(
+        None,
+        "--assume",
+        "Take the output as the integral of its rate, or as an output that settles.",
+        "a test of the data decides",
+    )
     calibration: CalibrationFile = None
     start: From = None
     stop: To = None

@@ -15,7 +15,7 @@ from armrig_core.errors import InputError, OperationError
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.next_step import naming, say_next, typed
-from armrig.cli.options import From, Json, To, option
+from armrig.cli.options import From, Json, To, chosen, option
 from armrig.cli.printing import echo, fields_of, inform, print_json, tell, tell_error
 from armrig.cli.reading_options import File
 
@@ -24,31 +24,26 @@ if TYPE_CHECKING:
     from armrig.rig.remote_recording import RemoteRecording
 
 Rigs = Annotated[list[str] | None, option("--rig", "Id of a rig; repeatable.", "1")]
-Every = Annotated[bool, option("--all", "Record every rig, including rigs that start later.")]
 
 
 def record(
-    source: Annotated[
-        str | None,
-        option(
-            "--from --connect ENDPOINT",
-            "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
-            "[client] connect, or for one rig the daemon on this machine",
-        ),
-    ] = None,
+    source: str | None = chosen(
+        None,
+        "--from --connect ENDPOINT",
+        "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
+        "[client] connect, or for one rig the daemon on this machine",
+    ),
     rigs: Rigs = None,
-    every: Every = False,
-    out: Annotated[
-        Path | None,
-        option(
-            "-o FILE",
-            "File to write; for several rigs, folder for the files.",
-            "RIG-remote-TIME.mcap, here",
-        ),
-    ] = None,
-    seconds: Annotated[
-        float | None, option("--seconds S", "Length of the recording, in s.", "until Ctrl-C")
-    ] = None,
+    every: bool = chosen(False, "--all", "Record every rig, including rigs that start later."),
+    out: Path | None = chosen(
+        None,
+        "-o FILE",
+        "File to write; for several rigs, folder for the files.",
+        "RIG-remote-TIME.mcap, here",
+    ),
+    seconds: float | None = chosen(
+        None, "--seconds S", "Length of the recording, in s.", "until Ctrl-C"
+    ),
     json: Json = False,
 ) -> None:
     """Record all that a rig publishes, until Ctrl-C.
@@ -210,17 +205,14 @@ def record_many(
 
 def play(
     file: File,
-    speed: Annotated[
-        float, option("--speed X", "Speed of the playback, relative to the recording.")
-    ] = 1.0,
+    speed: float = chosen(1.0, "--speed X", "Speed of the playback, relative to the recording."),
     start: From = None,
     stop: To = None,
-    loop: Annotated[bool, option("--loop", "Repeat the recording until Ctrl-C.")] = False,
-    wait: Annotated[bool, option("--wait", "Begin when the first listener connects.")] = False,
-    listen: Annotated[
-        str | None,
-        option("--listen ENDPOINT", "zenoh endpoint to publish at.", "a socket of this user's"),
-    ] = None,
+    loop: bool = chosen(False, "--loop", "Repeat the recording until Ctrl-C."),
+    wait: bool = chosen(False, "--wait", "Begin when the first listener connects."),
+    listen: str | None = chosen(
+        None, "--listen ENDPOINT", "zenoh endpoint to publish at.", "a socket of this user's"
+    ),
     json: Json = False,
 ) -> None:
     """Publish the messages of a recording again.

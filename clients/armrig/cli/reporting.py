@@ -15,7 +15,7 @@ from armrig_core.telemetry import OutputName
 
 from armrig.cli.columns import chosen_outputs
 from armrig.cli.next_step import REASONS, for_the_report, free_name, opener, say_next
-from armrig.cli.options import CalibrationFile, Json, ModelOrders, argument, noted, option
+from armrig.cli.options import CalibrationFile, Json, ModelOrders, argument, chosen, noted
 from armrig.cli.parameters import AMPLITUDE_V, OF_AMPLITUDE, OF_CHANGES, OF_OMEGA, OMEGA, cases
 from armrig.cli.printing import echo, inform, print_json, tell
 from armrig.cli.reading_options import recording_path
@@ -33,49 +33,40 @@ def report(
         list[Path] | None,
         argument("F…", "Recordings (*.mcap) or their @names.", parser=recording_path),
     ] = None,
-    output: Annotated[Path, option("-o --output PDF", "PDF to write.")] = Path("report.pdf"),
-    signal: Annotated[
-        list[str] | None,
-        option(
-            "--signal NAME",
-            "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
-            "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
-            "theta_1",
-        ),
-    ] = None,
+    output: Path = chosen(Path("report.pdf"), "-o --output PDF", "PDF to write."),
+    signal: list[str] | None = chosen(
+        None,
+        "--signal NAME",
+        "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
+        "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
+        "theta_1",
+    ),
     orders: ModelOrders,
     calibration: CalibrationFile = None,
-    force: Annotated[bool, option("--force", "Overwrite an existing PDF.")] = False,
-    handout: Annotated[
-        bool,
-        option(
-            "--handout",
-            "Write a section for each assignment, at most ten pages in total. The recordings F… "
-            "are then optional.",
-        ),
-    ] = False,
-    questions: Annotated[
-        Path | None,
-        option("--questions TOML", "New file for the handout's questions; no report is written."),
-    ] = None,
-    answers: Annotated[
-        Path | None,
-        option("--answers TOML", "File with names, registration numbers and reasons (--handout)."),
-    ] = None,
+    force: bool = chosen(False, "--force", "Overwrite an existing PDF."),
+    handout: bool = chosen(
+        False,
+        "--handout",
+        "Write a section for each assignment, at most ten pages in total. The recordings F… "
+        "are then optional.",
+    ),
+    questions: Path | None = chosen(
+        None, "--questions TOML", "New file for the handout's questions; no report is written."
+    ),
+    answers: Path | None = chosen(
+        None, "--answers TOML", "File with names, registration numbers and reasons (--handout)."
+    ),
     given: Annotated[list[str] | None, noted(OF_CHANGES, " (--handout)")] = None,
     amplitude: Annotated[float, noted(OF_AMPLITUDE, " (--handout)")] = AMPLITUDE_V,
     omega: Annotated[float, noted(OF_OMEGA, " (--handout)")] = OMEGA,
-    source: Annotated[
-        Path | None,
-        option(
-            "--source FOLDER",
-            "New folder for the Typst source and its figures; --from typesets this source.",
-        ),
-    ] = None,
-    edited: Annotated[
-        Path | None,
-        option("--from FOLDER", "Folder with a source to typeset, in place of recordings."),
-    ] = None,
+    source: Path | None = chosen(
+        None,
+        "--source FOLDER",
+        "New folder for the Typst source and its figures; --from typesets this source.",
+    ),
+    edited: Path | None = chosen(
+        None, "--from FOLDER", "Folder with a source to typeset, in place of recordings."
+    ),
     json: Json = False,
 ) -> None:
     """Typeset a report as a PDF.

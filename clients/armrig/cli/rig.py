@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
-from armrig.cli.options import Connect, Json, RigId, argument, option
+from armrig.cli.options import Connect, Json, RigId, argument, chosen
 from armrig.cli.printing import echo, print_json, print_table, say
 
 if TYPE_CHECKING:
@@ -21,10 +21,6 @@ _DRIVEN = frozenset({"armed", "active"})
 _STOP_REPORT_S = 1.0
 """Longest wait, in s, for the status that follows a stop."""
 _STATUS_INTERVAL_S = 0.02
-
-By = Annotated[
-    str, option("--owner", "Name of the person who stops the rig, for the recording.", "this user")
-]
 
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
@@ -44,15 +40,13 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
 def watch(
     rig: RigId = "1",
     connect: Connect = None,
-    count: Annotated[
-        int | None,
-        option(
-            "--count",
-            "Number of samples and gaps after which the command ends.",
-            "until Ctrl-C",
-            min=1,
-        ),
-    ] = None,
+    count: int | None = chosen(
+        None,
+        "--count",
+        "Number of samples and gaps after which the command ends.",
+        "until Ctrl-C",
+        min=1,
+    ),
     json: Json = False,
 ) -> None:
     """Show the live samples and the gaps until Ctrl-C.
@@ -75,7 +69,14 @@ def watch(
                 _watch_in_lines(samples)
 
 
-def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = False) -> None:
+def stop(
+    rig: RigId = "1",
+    connect: Connect = None,
+    by: str = chosen(
+        "", "--owner", "Name of the person who stops the rig, for the recording.", "this user"
+    ),
+    json: Json = False,
+) -> None:
     """Stop the rig at 0 V, even if another person is the owner.
 
     The command prints the state of the motor after the stop, as the device reports it.
@@ -155,7 +156,7 @@ def note(
     text: Annotated[str, argument("TEXT", "Text of the note, 1 to 500 characters.", False)],
     rig: RigId = "1",
     connect: Connect = None,
-    owner: Annotated[str, option("--owner", "Author of the note.", "this user")] = "",
+    owner: str = chosen("", "--owner", "Author of the note.", "this user"),
     json: Json = False,
 ) -> None:
     """Write a note into the current recording.

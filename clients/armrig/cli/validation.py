@@ -11,7 +11,7 @@ import typer
 
 from armrig.cli.next_estimation import after_validate
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import ModelOrders, option
+from armrig.cli.options import ModelOrders, chosen, option
 from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.printing import echo, inform, say, say_answer, say_more
 from armrig.cli.reading_options import DataFile, File, OtherFile
@@ -44,13 +44,12 @@ def validate(
     file: DataFile,
     model: ModelFile,
     signals: Annotated[SignalChoice, data_group(without="assume")],
-    horizon: Annotated[
-        list[int] | None,
-        option("--horizon", "Prediction horizon, in samples; repeatable.", "1 and 10", min=1),
-    ] = None,
-    lags: Annotated[
-        int | None, option("--lags", "Number of lags in the tests of the residuals.", "25", min=1)
-    ] = None,
+    horizon: list[int] | None = chosen(
+        None, "--horizon", "Prediction horizon, in samples; repeatable.", "1 and 10", min=1
+    ),
+    lags: int | None = chosen(
+        None, "--lags", "Number of lags in the tests of the residuals.", "25", min=1
+    ),
     out: ShownFigure,
 ) -> None:
     """Validate a model on a recording or other data.
@@ -171,16 +170,16 @@ def compare(
     file: File,
     other: OtherFile = None,
     orders: ModelOrders,
-    model: Annotated[
-        list[Path] | None,
-        option("--model JSON", "Model file written by identify --save; repeatable."),
-    ] = None,
-    horizon: Annotated[
-        int | None,
-        option(
-            "--horizon", "Prediction horizon, in samples.", "none: the models are simulated", min=1
-        ),
-    ] = None,
+    model: list[Path] | None = chosen(
+        None, "--model JSON", "Model file written by identify --save; repeatable."
+    ),
+    horizon: int | None = chosen(
+        None,
+        "--horizon",
+        "Prediction horizon, in samples.",
+        "none: the models are simulated",
+        min=1,
+    ),
     given: Given = None,
     part: Part,
     out: ShownFigure,
