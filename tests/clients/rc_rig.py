@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig.cli.collect import chosen_inputs
+from armrig.cli.collect import InputChoice, chosen_inputs
 from armrig.excitation import step
 from armrig.recordings.recording_summary import VALIDATION_OF
 from armrig_core.commands import Run
@@ -93,10 +93,7 @@ def record_all(folder: Path, config: Config, switch_on: Any = RcDevice) -> list[
         Run(lease=LEASE, n=1, u=up.tolist(), experiment="step-first", details=details)
     )
     service = VirtualService(_with_ts(config, 0.01), folder, seed=2, switch_on=switch_on)
-    played = chosen_inputs(
-        "blackbox", input=None, file=None, seconds=30.0, a=0.05, low=0.5, high=4.5, seed=1,
-        validation=True, Ts=0.01,
-    )  # fmt: skip
+    played = chosen_inputs("blackbox", InputChoice(seconds=30.0, validation=True), 0.01)
     files, of = [first], ""
     for one in played:
         details = one.details | ({VALIDATION_OF: of} if one.is_validation else {})

@@ -59,7 +59,7 @@ class _Run:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChosenInput:
+class InputChoice:
     """Options of a random input, or of the user's own input."""
 
     seconds: float | None = chosen(
@@ -87,22 +87,22 @@ class ChosenInput:
 
 
 Run = Annotated[_Run, group(_Run)]
-Chosen = Annotated[ChosenInput, group(ChosenInput)]
+Choice = Annotated[InputChoice, group(InputChoice)]
 
 
 @collect.add("collect blackbox --seconds 30 --validation")
-def blackbox(chosen: Chosen, run: Run) -> None:
+def blackbox(choice: Choice, run: Run) -> None:
     """Play a random input, or your own input, to the complete rig."""
-    collect_each(chosen_inputs("blackbox", chosen, run.Ts), run)
+    collect_each(chosen_inputs("blackbox", choice, run.Ts), run)
 
 
 @collect.add("collect greybox --seconds 30")
-def greybox(chosen: Chosen, run: Run) -> None:
+def greybox(choice: Choice, run: Run) -> None:
     """Play a random input, or your own input, to the chassis alone.
 
     Remove the rotating part first. The configuration must have [arm] removed = true.
     """
-    collect_each(chosen_inputs("greybox", chosen, run.Ts), run, without_arm=True)
+    collect_each(chosen_inputs("greybox", choice, run.Ts), run, without_arm=True)
 
 
 @collect.add("collect step --Ts 0.002")
@@ -207,38 +207,38 @@ class Played(NamedTuple):
     """True if the recording validates the models of the previous recording."""
 
 
-def chosen_inputs(experiment: str, chosen: ChosenInput, Ts: float | None) -> list[Played]:
+def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> list[Played]:
     """Return the runs to play; refuse wrong options before the connection to a rig."""
     from armrig.excitation.named_signals import SEEDED, details_of, named_signal
 
-    file = chosen.file
-    name = chosen.input or ("telegraph" if file is None else "csv")
+    file = choice.file
+    name = choice.input or ("telegraph" if file is None else "csv")
     if (name == "csv") != (file is not None):
         msg = f"--input {name} with --file {file}: " if file else f"--input {name}: "
         msg += "--file CSV plays a file; leave out --input, or give --input csv"
         raise InputError(msg)
-    if chosen.validation and name not in SEEDED:
+    if choice.validation and name not in SEEDED:
         raise InputError(
             f"--validation: {name} would repeat the same input; choose an input with a seed "
             f"({', '.join(SEEDED)}), or collect twice"
         )
     if file is not None:
-        return [_from_file(experiment, file, chosen.seconds, Ts)]
-    figures = fields_of(chosen, "a low high")
+        return [_from_file(experiment, file, choice.seconds, Ts)]
+    figures = fields_of(choice, "a low high")
     # A wrong value is refused here, before the rig is armed.
-    named_signal(name, 3, 0.01, seed=chosen.seed, **figures)
+    named_signal(name, 3, 0.01, seed=choice.seed, **figures)
 
     def played(kind: str, seed: int) -> Played:
         return Played(
             kind,
             lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
-            SECONDS if chosen.seconds is None else chosen.seconds,
+            SECONDS if choice.seconds is None else choice.seconds,
         )
 
-    first = played(experiment, chosen.seed)
-    second = played(f"{experiment}-validation", chosen.seed + 1)._replace(is_validation=True)
-    return [first, second] if chosen.validation else [first]
+    first = played(experiment, choice.seed)
+    second = played(f"{experiment}-validation", choice.seed + 1)._replace(is_validation=True)
+    return [first, second] if choice.validation else [first]
 
 
 def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | None) -> Played:
