@@ -10,7 +10,7 @@ import typer
 
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json
-from armrig.cli.printing import print_json, print_table
+from armrig.cli.printing import fields_of, print_json, print_table
 from armrig.cli.reading_options import File
 from armrig.cli.recorded_data import Part
 from armrig.cli.results import Draw, Shown, name_runs
@@ -52,24 +52,19 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
     from armrig.recordings.usability import data_verdict, doubts_of_calibration
 
     return {
-        "sha256": rec.sha256,
-        "manifest": rec.manifest,
+        **fields_of(rec, "sha256 manifest"),
         "emulated": rec.manifest.emulated,
-        "outcome": rec.outcome,
-        "recovered": rec.recovered,
+        **fields_of(rec, "outcome recovered"),
         "samples": int(rec.samples.size),
         "missing": rec.missing,
         "invalid": rec.hidden,
-        "truncated": rec.truncated,
-        "damage": rec.damage,
+        **fields_of(rec, "truncated damage"),
         "sampling": sampling_statistics(rec),
         "causes": disturbances(rec),
         "calibration": rec.calibration,
         "remarks": doubts_of_calibration(rec.calibration, rec.manifest),
         "verdict": data_verdict(rec).facts(),
-        "gaps": rec.gaps,
-        "events": rec.events,
-        "notes": rec.notes,
+        **fields_of(rec, "gaps events notes"),
     }
 
 
