@@ -16,7 +16,7 @@ from tests.integration.processes import Bench, wait_for
 HERE = Path(__file__).parent
 GUARDED = ("-m", "armrig_daemon")
 """Program of the daemon."""
-UNGUARDED = (str(HERE / "open_daemon.py"),)
+UNGUARDED = (str(HERE / "unguarded.py"),)
 """And of that which denies nothing."""
 STRANGER = "tests.integration.stranger"
 PORT = 7447

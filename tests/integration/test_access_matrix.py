@@ -42,7 +42,7 @@ from tests.integration.stranger import (
 )
 
 pytestmark = pytest.mark.machine
-ROUTER = {True: ("-m", "armrig"), False: (str(HERE / "open_router.py"),)}
+ROUTER = {True: ("-m", "armrig"), False: (str(HERE / "unguarded.py"),)}
 """Programs of the router, with and without its guard."""
 TIMES = {"daemon": 20, "router": 4}
 WHO = {

@@ -1,6 +1,6 @@
-"""The router without its guard, as the control for the tests of the guard.
+"""The daemon, or the router, without its guard, as the control for the tests of the guard.
 
-`python open_router.py router …`: any TLS client may connect and do everything.
+`python unguarded.py run …`, `python unguarded.py router …`: any TLS client may do everything.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from armrig.cli import main
 from armrig_core import access_control
 from armrig_core.credential import Credential
 
@@ -24,7 +23,12 @@ def _nothing_denied(*_: Any) -> dict[str, Any]:
 
 
 Credential.tls = _without_mutual_tls  # type: ignore[method-assign]
+access_control.remote = _nothing_denied  # type: ignore[assignment]
 access_control.of_router = _nothing_denied  # type: ignore[assignment]
 
 if __name__ == "__main__":
+    if sys.argv[1] == "router":
+        from armrig.cli import main
+    else:
+        from armrig_daemon.__main__ import main
     sys.exit(main())
