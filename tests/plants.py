@@ -272,3 +272,18 @@ def with_one_denominator(
         poles=np.roots(F),
         G=np.stack([response(B[0], whole), response(B[1], F)], axis=1)[:, :, None],
     )
+
+
+def nonlinear_rig(kind: str, seed: int) -> Dataset:
+    """Return a nonlinear rig of first order at random levels of u; the noise is 1 %."""
+    rng = np.random.default_rng([seed, 51])
+    u = np.repeat(rng.uniform(0, 5, 50), 16) - 2.5 * (kind == "friction")
+    acts = {"dead zone": np.maximum(u - 1.2, 0), "gain by level": np.sqrt(abs(u))}.get(kind, u)
+    x, still = np.zeros(u.size), 0.4 * (kind == "friction")
+    for t in range(1, u.size):
+        force = acts[t - 1] - x[t - 1]
+        force -= still * np.sign(x[t - 1]) if x[t - 1] else np.clip(force, -still, still)
+        x[t] = x[t - 1] + 0.2 * force
+        x[t] *= not (still and x[t] * x[t - 1] < 0)
+    y = x + 0.01 * np.std(x) * rng.standard_normal(u.size)
+    return Dataset(u=u, y=np.minimum(y, 3.1) if kind == "saturation" else y, Ts=0.1)

@@ -20,6 +20,8 @@ from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from tests.plants import nonlinear_rig
+
 Vector = NDArray[np.float64]
 Variants = Iterator[tuple[str, Any]]
 
@@ -850,6 +852,12 @@ def delay() -> Variants:
     yield "feedback", armrig.delay(fed_back())
     yield "unlike", armrig.delay(unlike())
     yield "unlike integrator", armrig.delay(unlike_integrating(), integrator=True)
+
+
+@variants
+def linearity() -> Variants:
+    yield "late", armrig.linearity(late())
+    yield "rig", armrig.linearity(nonlinear_rig("gain by level", 1))
 
 
 @variants

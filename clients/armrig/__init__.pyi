@@ -84,6 +84,7 @@ from armrig.validation.advice import advice as advice
 from armrig.validation.comparison import compare as compare
 from armrig.validation.feedback_and_delay.delay import delay as delay
 from armrig.validation.feedback_and_delay.open_loop import open_loop as open_loop
+from armrig.validation.linearity import linearity as linearity
 from armrig.validation.model_search import search as search
 from armrig.validation.residuals import residuals as residuals
 from armrig.validation.search_result import SearchResult as SearchResult

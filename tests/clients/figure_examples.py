@@ -39,6 +39,7 @@ from tests.clients.chassis_data import angle
 from tests.clients.handout_plant import HandoutPlant
 from tests.clients.made_turns import made_turns, still
 from tests.clients.models.made_fits import changed
+from tests.plants import nonlinear_rig
 
 P = ArmParameters()
 A, B, _ = arm_matrices(P)
@@ -235,6 +236,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_open_loop, no verdict": lambda e: armrig.open_loop(
         Dataset(u=np.full(1000, 2.5), y=second_order(N=1000).y, Ts=0.01)
     ).plot(ax=ax()),
+    "plot_linearity": lambda e: armrig.linearity(nonlinear_rig("gain by level", 1)).plot(ax=ax()),
     "plot_rig": lambda e: plots.plot_rig(ax=ax()),
     "plot_physical_step": lambda e: plots.plot_physical_step(
         beside_the_handout(replace(P, J_1=2 * P.J_1, K_lin=2 * P.K_lin)), u=2, seconds=0.5, ax=ax()

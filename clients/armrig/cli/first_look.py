@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.errors import InputError
 
-from armrig.cli import next_step
-from armrig.cli.next_step import kind_of, say_next, step_again, typed, validation_beside
+from armrig.cli.next_step import (
+    AFTER,
+    chassis,
+    kind_of,
+    say_next,
+    step_again,
+    typed,
+    validation_beside,
+)
 from armrig.cli.options import Json, chosen, group
 from armrig.cli.printing import (
     fields_of,
@@ -84,7 +91,7 @@ def plot(
         return
     print_table(*found.rows())
     after = f"plot {kind_of(file)}"
-    say_next(after if after in next_step.AFTER else "plot", file=typed(file))
+    say_next(after if after in AFTER else "plot", file=typed(file))
 
 
 def sampling(
@@ -311,7 +318,7 @@ def check(
             say_next("check other", file=typed(file), given=signals.options())
         elif kind_of(file) == "greybox":
             say_next("check greybox")
-        elif recorded := next_step.chassis():
+        elif recorded := chassis():
             say_next("check with chassis", chassis=recorded)
         else:
             inform(_CHASSIS)

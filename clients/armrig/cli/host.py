@@ -22,6 +22,14 @@ if TYPE_CHECKING:
 
     from armrig.lab.avrdude import Board
 
+Socket = Annotated[
+    str | None,
+    option(
+        "--connect ENDPOINT",
+        "Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are refused.",
+        "[client] connect, or the daemon on this machine",
+    ),
+]
 BROWN_OUT = (
     "The brown-out fuse is not known: Optiboot does not read fuses. A new board has "
     "a brown-out level of 2.7 V, too low for 16 MHz; docs/hardware.md explains how to read and set "
@@ -81,15 +89,7 @@ def demo(
 
 
 def doctor(
-    rig: RigId = "1",
-    connect: str | None = chosen(
-        None,
-        "--connect ENDPOINT",
-        "Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are refused.",
-        "[client] connect, or the daemon on this machine",
-    ),
-    json: Json = False,
-    verbose: Verbose = False,
+    rig: RigId = "1", connect: Socket = None, json: Json = False, verbose: Verbose = False
 ) -> None:
     """Show what degrades the timing here, and how to correct it.
 

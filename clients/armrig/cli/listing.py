@@ -26,6 +26,14 @@ Folder = Annotated[
     Path | None,
     argument("FOLDER", "Folder of the recordings.", "the folder that the daemon records into"),
 ]
+Connect = Annotated[
+    str | None,
+    option(
+        "--connect ENDPOINT",
+        "Only with --live: zenoh endpoint of a router or daemon.",
+        "[client] connect, or all rigs of this machine",
+    ),
+]
 Naming = Callable[["RecordingSummary"], str]
 _DEFAULT_COUNT = 20
 _MAX_NAMES = 3
@@ -41,12 +49,7 @@ def ls(
     ),
     every: bool = chosen(False, "--all", "List all recordings."),
     live: Live = False,
-    connect: str | None = chosen(
-        None,
-        "--connect ENDPOINT",
-        "Only with --live: zenoh endpoint of a router or daemon.",
-        "[client] connect, or all rigs of this machine",
-    ),
+    connect: Connect = None,
     json: Json = False,
 ) -> None:
     """List the recordings, newest first, or with --live the rigs.

@@ -56,7 +56,13 @@ def validate(
 
     The command simulates the model, predicts the output, and tests the residuals.
     """
-    from armrig.cli import model_output
+    from armrig.cli.model_output import (
+        error_facts,
+        lags_outside,
+        pair_lines,
+        residual_facts,
+        residual_lines,
+    )
     from armrig.models.equation import input_and_output
     from armrig.models.model_file import load_fit
     from armrig.plots.captions import signature
@@ -76,11 +82,9 @@ def validate(
 
     def facts() -> dict[str, Any]:
         errors = "fit_percent rms_error"
-        ahead = [
-            {"horizon": t.horizon} | model_output.error_facts(t.rows, errors) for t in predicted
-        ]
+        ahead = [{"horizon": t.horizon} | error_facts(t.rows, errors) for t in predicted]
         of = {"model": str(model), "identified_from": fit.source}
-        return of | model_output.residual_facts(data, simulated.rows, tests) | {"ahead": ahead}
+        return of | residual_facts(data, simulated.rows, tests) | {"ahead": ahead}
 
     def say_validation() -> None:
         first = f"Simulated, {fit.heading} fits {simulation(simulated.rows)}."
@@ -94,13 +98,9 @@ def validate(
             f"({signature(data.source)}); {simulated.note}",
             dim=True,
         )
-        if (
-            lines := model_output.residual_lines(tests)
-            if out.verbose
-            else model_output.pair_lines(tests)
-        ):
+        if lines := residual_lines(tests) if out.verbose else pair_lines(tests):
             say("\n".join(lines))
-        if (out.verbose or out.plot is not None) and (why := model_output.lags_outside(tests)):
+        if (out.verbose or out.plot is not None) and (why := lags_outside(tests)):
             say(why)
 
     def figures() -> dict[str, Draw]:

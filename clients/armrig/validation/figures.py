@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.numerics.polynomial import Array
     from armrig.validation.comparison import Comparison
+    from armrig.validation.linearity import Linearity
     from armrig.validation.residual_test import ResidualTest
     from armrig.validation.search_result import SearchResult
     from armrig.validation.structure_hints import StructureHints
@@ -367,4 +368,20 @@ def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     finish(ax)
     off = np.count_nonzero(~shown)
     legend(ax, *([f"{off} more models have over {_MOST:g} times the least error"] if off else []))
+    return ax
+
+
+def plot_linearity(found: Linearity, *, ax: Axes | None = None) -> Axes:
+    """Show the static gain against the level of the input or the output that determines it."""
+    ax = axes(ax)
+    if found.linear:
+        ax.text(0.5, 0.5, found.verdict, transform=ax.transAxes, ha="center")
+        return ax
+    ax.plot(found.levels, found.gains, "o-", color=COLOURS[0], ms=3.5)
+    ax.axhline(0.0, color=GREY, lw=0.6, ls=":")
+    u, y = (found.units[name] or "–" for name in (found.input, found.output))
+    ax.set_xlabel(f"{found.gain_of} [{found.units[found.gain_of] or '–'}]")
+    ax.set_ylabel(f"static gain [{y}/{u}]")
+    finish(ax)
+    legend(ax, found.verdict)
     return ax

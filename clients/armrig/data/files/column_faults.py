@@ -58,7 +58,8 @@ def treated(
         y[np.isfinite(y)] -= unwrap * turns
         jumps = int(np.count_nonzero(np.diff(turns)))
         notes.append(f"unwrapped {name} at {plural(jumps, 'jump')} of {unwrap:.6g}")
-    at, where = _rails(y)
+    at, rails = rails_of(y)
+    where = " or ".join(f"{value:g}" for value in rails)
     share = f"{np.count_nonzero(at)} of {y.size} samples"
     if where and mask_rails:
         notes.append(f"masked {share} of {name} at the rail {where}")
@@ -99,8 +100,8 @@ def _runs(x: Vector) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return edges[:-1], np.diff(edges)
 
 
-def _rails(y: Vector) -> tuple[Mask, str]:
-    """Return the samples on a rail, which y keeps but does not settle at, and the rails as text."""
+def rails_of(y: Vector) -> tuple[Mask, list[float]]:
+    """Return the samples on a rail, which y keeps but does not settle at, and the rails."""
     found, values = np.zeros(y.size, np.bool_), []
     known = y[np.isfinite(y)]
     steps = np.abs(np.diff(known))
@@ -119,8 +120,8 @@ def _rails(y: Vector) -> tuple[Mask, str]:
             and np.mean(steps[~(there[1:] & there[:-1])] == 0) < _MAX_RESTS
         ):
             found |= y == value
-            values.append(f"{value:g}")
-    return found, " or ".join(values)
+            values.append(float(value))
+    return found, values
 
 
 def _modulus_of(known: Vector) -> tuple[float, bool] | None:

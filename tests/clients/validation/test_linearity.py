@@ -1,0 +1,53 @@
+"""The test of linearity: its level, its kinds, and the limits of its answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+
+from tests.clients.validation.plants import of_second_order, switched
+from tests.plants import drawn_model, nonlinear_rig
+
+
+def test_linear_rigs_are_rejected_at_the_nominal_level() -> None:
+    draws = [
+        (kind, np.random.default_rng([seed, 52])) for kind in ("OE", "BJ") for seed in range(20)
+    ]
+    p = np.array([armrig.linearity(drawn_model(*draw)[0][:300]).p for draw in draws])
+
+    assert np.count_nonzero(p < 0.05) <= 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "within"),
+    [
+        ("dead zone", "to", 1.2, 0.15),
+        ("saturation", "at", 3.1, 0.0),
+        ("gain by level", "gain_2", 0.25, 0.05),
+        ("friction", "", 0.0, 0.0),
+    ],
+)
+def test_the_kind_and_its_numbers_are_found(
+    kind: str, name: str, value: float, within: float
+) -> None:
+    found = [armrig.linearity(nonlinear_rig(kind, seed)) for seed in range(3)]
+
+    assert [(f.linear, f.kind) for f in found] == [(False, kind)] * 3
+    assert all(abs(f.numbers.get(name, 0.0) - value) <= within for f in found)
+    assert all(f.remedy in f.explain() for f in found)
+
+
+def test_two_levels_cannot_show_a_static_nonlinearity_of_the_input() -> None:
+    assert "two levels" in armrig.linearity(of_second_order(switched())).remarks[0]
+
+
+def test_each_pair_of_an_output_and_an_input_is_tested() -> None:
+    a, b = (nonlinear_rig(kind, seed) for kind, seed in (("linear", 1), ("gain by level", 2)))
+    found: Any = armrig.linearity(
+        armrig.Signals(u=np.c_[a.u, b.u], y=np.c_[a.y + b.y, b.y], Ts=1.0)
+    )
+
+    assert [found["y1", "u2"].kind, found["y2", "u2"].kind] == ["gain by level"] * 2
