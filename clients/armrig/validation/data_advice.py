@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
+from armrig.validation.linearity import Linearity, linearity
 
 ORDER = 4
 """Number of poles, and number of numerator coefficients, of the compared models; the arm has 4
@@ -79,7 +81,7 @@ def _loop(data: Dataset) -> OpenLoop | None:
 def examine_data(data: Dataset) -> Iterator[Finding]:
     """Yield the findings about the data; a possible cause precedes its effects."""
     known = tested(data, None)
-    findings = [*examine_experiment(data, known)]
+    findings = [*examine_experiment(data, known), *_about_linearity(data, known)]
     yield from findings
     if all(f.level == "good" for f in findings):  # else a finding explains why ARX and OE differ
         yield from _about_structures(data, known)
@@ -265,6 +267,18 @@ def _about_delay(known: Tested) -> Iterator[Finding]:
         yield finding("delay", text + f"without a delay: estimate with nk={late.nk}", good=True)
     else:
         yield finding("delay", f"none is seen: estimate with nk={late.nk}", good=True)
+
+
+def _about_linearity(data: Dataset, known: Tested) -> Iterator[Finding]:
+    if known.together:  # in closed loop, u(t) contains the noise of y(t)
+        return
+    try:
+        found = cast("Linearity", linearity(data, level=_MIN_CHANCE_P))
+    except ValueError:
+        return
+    text = found.verdict.removeprefix("linear: ").removeprefix("NONLINEAR: ")
+    remedy = f"; {found.remedy}" if found.remedy else ""
+    yield finding("linearity", f"{text} (p {p_relation(found.p)}){remedy}", good=found.linear)
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import log, log10
@@ -22,7 +23,7 @@ from armrig.numerics.regressors import complete, past
 from armrig.numerics.stretches import Mask
 from armrig.numerics.whiteness import joint_p_value
 from armrig.validation.feedback_and_delay.by_channel import ByChannel
-from armrig.validation.feedback_and_delay.open_loop import require_level
+from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,6 +39,7 @@ _REMEDIES: Mapping[Kind, str] = {
     "friction": "record with a u that keeps the rig moving, or estimate the friction (greybox)",
 }
 _MAX_LAGS = 30
+_CLOSED_P = 1e-3  # the usual 0.05 finds feedback in one of twenty open-loop recordings
 _ROWS_PER_PARAMETER = 4
 _MAX_EFFECTS = 8  # combinations of effects that are tested jointly
 _MIN_SIZE = 0.1  # least size of a tested combination of effects, relative to the largest
@@ -203,7 +205,13 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
 
 def _tested(signals: Signals, input: str, level: float) -> Linearity:
     """Test one output with one input."""
-    model, data = _long_model(signals, input), signals.dataset(signals.outputs[0], input)
+    data, loop = signals.dataset(signals.outputs[0], input), None
+    with suppress(InputError):
+        loop = open_loop(data)
+    closed = loop is not None and loop.p_value < _CLOSED_P and not loop.few_levels
+    direct = loop is not None and loop.may_be_direct_term
+    # In closed loop, u(t) contains e(t).
+    model = _long_model(signals, input, first=int(closed and not direct))
     at, rails = rails_of(data.y) if data.valid.any() else (data.valid, [])
     p = _p_value(model)
     found = _Found(bic=0.0)
@@ -215,8 +223,13 @@ def _tested(signals: Signals, input: str, level: float) -> Linearity:
     if rails:
         numbers = {"at": rails[-1], "share": float(np.mean(at[data.valid]))}
         found = replace(found, kind="saturation", numbers=numbers)
-    static = f"{input} has two levels, which cannot show a dead zone or another static "
-    static += f"nonlinearity of {input}: record with several levels (staircase, white noise)"
+    remarks = []
+    if np.unique(data.u).size <= 2:
+        text = f"{input} has two levels, which cannot show a dead zone or another static "
+        text += f"nonlinearity of {input}: record with several levels (staircase, white noise)"
+        remarks.append(text)
+    if closed and direct:
+        remarks.append(f"if a controller computed {input} from {data.output}, p is not valid")
     return Linearity(
         p=p,
         level=level,
@@ -226,7 +239,7 @@ def _tested(signals: Signals, input: str, level: float) -> Linearity:
         gain_of={"u": input, "": ""}.get(found.gain_of, data.output),
         levels=found.levels,
         gains=found.gains,
-        remarks=() if np.unique(data.u).size > 2 else (static,),
+        remarks=tuple(remarks),
         output=data.output,
         input=input,
         units={input: data.input_unit, data.output: data.unit},
@@ -273,8 +286,8 @@ class _LongModel:
         return N * log(max(loss, 1e-300)) + len(signals) * log(N), float(A_1), float(B_1), c
 
 
-def _long_model(signals: Signals, input: str) -> _LongModel:
-    """Return the long model; its order depends on the number of known samples."""
+def _long_model(signals: Signals, input: str, first: int) -> _LongModel:
+    """Return the long model with lags `first` … p of u; p depends on the number of samples."""
     j, nu, N = signals.inputs.index(input), signals.nu, int(np.count_nonzero(signals.valid))
     if all(np.ptp(part.u[:, j]) == 0 for part in signals.experiments()):
         raise InputError(CONSTANT_INPUT)
@@ -288,21 +301,26 @@ def _long_model(signals: Signals, input: str) -> _LongModel:
     ]
     block = np.vstack(
         [
-            np.hstack([-past(y[s], range(1, p + 1)), *(past(x, range(p + 1)) for x in u[s].T)])
+            np.hstack(
+                [-past(y[s], range(1, p + 1)), *(past(x, range(first, p + 1)) for x in u[s].T)]
+            )
             for s in parts
         ]
     )
     rows = complete(block, y)
+    if np.count_nonzero(rows) < 2 * block.shape[1]:
+        raise InputError(f"too few samples of {signals.outputs[0]} have {p} known predecessors")
     number = np.searchsorted(signals.starts, np.arange(y.size), side="right")
     constants = (number[:, None] == np.unique(number[rows])).astype(np.float64)
     Phi = np.hstack([block, constants])[rows]
     base = orthonormal(Phi)
-    if y[rows].size < 2 * base.rank:
-        raise InputError(f"too few samples of {signals.outputs[0]} have {p} known predecessors")
     theta = base.coefficients(y[rows])
-    A, B = np.append(1.0, theta[:p]), theta[p : p + nu * (p + 1)].reshape(nu, p + 1)
+    A, n = np.append(1.0, theta[:p]), p + 1 - first
+    B = np.pad(theta[p : p + nu * n].reshape(nu, n), ((0, 0), (first, 0)))
     x = np.concatenate([_simulated(A, B, u[s], y[s]) for s in parts])
-    if not np.var((x - y)[rows]) < _MAX_LEFT * np.var(y[rows]):
+    with np.errstate(over="ignore", invalid="ignore"):
+        left = np.var((x - y)[rows])
+    if not left < _MAX_LEFT * np.var(y[rows]):
         x = np.where(rows, 0.0, np.nan_to_num(y))
         x[rows] = Phi @ theta
     return _LongModel(
@@ -310,7 +328,7 @@ def _long_model(signals: Signals, input: str) -> _LongModel:
         y=y[rows],
         A=A,
         B=B[j],
-        lags_of_u=slice(p + j * (p + 1), p + (j + 1) * (p + 1)),
+        lags_of_u=slice(p + j * n, p + (j + 1) * n),
         u=u[:, j],
         x=x,
         measured=np.nan_to_num(y),
