@@ -856,7 +856,6 @@ def delay() -> Variants:
 
 @variants
 def linearity() -> Variants:
-    yield "late", armrig.linearity(late())
     yield "rig", armrig.linearity(nonlinear_rig("gain by level", 1))
 
 

@@ -34,7 +34,8 @@ _HEADINGS = {
     "Recordings": "listing.ls recording_info.info first_look.plot evidence.verify "
     "evidence.export evidence.recover recording_info.replay",
     "Identify": "first_look.sampling first_look.hints identification.identify batch.batch",
-    "Validate": "validation.validate validation.compare first_look.check reporting.report",
+    "Validate": "validation.validate validation.compare first_look.check first_look.linearity "
+    "reporting.report",
     "Physics": "equations.model physics.simulate physics.greybox physics.split equations.integrate",
     "Administration": "host.doctor glossary.glossary host.flash host.conformance "
     "administration.service administration.pki administration.router",
@@ -62,6 +63,7 @@ _EXAMPLES = {
     "validate": "@blackbox/validation --model model.json",
     "compare": "@blackbox @blackbox/validation",
     "check": "@blackbox",
+    "linearity": "@blackbox",
     "report": "@blackbox @blackbox/validation -o report.pdf",
     "model": "--set J_2=0.005 -o step.png",
     "simulate": "@last --model model.json",

@@ -1,4 +1,4 @@
-"""The commands that test data without a model: plot, sampling, hints, check."""
+"""The commands that test data without a model: plot, sampling, hints, check, linearity."""
 
 from __future__ import annotations
 
@@ -325,6 +325,52 @@ def check(
             say_next("check")
 
     out.show(facts=facts, say=say_tests, figures=figures, say_next=say_after)
+
+
+def linearity(
+    *,
+    file: DataFile,
+    signals: Annotated[SignalChoice, data_group()],
+    level: float = chosen(0.05, "--level", "Significance level of the test."),
+    out: Shown,
+) -> None:
+    """Test whether the rig is linear, and name the kind of a nonlinearity."""
+    from armrig.validation.linearity import linearity as test
+
+    out.check(file)
+    data = signals.of(file)
+    found = _by_channel(partial(test, level=level), data)
+    _require_result([*found.values()])
+    of = "linear p level kind numbers rails gain_of levels gains remedy remarks"
+
+    def facts() -> dict[str, Any]:
+        each = {
+            channel: {"linear": None, "remarks": [one]}
+            if isinstance(one, str)
+            else fields_of(one, of)
+            for channel, one in found.items()
+        }
+        return source_facts(data) | _facts_by_channel(each)
+
+    def say_test() -> None:
+        for channel, one in found.items():
+            _head(channel)
+            known = one if isinstance(one, str) else one.explain() if out.verbose else one.brief()
+            say_answer(known)
+
+    def figures() -> dict[str, Draw]:
+        drawn: dict[str, Draw] = {}
+        for channel, one in found.items():
+            if not isinstance(one, str):
+                drawn |= of_channel("linearity", one.plot, channel)
+        return drawn
+
+    out.show(
+        facts=facts,
+        say=say_test,
+        figures=figures,
+        say_next=lambda: say_next("check other", file=typed(file), given=signals.options()),
+    )
 
 
 def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:

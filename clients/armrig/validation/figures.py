@@ -378,7 +378,6 @@ def plot_linearity(found: Linearity, *, ax: Axes | None = None) -> Axes:
         ax.text(0.5, 0.5, found.verdict, transform=ax.transAxes, ha="center")
         return ax
     ax.plot(found.levels, found.gains, "o-", color=COLOURS[0], ms=3.5)
-    ax.axhline(0.0, color=GREY, lw=0.6, ls=":")
     u, y = (found.units[name] or "–" for name in (found.input, found.output))
     ax.set_xlabel(f"{found.gain_of} [{found.units[found.gain_of] or '–'}]")
     ax.set_ylabel(f"static gain [{y}/{u}]")

@@ -104,14 +104,18 @@ class Linearity:
         x = {name: three_digits(value) for name, value in self.numbers.items()}
         u, of = (self.units.get(name, "") for name in (self.input, self.gain_of))
         if self.kind == "dead zone":
-            return f"NONLINEAR: a dead zone of {self.input} from {x['from']} to {x['to']} {u}"
+            return (
+                f"NONLINEAR: a dead zone of {self.input} from {x['from']} to {x['to']} {u}".rstrip()
+            )
         if self.kind == "saturation":
             at = " and ".join(map(three_digits, self.rails)) or f"about {x['at']}"
             share = percent(100 * self.numbers["share"])
             return f"NONLINEAR: {self.output} saturates at {at} in {share} of the samples"
         if self.kind == "friction":
             return f"NONLINEAR: friction, {self.output} stops at rest"
-        gains = (f"{x[f'gain_{i}']} at {self.gain_of} = {x[f'level_{i}']} {of}" for i in (1, 2))
+        gains = (
+            f"{x[f'gain_{i}']} at {self.gain_of} = {x[f'level_{i}']} {of}".rstrip() for i in (1, 2)
+        )
         return f"NONLINEAR: a gain of {' and of '.join(gains)}"
 
     def explain(self) -> str:

@@ -51,6 +51,7 @@ WORK = {
     "integrate": "armrig.physics.integrators.accuracy.recommend_step",
     f"identify {FILE} --search": "armrig.validation.model_search.search",
     f"check {FILE}": "armrig.validation.feedback_and_delay.open_loop.open_loop",
+    f"linearity {FILE}": "armrig.validation.linearity.linearity",
     f"validate {FILE} --model m.json": "armrig.validation.residuals.residuals",
     f"compare {FILE} --model m.json": "armrig.validation.comparison.compare",
     f"simulate {FILE} --model m.json": "armrig.validation.comparison.compare",
