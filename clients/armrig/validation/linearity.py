@@ -49,6 +49,7 @@ _MAX_LEFT = 0.5  # share of y's variance that a simulation may leave; else x is 
 _MAX_INSIDE = 0.35  # gain inside a dead zone, relative to the gain outside
 _MAX_OUTSIDE = -0.5  # coefficient of a saturation: -1 if y stays at the limit
 _ZONES = np.linspace(0.03, 0.75, 24)  # thresholds of a dead zone, as shares of the range of u
+_TWO_LEVELS = 2
 _LEVELS_OF_A_ZONE = 4  # least number of levels of u that distinguish a dead zone
 _SAME_BIC = 1.0  # difference of BIC that does not distinguish two thresholds
 _LEVELS = np.linspace(0.05, 0.95, 19)  # from the 5 % to the 95 % quantile
@@ -228,7 +229,7 @@ def _tested(signals: Signals, input: str, level: float) -> Linearity:
         numbers = {"at": rails[-1], "share": float(np.mean(at[data.valid]))}
         found = replace(found, kind="saturation", numbers=numbers)
     remarks = []
-    if np.unique(data.u).size <= 2:
+    if np.unique(data.u).size <= _TWO_LEVELS:
         text = f"{input} has two levels, which cannot show a dead zone or another static "
         text += f"nonlinearity of {input}: record with several levels (staircase, white noise)"
         remarks.append(text)
@@ -404,6 +405,8 @@ class _Found:
 def _gains(model: _LongModel) -> Iterator[_Found]:
     """Yield models with the square and the cube of u or x, which act like u, or are added to y."""
     for name, P in (("u", model.B), ("x", model.B), ("y", model.A)):
+        if name == "u" and np.unique(model.u).size <= _TWO_LEVELS:
+            continue
         signal, mean = (model.u, model.means[0]) if name == "u" else (model.x, model.means[1])
         at = np.quantile(signal[model.rows], _LEVELS)
         bic, A_1, B_1, (a, b) = model.fitted(P, signal**2, signal**3)
