@@ -295,7 +295,7 @@ def _results_that_plot() -> list[type]:
             continue
         for value in vars(import_module(module.name)).values():
             if isinstance(value, type) and value.__module__ == module.name and is_dataclass(value):
-                found |= {value} if "plot" in vars(value) else set()
+                found |= {value} if callable(vars(value).get("plot")) else set()
     return sorted(found, key=lambda one: one.__qualname__)
 
 

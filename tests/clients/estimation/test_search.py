@@ -367,7 +367,7 @@ def test_a_search_follows_the_unit_circle() -> None:
     problem = problem_of(data, n)
 
     end = problem.minimise(truth)
-    cut = levenberg_marquardt(problem.linearise, truth, admissible=problem.admissible)
+    cut = levenberg_marquardt(problem.linearise, truth, admissible=problem.circle.admits)
 
     assert end.converged
     assert end.cost < (1 - 1e-3) * cut.cost
