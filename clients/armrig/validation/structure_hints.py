@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from armrig.models.spectral_estimate import (
     phase_delay,
 )
 from armrig.numerics.quantities import minus, plural, times
-from armrig.validation.feedback_and_delay.by_channel import each_channel
+from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
@@ -134,7 +134,7 @@ class StructureHints:
         )
 
 
-@each_channel()
+@each_channel(together=lambda found: f"all channels: {call_of_all(found)}")
 @takes_recordings
 def structure_hints(
     data: Dataset,
@@ -178,7 +178,8 @@ def structure_hints(
     -------
     StructureHints
         Orders and estimates; its repr and explain() give the reasons. For Signals with several
-        channels, the result is `ByChannel`: `found["alpha", "u"]` are the hints of one channel.
+        channels, the result is `ByChannel`: `found["alpha", "u"]` are the hints of one channel. The
+        last line of its repr is one call of `oe` for all channels.
 
     Raises
     ------
@@ -380,6 +381,25 @@ def _extremes_told(h: StructureHints) -> str:
 
 def _named(s: Recommended) -> str:
     return f"oe(data, nb={s.nb}, nf={s.nf}, nk={s.nk}, integrator={s.integrator})"
+
+
+def call_of_all(found: Mapping[Name, StructureHints]) -> str:
+    """Return one call of `oe` for all channels, with the orders of each output and input.
+
+    An output integrates if one of its channels integrates. The other channels of this output then
+    have a root at 1 in B, too.
+    """
+    integrating = tuple(dict.fromkeys(output for (output, _), h in found.items() if h.integrator))
+    inputs = list(dict.fromkeys(input for _, input in found))
+    more = {name: name[0] in integrating and not h.integrator for name, h in found.items()}
+
+    def orders(order: str) -> Any:
+        n = [getattr(h, order) + (order != "nk" and more[name]) for name, h in found.items()]
+        rows = [n[i : i + len(inputs)] for i in range(0, len(n), len(inputs))]
+        return n[0] if len(set(n)) == 1 else rows
+
+    given = ", ".join(f"{order}={orders(order)}" for order in ("nb", "nf", "nk"))
+    return f"oe(data, {given}, integrator={integrating or False})"
 
 
 def _reasons(h: StructureHints) -> Iterator[str]:

@@ -46,6 +46,8 @@ class ByChannel(Generic[Result]):
     """Result for each output and input."""
     refused: Mapping[Name, str]
     """Reason why there is no result, for each channel without a result."""
+    together: str = ""
+    """Result for all channels as text."""
 
     def __post_init__(self) -> None:
         """Make the mappings read-only."""
@@ -85,7 +87,8 @@ class ByChannel(Generic[Result]):
 
     def _joined(self, texts: Mapping[Name, str]) -> str:
         refused = {name: f" {text}" for name, text in self.refused.items()}
-        return "\n".join(f"{_arrow(name)}:{text}" for name, text in {**texts, **refused}.items())
+        lines = [f"{_arrow(name)}:{text}" for name, text in {**texts, **refused}.items()]
+        return "\n".join([*lines, *filter(None, [self.together])])
 
 
 def _arrow(channel: Name) -> str:
@@ -94,11 +97,13 @@ def _arrow(channel: Name) -> str:
 
 def each_channel(
     separated: Callable[[Signals, str, str], tuple[Dataset, dict[str, Any]]] | None = None,
+    together: Callable[[Mapping[Name, Any]], str] | None = None,
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a test of a Dataset so that it also tests each channel of `Signals`.
 
     For Signals with several channels, the result is `ByChannel`. `separated` returns the data of a
-    channel, and options of the test; by default the other inputs are part of the noise.
+    channel, and options of the test; by default the other inputs are part of the noise. If each
+    channel has a result, `together` returns the result for all channels as text.
     """
 
     def decorate(f: Callable[P, R]) -> Callable[P, R]:
@@ -119,7 +124,8 @@ def each_channel(
                         results[output, input] = call(one, *args[1:], **options | own)
                     except InputError as err:
                         refused[output, input] = str(err)
-            return ByChannel(results=results, refused=refused)
+            text = together(results) if together and not refused else ""
+            return ByChannel(results=results, refused=refused, together=text)
 
         return cast("Callable[P, R]", testing)
 

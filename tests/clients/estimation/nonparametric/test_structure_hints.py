@@ -14,7 +14,7 @@ from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.recommended_structures import Recommended, Tried, _chosen, recommended
-from armrig.validation.structure_hints import _extremes, structure_hints
+from armrig.validation.structure_hints import _extremes, call_of_all, structure_hints
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
@@ -251,13 +251,7 @@ def test_many_short_experiments_show_the_true_structure() -> None:
 def test_poles_on_the_unit_circle_that_fit_the_noise_are_not_recommended_first() -> None:
     """A pair of poles and its initial state fit a sine of the noise at the best frequency."""
     data = of_a_system(
-        *REAL,
-        N=401,
-        Ts=0.02,
-        u=switching(401, 2, 0.2),
-        seed=2,
-        C=[1.0, 0.6],
-        D=[1.0, -0.7],
+        *REAL, N=401, Ts=0.02, u=switching(401, 2, 0.2), seed=2, C=[1.0, 0.6], D=[1.0, -0.7]
     )
 
     first = structure_hints(holed(data)).structures[0]
@@ -311,3 +305,10 @@ def test_the_third_structure_is_the_shortest_of_a_plant_with_a_hold() -> None:
 
     assert shown == [free[0], free[1], free[3]]
     assert both == [free[0], fixed[0], free[1]]
+
+
+def test_an_output_integrates_in_all_channels_of_the_call_if_it_does_in_one() -> None:
+    settling = Recommended(nb=2, nf=2, nk=1, integrator=False)
+    found: Any = {("y", "u"): settling, ("y", "v"): replace(settling, nf=3, integrator=True)}
+
+    assert call_of_all(found) == "oe(data, nb=[[3, 2]], nf=3, nk=1, integrator=('y',))"
