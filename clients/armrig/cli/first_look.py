@@ -179,7 +179,7 @@ def hints(
     looks at each pair of an input and an output.
     """
     from armrig.validation.data_advice import data_doubts
-    from armrig.validation.structure_hints import structure_hints
+    from armrig.validation.structure_hints import call_of_all, structure_hints
 
     out.check(file)
     data = signals.of(file)
@@ -204,6 +204,9 @@ def hints(
             _head(channel)
             text = f"not known: {one}" if isinstance(one, str) else repr(one)
             say_answer("\n".join([text, *(f"! {d.about}: {d.text}" for d in doubts[channel])]))
+        if () not in found and len(known) == len(found):
+            of_set = {(output, input): one for (input, output), one in known.items()}
+            say_answer(f"all channels: {call_of_all(of_set)}")
 
     def say_after() -> None:
         given = signals.options()
@@ -221,6 +224,7 @@ def hints(
         figures=lambda: _hint_figures(known, data),
         say_next=say_after,
         height=5.0 if () in known else 4.0,
+        columns=None if () in known else 2,
     )
 
 
@@ -324,7 +328,8 @@ def check(
             inform(_CHASSIS)
             say_next("check")
 
-    out.show(facts=facts, say=say_tests, figures=figures, say_next=say_after)
+    columns = None if () in tests else 2
+    out.show(facts=facts, say=say_tests, figures=figures, say_next=say_after, columns=columns)
 
 
 def linearity(

@@ -30,7 +30,7 @@ from armrig.cli.recorded_data import (
     source_facts,
     warn_of_estimation_data,
 )
-from armrig.cli.results import Draw, Output, ShownFigure, check_output
+from armrig.cli.results import CHANNEL_WIDTH, WIDTH, Draw, Output, ShownFigure, check_output
 from armrig.cli.spinner import estimating, spinner
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
@@ -128,6 +128,8 @@ def identify(
         figures=found.figures,
         say_next=found.say_next,
         write=None if save is None else lambda: found.fit.save(save),
+        width=WIDTH if found.fit.nu == 1 else CHANNEL_WIDTH,
+        columns=None if found.fit.nu == 1 else found.fit.nu,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, lcm
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,6 +29,8 @@ HEIGHT = 3.6
 """Height of a diagram, in inches."""
 WIDTH = 6.3
 """Width of the text of an A4 page, in inches."""
+CHANNEL_WIDTH = 4.5
+"""Width of the frequency response of one of several channels, in inches."""
 _HEIGHT = 8.0  # in inches, of a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
@@ -96,13 +98,20 @@ def check_figure(path: Path) -> None:
 
 
 def write_plot(
-    path: Path | None, width: float = WIDTH, /, *, height: float = HEIGHT, **draw: Draw
+    path: Path | None,
+    width: float = WIDTH,
+    /,
+    *,
+    height: float = HEIGHT,
+    columns: int | None = None,
+    **draw: Draw,
 ) -> list[Path]:
     """Write a figure with axes for each subject, print its path, and return the files.
 
     The path is from `figure_path`; in a folder, each subject has its own file. An existing figure
     is replaced, and a message names it. `draw` are the functions that draw a subject into `ax`, by
-    the subject's name. The axes of a subject have a width and a height in inches.
+    the subject's name. The axes of a subject have a width and a height in inches. By default the
+    figure has enough columns to fit on a screen.
     """
     if path is None:
         return []
@@ -121,25 +130,33 @@ def write_plot(
     replaced = [str(file) for file in figures if file.exists()]
     with spinner("drawing"), named_by_run(_runs()):
         for file, subjects in figures.items():
-            save(_drawn(subjects, height, width), file, dpi=_DPI)
+            save(_drawn(subjects, height, width, columns), file, dpi=_DPI)
     said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"
     inform(said + (f"; replaced: {', '.join(replaced)}" if replaced else ""), dim=True)
     return list(figures)
 
 
-def _drawn(subjects: Sequence[Draw], height: float, width: float) -> Figure:
-    """Return a figure of all subjects, with enough columns to fit on a screen."""
+def _drawn(
+    subjects: Sequence[Draw], height: float, width: float, columns: int | None = None
+) -> Figure:
+    """Return a figure of all subjects; fewer subjects in the first row share its whole width."""
     from matplotlib.figure import Figure
 
-    columns = ceil(len(subjects) * height / (1.1 * _HEIGHT))
+    limit = _HEIGHT if columns is None else float("inf")
+    columns = columns or ceil(len(subjects) * height / (1.1 * _HEIGHT))
     rows = ceil(len(subjects) / columns)
-    size = (width * columns, min(height * rows, _HEIGHT))
+    size = (width * min(columns, len(subjects)), min(height * rows, limit))
     figure = Figure(figsize=size, layout="constrained")
-    places = figure.subplots(rows, columns, squeeze=False).ravel()
-    for ax, one in zip(places, subjects, strict=False):
+    first = len(subjects) - columns * (rows - 1)
+    cells = lcm(first, columns)
+    grid = figure.add_gridspec(rows, cells)
+    places = []
+    for k in range(len(subjects)):
+        row, column = (0, k) if k < first else divmod(k - first + columns, columns)
+        n = cells // (columns if row else first)
+        places.append(figure.add_subplot(grid[row, n * column : n * (column + 1)]))
+    for ax, one in zip(places, subjects, strict=True):
         one(ax=ax)
-    for ax in places[len(subjects) :]:
-        ax.remove()
     return figure
 
 
@@ -149,7 +166,9 @@ def of_channel(subject: str, draw: Draw, channel: Sequence[str]) -> dict[str, Dr
 
     def drawing(*, ax: Axes) -> None:
         draw(ax=ax)
-        ax.text(0.99, 0.95, name, transform=ax.transAxes, ha="right", va="top")
+        backed = {"fc": "white", "lw": 0, "alpha": 0.7, "pad": 1}
+        at = ax.transAxes
+        ax.text(0.99, 0.95, name, transform=at, ha="right", va="top", bbox=backed)
 
     return {"_".join([subject, *name.split()]): drawing if channel else draw}
 
@@ -198,12 +217,14 @@ class Output:
         write: Callable[[], None] | None = None,
         width: float = WIDTH,
         height: float = HEIGHT,
+        columns: int | None = None,
     ) -> None:
         """Print a result as text or JSON, write its files, and print the next command.
 
         `facts` returns the value for JSON, and `say` prints the text. `figures` returns the
         functions that draw the diagrams, by name; each diagram has a width and a height in inches.
-        `write` writes other files. `say_next` prints the next command after a text.
+        By default the figure has enough columns to fit on a screen. `write` writes other files.
+        `say_next` prints the next command after a text.
         """
         if self.json:
             print_json(facts())
@@ -212,7 +233,7 @@ class Output:
         if write is not None:
             write()
         if self.plot is not None:
-            write_plot(self.plot, width, height=height, **figures())
+            write_plot(self.plot, width, height=height, columns=columns, **figures())
         if say_next is not None and not self.json:
             say_next()
 

@@ -117,10 +117,12 @@ def test_a_figure_with_many_panels_fits_a_screen(n: int, height: float, tmp_path
     drawn: dict[str, Any] = {f"panel_{k}": lambda ax: ax.plot(0, 0) for k in range(n)}
 
     [path] = write_plot(tmp_path / "a.png", height=height, **drawn)
+    [grid] = write_plot(tmp_path / "grid.png", 4.5, columns=2, **drawn)
 
     pixels = imread(path)
     assert pixels.shape[0] <= 1600
     assert pixels.shape[1] in {1260, 2520, 3780}
+    assert imread(grid).shape[:2] == {1: (720, 900), 2: (720, 1800), 5: (2160, 1800)}[n]
 
 
 def test_a_figure_in_a_folder_never_replaces_a_recording(tmp_path: Path) -> None:
