@@ -122,9 +122,9 @@ class RecordingRoutes:
         validation = await asyncio.to_thread(self._validation_of, path)
         return value(await self._in_worker(identified, path, validation, asked.output))
 
-    async def _report(self, path: Path, _: _Asked) -> Response:
+    async def _report(self, path: Path, asked: _Asked) -> Response:
         validation = await asyncio.to_thread(self._validation_of, path)
-        pdf = await self._in_worker(report, path, validation)
+        pdf = await self._in_worker(report, path, validation, asked.output)
         return Response(pdf, media_type="application/pdf")
 
     def _answered(self, does: Callable[[Path, _Asked], Any]) -> Answer:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -159,12 +159,14 @@ def _of_each(texts: Mapping[str, str]) -> str:
     return "\n".join(f"{name}:\n{text}" for name, text in texts.items())
 
 
-def report(path: Path, validation: Path | None) -> bytes:
-    """Return the report of a recording as a PDF: see `armrig report`."""
+def report(path: Path, validation: Path | None, output: ModelOutput) -> bytes:
+    """Return the report of a recording as a PDF, for models of `output`: see `armrig report`."""
     from armrig.report.document import report as typeset
     from armrig.report.study import study
 
-    done = study([_loaded(path), *([_loaded(validation)] if validation else [])])
+    recordings = [_loaded(path), *([_loaded(validation)] if validation else [])]
+    outputs: Sequence[ChannelName] = (THETA_1, ALPHA) if output == BOTH else (output,)
+    done = study(recordings, outputs=outputs)
     with tempfile.TemporaryDirectory(prefix="armrig-") as folder:
         return typeset(done, Path(folder) / "report.pdf").read_bytes()
 

@@ -91,7 +91,7 @@ def test_a_missing_folder_is_reported_with_a_remedy(tmp_path: Path) -> None:
         ("csv", {"start": 1.0, "stop": 2.0}, [("csv", 1.0, 2.0)]),
         ("identify", {"output": "alpha"}, [("identified", "d", "alpha")]),
         ("identify", {}, [("identified", "d", "theta_1")]),
-        ("report", {}, [("report", "d")]),
+        ("report", {"output": "theta_1,alpha"}, [("report", "d", "theta_1,alpha")]),
     ],
 )
 def test_a_request_about_a_recording_is_forwarded_unchanged(

@@ -18,12 +18,12 @@ export async function identify(file, output, simulated) {
   where.scrollIntoView({ block: "start" });
 }
 
-// Save the report as a PDF, and show its name.
-export async function report(file) {
+// Save the report of the models of an output as a PDF, and show its name.
+export async function report(file, output) {
   const where = byId("reported");
   const name = file.replace(/mcap$/, "pdf");
   try {
-    const pdf = await (await ask("report", { file })).blob();
+    const pdf = await (await ask("report", { file, output })).blob();
     save(pdf, name);
     notice(""); // the result names the file
     where.replaceChildren(make("p", { className: "answer", textContent: `${name}: ${Math.ceil(pdf.size / 1000)} kB, saved by this browser` }));

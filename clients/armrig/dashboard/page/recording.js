@@ -91,7 +91,7 @@ function buttons() {
     makeDifference(),
     output,
     button("Identify", () => identify(chosen, output.value, layModel), "go"),
-    button("Report", () => report(chosen)),
+    button("Report", () => report(chosen, output.value)),
     make(
       "span",
       { className: "together", role: "group", "aria-label": "Save" },
