@@ -55,8 +55,8 @@ class RegisteredStructure:
 
     @property
     def poles(self) -> str:
-        """Name of the order that is the number of poles from u to y."""
-        return next(name for name in ("order", "nf", "na") if name in self.orders)
+        """Name of the order that is the number of poles from u to y; nb if there are no poles."""
+        return next(name for name in ("order", "nf", "na", "nb") if name in self.orders)
 
     @property
     def title(self) -> str:
