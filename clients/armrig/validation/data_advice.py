@@ -276,9 +276,10 @@ def _about_linearity(data: Dataset, known: Tested) -> Iterator[Finding]:
         found = cast("Linearity", linearity(data, level=_MIN_CHANCE_P))
     except ValueError:
         return
-    text = found.verdict.removeprefix("linear: ").removeprefix("NONLINEAR: ")
     remedy = f"; {found.remedy}" if found.remedy else ""
-    yield finding("linearity", f"{text} (p {p_relation(found.p)}){remedy}", good=found.linear)
+    yield finding(
+        "linearity", f"{found.reason} (p {p_relation(found.p)}){remedy}", good=found.linear
+    )
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:

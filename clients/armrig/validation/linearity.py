@@ -100,24 +100,27 @@ class Linearity:
     @property
     def verdict(self) -> str:
         """Answer in a few words, with the numbers of the kind."""
+        return f"{'linear' if self.linear else 'NONLINEAR'}: {self.reason}"
+
+    @property
+    def reason(self) -> str:
+        """The kind with its numbers, in a few words."""
         if self.linear:
-            return "linear: no nonlinearity found"
+            return "no nonlinearity found"
         x = {name: three_digits(value) for name, value in self.numbers.items()}
         u, of = (self.units.get(name, "") for name in (self.input, self.gain_of))
-        if self.kind == "dead zone":
-            return (
-                f"NONLINEAR: a dead zone of {self.input} from {x['from']} to {x['to']} {u}".rstrip()
-            )
+        if "from" in x:
+            return f"a dead zone of {self.input} from {x['from']} to {x['to']} {u}".rstrip()
         if self.kind == "saturation":
             at = " and ".join(map(three_digits, self.rails)) or f"about {x['at']}"
             share = percent(100 * self.numbers["share"])
-            return f"NONLINEAR: {self.output} saturates at {at} in {share} of the samples"
+            return f"{self.output} saturates at {at} in {share} of the samples"
         if self.kind == "friction":
-            return f"NONLINEAR: friction, {self.output} stops at rest"
+            return f"friction, {self.output} stops at rest"
         gains = (
             f"{x[f'gain_{i}']} at {self.gain_of} = {x[f'level_{i}']} {of}".rstrip() for i in (1, 2)
         )
-        return f"NONLINEAR: a gain of {' and of '.join(gains)}"
+        return f"a gain of {' and of '.join(gains)}"
 
     def explain(self) -> str:
         """Return the answer, its reason, the remedy and the limits of the answer."""
