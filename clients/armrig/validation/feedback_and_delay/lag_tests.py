@@ -11,6 +11,7 @@ import numpy as np
 from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.estimation.polynomial_structures import oe
+from armrig.models.fit import Fit
 from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import column_norms, triangle, upper_inverse
 from armrig.numerics.polynomial import filtered
@@ -21,6 +22,7 @@ Progress = Callable[[int, int, str], object]
 LEVEL = 0.001
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
 _MAX_DISTANCE_RATIO = 3.0  # largest sqrt(chi²) of a possible lag, in units of the least sqrt(chi²)
+_HOPELESS = 100 * SURPRISING  # misfit from which on still earlier lags are not fitted
 _POLES = 4  # number of poles of the arm
 _MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
 MOST_LAGS = 50  # largest number of lags of u, for the delay and B together
@@ -321,21 +323,30 @@ def smooth_onsets(
     """
     averaged = _averaged(data)
 
+    def fitted(data: Dataset, nb: int, nk: int) -> Fit:
+        return oe(data, nb=nb, nf=_POLES, nk=nk, integrator=integrator, starts="few")
+
     @cache
     def loss(k: int) -> float:
-        if progress and k <= last:
-            progress(k - first, last - first + 1, f"lag {k}")
-        return oe(averaged, nb=_POLES - 1, nf=_POLES, nk=k, integrator=integrator).loss
+        if progress and first <= k <= last:
+            progress(last - k, last - first + 1, f"lag {k}")
+        return fitted(averaged, _POLES - 1, k).loss
 
-    low, high = first, last
-    best = min(range(low, high + 1), key=loss)
-    free = oe(data, nb=_POLES, nf=_POLES, nk=best, integrator=integrator)
+    best = low = high = last
+    # The misfit grows with the distance from the onset, so the earlier lags are not fitted.
+    while low > first and loss(low) <= loss(best) * (1 + _HOPELESS / data.N):
+        low -= 1
+        best = min(best, low, key=loss)
+    free = fitted(data, _POLES, best)
     degrees = free.N - free.parameters
     least = min(free.loss, loss(best))
 
     def misfit(k: int) -> float:
         return degrees * (loss(k) / least - 1) if least > 0 else 0.0
 
+    bound = max(SURPRISING, _MAX_DISTANCE_RATIO**2 * misfit(best))
+    while low > first and misfit(low) < bound:
+        low -= 1
     while low > max(first - _MAX_EXTRA_LAGS, 0) and misfit(low) <= SURPRISING:
         low -= 1
     while high < last + _MAX_EXTRA_LAGS and misfit(high) <= SURPRISING:
