@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from itertools import product
+from dataclasses import dataclass, field
+from itertools import pairwise, product
 from math import log, log10
-from typing import TYPE_CHECKING, Literal
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -17,12 +18,12 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.estimation.data_faults import CONSTANT_INPUT
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array, filtered, monic
 from armrig.numerics.quantities import p_relation, percent, three_digits
 from armrig.numerics.regressors import complete, past
 from armrig.numerics.stretches import Mask
 from armrig.numerics.whiteness import joint_p_value
-from armrig.validation.feedback_and_delay.by_channel import ByChannel
+from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
 from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
 
 if TYPE_CHECKING:
@@ -49,7 +50,6 @@ _MAX_LEFT = 0.5  # share of y's variance that a simulation may leave; else x is 
 _MAX_INSIDE = 0.35  # gain inside a dead zone, relative to the gain outside
 _MAX_OUTSIDE = -0.5  # coefficient of a saturation: -1 if y stays at the limit
 _ZONES = np.linspace(0.03, 0.75, 24)  # thresholds of a dead zone, as shares of the range of u
-_TWO_LEVELS = 2
 _LEVELS_OF_A_ZONE = 4  # least number of levels of u that distinguish a dead zone
 _SAME_BIC = 1.0  # difference of BIC that does not distinguish two thresholds
 _LEVELS = np.linspace(0.05, 0.95, 19)  # from the 5 % to the 95 % quantile
@@ -63,18 +63,18 @@ class Linearity:
     """p value of the hypothesis that one linear model describes the data."""
     level: float
     """Level of the test: share of linear rigs that the test rejects by chance."""
-    kind: Kind
+    kind: Kind = ""
     """Kind of the nonlinearity; "" if the rig is linear."""
-    numbers: Mapping[str, float]
+    numbers: Mapping[str, float] = field(default_factory=dict)
     """Numbers of the kind: `from` and `to` of a dead zone, or `at` and `share` of a saturation. For
     a gain: the least and the greatest, `gain_1` at `level_1` and `gain_2` at `level_2`."""
     rails: tuple[float, ...]
     """Largest or smallest values of y at which y stays exactly."""
-    gain_of: str
+    gain_of: str = ""
     """Name of the signal that determines the gain: the input, or the output; "" if linear."""
-    levels: Array
+    levels: Array = field(default_factory=lambda: np.zeros(0))
     """Levels of `gain_of`, (n,); (0,) if the rig is linear."""
-    gains: Array
+    gains: Array = field(default_factory=lambda: np.zeros(0))
     """Static gain at `levels`, in y's unit per u's unit."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
@@ -200,84 +200,62 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     """
     require_level(level)
     signals = data.signals()
-    if (signals.ny, signals.nu) == (1, 1):
-        return _tested(signals, signals.inputs[0], level)
-    results, refused = {}, {}
-    for output, input in product(signals.outputs, signals.inputs):
-        try:
-            results[output, input] = _tested(signals.channels([output]), input, level)
-        except InputError as err:
-            refused[output, input] = str(err)
-    return ByChannel(results=results, refused=refused)
+    return _tested(signals, level=level, input=signals.inputs[0])
 
 
-def _tested(signals: Signals, input: str, level: float) -> Linearity:
+@each_channel(lambda data, output, input: (data.channels([output]), {"input": input}))
+def _tested(data: Signals, *, level: float, input: str) -> Linearity | ByChannel[Linearity]:
     """Test one output with one input."""
-    data, loop = signals.dataset(signals.outputs[0], input), None
+    one, loop = data.dataset(data.outputs[0], input), None
     with suppress(InputError):
-        loop = open_loop(data)
+        loop = open_loop(one)
     closed = loop is not None and loop.p_value < _CLOSED_P and not loop.few_levels
     direct = loop is not None and loop.may_be_direct_term
     # In closed loop, u(t) contains e(t).
-    model = _long_model(signals, input, first=int(closed and not direct))
-    at, rails = rails_of(data.y) if data.valid.any() else (data.valid, [])
-    p = _p_value(model)
-    found = _Found(bic=0.0)
+    model = _long_model(data, input, first=int(closed and not direct))
+    at, rails = rails_of(one.y) if one.valid.any() else (one.valid, [])
+    p, found = _p_value(model), dict[str, Any]()
     if rails or p < level:
-        every = [*_gains(model), *_thresholds(model)]
-        found = min(every, key=lambda x: x.bic)
-        curve = min((x for x in every if x.gain_of), key=lambda x: x.bic)
-        found = replace(curve, kind=found.kind, numbers=found.numbers)
+        gains = [*_gains(model)]
+        found = min(gains, key=itemgetter(0))[1]
+        found |= min([*gains, *_thresholds(model)], key=itemgetter(0))[1]
     if rails:
-        numbers = {"at": rails[-1], "share": float(np.mean(at[data.valid]))}
-        found = replace(found, kind="saturation", numbers=numbers)
+        numbers = {"at": rails[-1], "share": float(np.mean(at[one.valid]))}
+        found |= {"kind": "saturation", "numbers": numbers}
     remarks = []
-    if np.unique(data.u).size <= _TWO_LEVELS:
+    if np.unique(model.u).size <= 2:
         text = f"{input} has two levels, which cannot show a dead zone or another static "
         text += f"nonlinearity of {input}: record with several levels (staircase, white noise)"
         remarks.append(text)
     if closed and direct:
-        remarks.append(f"if a controller computed {input} from {data.output}, p is not valid")
+        remarks.append(f"if a controller computed {input} from {one.output}, p is not valid")
     return Linearity(
         p=p,
         level=level,
-        kind=found.kind,
-        numbers=found.numbers,
+        **found,
         rails=tuple(rails),
-        gain_of={"u": input, "": ""}.get(found.gain_of, data.output),
-        levels=found.levels,
-        gains=found.gains,
         remarks=tuple(remarks),
-        output=data.output,
+        output=one.output,
         input=input,
-        units={input: data.input_unit, data.output: data.unit},
-        source=data.source,
+        units={input: one.input_unit, one.output: one.unit},
+        source=one.source,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _LongModel:
-    """Long linear model of one output; the signals of all experiments are joined."""
+    """Long linear model of one output; the experiments are joined, and the means removed."""
 
-    base: Basis
-    """Basis of the lags of y, of the lags of each input, and of a constant per experiment."""
-    y: Array
-    """Output in the rows that are used, from its mean."""
-    A: Array
-    B: Array
-    """Coefficients 0 … p of A, and of B of the tested input."""
-    lags_of_u: slice
-    """Coefficients of the tested input."""
-    u: Array
-    """Tested input, from its mean."""
-    x: Array
-    """Course of y that u causes, from the mean of y."""
-    measured: Array
-    """Measured output, from its mean; 0 where it is missing."""
-    rows: Mask
-    """Rows that are used: all lags are in the same experiment, and known."""
-    means: tuple[float, float]
-    """Means of u and of y."""
+    base: Basis  # of the lags of y and of each input, and of a constant per experiment
+    rows: Mask  # rows that are used: all lags are in the same experiment, and known
+    A: Array  # coefficients 0 … p of A
+    B: Array  # coefficients 0 … p of B of the tested input
+    lags_of_u: slice  # coefficients of the tested input
+    u: Array  # tested input
+    x: Array  # course of y that u causes
+    y: Array  # measured output; 0 where it is missing
+    means: tuple[float, float]  # of u and of y
+    names: tuple[str, str]  # of u and of y
 
     def effects(self, P: Array, *signals: Array) -> Array:
         """Return signals that are filtered by A or B, in the rows that are used."""
@@ -285,47 +263,41 @@ class _LongModel:
 
     def fitted(self, P: Array, *signals: Array) -> tuple[float, float, float, Array]:
         """Return BIC, A(1) and B(1) of the model with effects, and the effects' coefficients."""
-        effects, N = self.effects(P, *signals), self.y.size
+        effects, y = self.effects(P, *signals), self.y[self.rows]
         own = orthonormal(self.base.without(effects))
-        c = own.coefficients(self.y)
-        loss = float(np.sum(own.without(self.base.without(self.y)) ** 2))
-        theta = self.base.coefficients(self.y - effects @ c)
+        c = own.coefficients(y)
+        loss = float(np.sum(own.without(self.base.without(y)) ** 2))
+        theta = self.base.coefficients(y - effects @ c)
         A_1, B_1 = 1 + np.sum(theta[: self.A.size - 1]), np.sum(theta[self.lags_of_u])
-        return N * log(max(loss, 1e-300)) + len(signals) * log(N), float(A_1), float(B_1), c
+        bic = y.size * log(max(loss, 1e-300)) + len(signals) * log(y.size)
+        return bic, float(A_1), float(B_1), c
 
 
-def _long_model(signals: Signals, input: str, first: int) -> _LongModel:
+def _long_model(data: Signals, input: str, first: int) -> _LongModel:
     """Return the long model with lags `first` … p of u; p depends on the number of samples."""
-    j, nu, N = signals.inputs.index(input), signals.nu, int(np.count_nonzero(signals.valid))
-    if all(np.ptp(part.u[:, j]) == 0 for part in signals.experiments()):
+    j, nu, N = data.inputs.index(input), data.nu, int(np.count_nonzero(data.valid))
+    if all(np.ptp(part.u[:, j]) == 0 for part in data.experiments()):
         raise InputError(CONSTANT_INPUT)
     p = min(round(15 * log10(max(N, 2))), _MAX_LAGS, N // (_ROWS_PER_PARAMETER * (1 + nu)) - 2)
     if p < 2:
         needed = 4 * _ROWS_PER_PARAMETER * (1 + nu)
         raise InputError(f"the test of linearity needs at least {needed} samples, got {N}")
-    u, y = signals.u - signals.u.mean(axis=0), signals.y[:, 0] - np.nanmean(signals.y)
-    parts = [
-        slice(a, b) for a, b in zip(signals.starts, (*signals.starts[1:], y.size), strict=True)
-    ]
-    block = np.vstack(
-        [
-            np.hstack(
-                [-past(y[s], range(1, p + 1)), *(past(x, range(first, p + 1)) for x in u[s].T)]
-            )
-            for s in parts
-        ]
-    )
-    rows = complete(block, y)
+    means = data.u.mean(axis=0), np.nanmean(data.y)
+    u, y = data.u - means[0], data.y[:, 0] - means[1]
+    lags, n, k = range(first, p + 1), p + 1 - first, np.arange(y.size)
+    block = np.hstack([-past(y, range(1, p + 1)), *(past(v, lags) for v in u.T)])
+    number = np.searchsorted(data.starts, k, side="right")
+    rows = complete(block, y) & (k >= np.asarray(data.starts)[number - 1] + p)
     if np.count_nonzero(rows) < 2 * block.shape[1]:
-        raise InputError(f"too few samples of {signals.outputs[0]} have {p} known predecessors")
-    number = np.searchsorted(signals.starts, np.arange(y.size), side="right")
+        raise InputError(f"too few samples of {data.outputs[0]} have {p} known predecessors")
     constants = (number[:, None] == np.unique(number[rows])).astype(np.float64)
     Phi = np.hstack([block, constants])[rows]
     base = orthonormal(Phi)
     theta = base.coefficients(y[rows])
-    A, n = np.append(1.0, theta[:p]), p + 1 - first
+    A = monic(theta[:p])
     B = np.pad(theta[p : p + nu * n].reshape(nu, n), ((0, 0), (first, 0)))
-    x = np.concatenate([_simulated(A, B, u[s], y[s]) for s in parts])
+    bounds = pairwise((*data.starts, y.size))
+    x = np.concatenate([_simulated(A, B, u[a:b], y[a:b]) for a, b in bounds])
     with np.errstate(over="ignore", invalid="ignore"):
         left = np.var((x - y)[rows])
     if not left < _MAX_LEFT * np.var(y[rows]):
@@ -333,15 +305,15 @@ def _long_model(signals: Signals, input: str, first: int) -> _LongModel:
         x[rows] = Phi @ theta
     return _LongModel(
         base=base,
-        y=y[rows],
+        rows=rows,
         A=A,
         B=B[j],
         lags_of_u=slice(p + j * n, p + (j + 1) * n),
         u=u[:, j],
         x=x,
-        measured=np.nan_to_num(y),
-        rows=rows,
-        means=(float(signals.u[:, j].mean()), float(np.nanmean(signals.y))),
+        y=np.nan_to_num(y),
+        means=(float(means[0][j]), float(means[1])),
+        names=(input, data.outputs[0]),
     )
 
 
@@ -350,27 +322,22 @@ def _simulated(A: Array, B: Array, u: Array, y: Array) -> Array:
     from scipy.signal import lfilter, lfiltic
 
     first = np.nan_to_num(y[: A.size - 1])
-    drive = np.sum([filtered(b, [1.0], x) for b, x in zip(B, u.T, strict=True)], axis=0)
+    drive = np.sum([filtered(b, [1.0], v) for b, v in zip(B, u.T, strict=True)], axis=0)
     with np.errstate(over="ignore", invalid="ignore"):  # the model may be unstable
         rest, _ = lfilter([1.0], A, drive[first.size :], zi=lfiltic([1.0], A, first[::-1]))
-    x: Array = np.nan_to_num(np.concatenate([first, rest]), posinf=0.0, neginf=0.0)
-    return x
+    return np.asarray(np.nan_to_num(np.concatenate([first, rest]), posinf=0.0, neginf=0.0))
 
 
 def _p_value(model: _LongModel) -> float:
     """Return the p value of the joint test of all effects."""
-    u, x, du, dx = (s / (np.std(s) or 1.0) for s in (model.u, model.x, *_changes(model)))
+    changes = (np.diff(v, prepend=v[0]) for v in (model.u, model.x))
+    u, x, du, dx = (s / (np.std(s) or 1.0) for s in (model.u, model.x, *changes))
     of_x, of_dx = (x**2, x**3), (_sign(dx), dx * np.abs(dx), x * dx)
-    raw = np.hstack(
-        [
-            model.effects(model.B, u**2, u**3, np.abs(du), *of_x, x * u, *of_dx),
-            model.effects(model.A, *of_x),
-        ]
-    )
-    own = model.base.without(raw)
-    size = np.linalg.norm(own, axis=0)
+    of_u = model.effects(model.B, u**2, u**3, np.abs(du), *of_x, x * u, *of_dx)
+    raw = np.hstack([of_u, model.effects(model.A, *of_x)])
+    own, e = model.base.without(raw), model.base.without(model.y[model.rows])
+    size, N = np.linalg.norm(own, axis=0), e.size
     used = size > _MIN_OWN_SHARE * np.linalg.norm(raw - raw.mean(axis=0), axis=0)
-    e, N = model.base.without(model.y), model.y.size
     robust = 1.4826 * float(np.median(np.abs(e)))
     if not used.any() or robust == 0:
         return float("nan")
@@ -383,35 +350,18 @@ def _p_value(model: _LongModel) -> float:
     return joint_p_value(U.T @ e, np.eye(U.shape[1]) * float(e @ e) / degrees, N=degrees)
 
 
-def _changes(model: _LongModel) -> tuple[Array, Array]:
-    """Return Δu and Δx."""
-    return np.diff(model.u, prepend=model.u[0]), np.diff(model.x, prepend=model.x[0])
-
-
 def _sign(v: Array) -> Array:
     """Return the sign of v, which is smooth near 0; v has the standard deviation 1."""
     return np.asarray(v / np.sqrt(v**2 + 0.25))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Found:
-    """A kind of nonlinearity, and how well it describes the data."""
-
-    bic: float
-    kind: Kind = ""
-    numbers: Mapping[str, float] = field(default_factory=dict)
-    gain_of: str = ""
-    levels: Array = field(default_factory=lambda: np.zeros(0))
-    gains: Array = field(default_factory=lambda: np.zeros(0))
-
-
-def _gains(model: _LongModel) -> Iterator[_Found]:
-    """Yield models with the square and the cube of u or x, which act like u, or are added to y."""
+def _gains(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield BIC and gain of models with u² and u³ or x² and x³, which act like u or add to y."""
     for name, P in (("u", model.B), ("x", model.B), ("y", model.A)):
-        if name == "u" and np.unique(model.u).size <= _TWO_LEVELS:
+        if name == "u" and np.unique(model.u).size <= 2:
             continue
-        signal, mean = (model.u, model.means[0]) if name == "u" else (model.x, model.means[1])
-        at = np.quantile(signal[model.rows], _LEVELS)
+        signal = model.u if name == "u" else model.x
+        at, mean = np.quantile(signal[model.rows], _LEVELS), model.means[name != "u"]
         bic, A_1, B_1, (a, b) = model.fitted(P, signal**2, signal**3)
         slope = (2 * a * at + 3 * b * at**2) * np.sum(P)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -419,47 +369,53 @@ def _gains(model: _LongModel) -> Iterator[_Found]:
                 gains = (B_1 + slope) / A_1
             else:
                 gains = B_1 / (A_1 - slope) if name == "x" else B_1 / A_1 * (1 + slope / np.sum(P))
-        i, j = sorted((int(np.argmin(gains)), int(np.argmax(gains))))
-        numbers = {"level_1": at[i] + mean, "gain_1": gains[i]}
-        numbers |= {"level_2": at[j] + mean, "gain_2": gains[j]}
-        yield _Found(
-            bic=bic,
-            kind="gain by level",
-            numbers={key: float(value) for key, value in numbers.items()},
-            gain_of=name,
-            levels=at + mean,
-            gains=gains,
-        )
+        numbers = dict[str, float]()
+        for i, k in enumerate(sorted((int(np.argmin(gains)), int(np.argmax(gains)))), 1):
+            numbers |= {f"level_{i}": float(at[k] + mean), f"gain_{i}": float(gains[k])}
+        found = {"kind": "gain by level", "numbers": numbers, "gain_of": model.names[name != "u"]}
+        yield bic, found | {"levels": at + mean, "gains": gains}
 
 
-def _thresholds(model: _LongModel) -> Iterator[_Found]:
-    """Yield models with friction, with a saturated output, and with a dead zone of u."""
-    u, x, y_0, (_, dx) = model.u + model.means[0], model.x, model.means[1], _changes(model)
+def _thresholds(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield BIC and numbers of models with friction, a saturated output, or a dead zone of u."""
+    zones = []
+    for kind, P, effect, cost, numbers in _effects_of_thresholds(model):
+        bic, _, B_1, (c,) = model.fitted(P, effect)
+        found = (bic + cost, {"kind": kind, "numbers": numbers})
+        inside = abs(1 + c * float(np.sum(P)) / (B_1 or 1.0))
+        if kind == "friction" or (kind == "saturation" and c < _MAX_OUTSIDE):
+            yield found
+        elif kind == "dead zone" and inside < _MAX_INSIDE:
+            zones.append((*found, inside))
+    if zones:  # between two levels of u, all thresholds leave the same errors
+        same = min(zones, key=itemgetter(0))[0] + _SAME_BIC
+        yield min((zone for zone in zones if zone[0] <= same), key=itemgetter(2))[:2]
+
+
+def _effects_of_thresholds(
+    model: _LongModel,
+) -> Iterator[tuple[Kind, Array, Array, float, dict[str, float]]]:
+    """Yield kind, filter, effect, BIC of the threshold, and numbers."""
+    u, x, y_0, dx = (
+        model.u + model.means[0],
+        model.x,
+        model.means[1],
+        np.diff(model.x, prepend=model.x[0]),
+    )
     late = np.append(0.0, model.B[1:])  # y(t) itself must not explain y(t)
-    y, largest = model.measured + y_0, float(np.max(np.abs(u)))
-    yield _Found(bic=model.fitted(late, _sign(dx / (np.std(dx) or 1.0)))[0], kind="friction")
-    for share, speed in product(_ZONES[::3], (y, dx)):
+    largest, cost = float(np.max(np.abs(u))), log(np.count_nonzero(model.rows))
+    yield "friction", late, _sign(dx / (np.std(dx) or 1.0)), 0.0, {}
+    for share, speed in product(_ZONES[::3], (model.y + y_0, dx)):
         # At rest, friction balances u up to a limit; in motion, it is at the limit.
         pull, limit = u + 4 * largest / (np.std(speed) or 1.0) * speed, share * largest
-        bic, *_ = model.fitted(late, np.clip(pull, -limit, limit))
-        yield _Found(bic=bic + log(model.y.size), kind="friction")
+        yield "friction", late, np.clip(pull, -limit, limit), cost, {}
     for share in np.linspace(0.03, 0.45, 8):
         low, high = np.quantile(x[model.rows], (share, 1 - share))
         for a, b in ((-np.inf, high), (low, np.inf), (low, high)):
-            bic, _, _, (c,) = model.fitted(model.A, x - np.clip(x, a, b))
-            if c < _MAX_OUTSIDE:
-                at = float(high if b == high else low) + y_0
-                numbers = {"at": at, "share": float(share)}
-                yield _Found(bic=bic + log(model.y.size), kind="saturation", numbers=numbers)
-    low, high, found = float(u.min()), float(u.max()), []
+            numbers = {"at": float(high if b == high else low) + y_0, "share": float(share)}
+            yield "saturation", model.A, x - np.clip(x, a, b), cost, numbers
+    low, high = float(u.min()), float(u.max())
     zones = [(low, low + share * (high - low)) for share in _ZONES]
     zones += [(-share * high, share * high) for share in _ZONES if low < 0 < high]
     for a, b in zones if np.unique(u).size >= _LEVELS_OF_A_ZONE else []:
-        bic, _, B_1, (c,) = model.fitted(model.B, np.clip(u, a, b))
-        inside = abs(1 + c * float(np.sum(model.B)) / (B_1 or 1.0))
-        if inside < _MAX_INSIDE:
-            found.append((bic, inside, float(a), float(b)))
-    if found:  # between two levels of u, all thresholds leave the same errors
-        same = [x for x in found if x[0] <= min(found)[0] + _SAME_BIC]
-        bic, _, a, b = min(same, key=lambda x: x[1])
-        yield _Found(bic=bic, kind="dead zone", numbers={"from": a, "to": b})
+        yield "dead zone", model.B, np.clip(u, a, b), 0.0, {"from": float(a), "to": float(b)}

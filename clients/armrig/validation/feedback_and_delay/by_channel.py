@@ -96,7 +96,7 @@ def _arrow(channel: Name) -> str:
 
 
 def each_channel(
-    separated: Callable[[Signals, str, str], tuple[Dataset, dict[str, Any]]] | None = None,
+    separated: Callable[[Signals, str, str], tuple[Any, dict[str, Any]]] | None = None,
     together: Callable[[Mapping[Name, Any]], str] | None = None,
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a test of a Dataset so that it also tests each channel of `Signals`.
@@ -118,9 +118,8 @@ def each_channel(
             for output in data.outputs:
                 for input in data.inputs:
                     try:
-                        one, own = data.dataset(output, input), dict[str, Any]()
-                        if separated:
-                            one, own = separated(data, output, input)
+                        alone = data.dataset(output, input), dict[str, Any]()
+                        one, own = separated(data, output, input) if separated else alone
                         results[output, input] = call(one, *args[1:], **options | own)
                     except InputError as err:
                         refused[output, input] = str(err)
