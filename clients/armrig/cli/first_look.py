@@ -58,13 +58,14 @@ if TYPE_CHECKING:
     from armrig.estimation.nonparametric.step_analysis import StepAnalysis
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
+    from armrig.validation.linearity import Linearity
     from armrig.validation.structure_hints import StructureHints
 
 _CHASSIS = (
     "handout 3.5 and 3.6 need a complete recording of the chassis alone: remove the arm, write "
     "chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), and end `armrig lab`"
 )
-_TESTS = {"open loop": "3.7", "delay": "3.8"}
+_TESTS = {"open loop": "3.7", "delay": "3.8", "linearity": ""}
 """Tests of `armrig check`, with their assignments in the handout."""
 
 
@@ -274,6 +275,8 @@ def check(
     """
     from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
+    from armrig.validation.linearity import CHANCE_LEVEL
+    from armrig.validation.linearity import linearity as linear
 
     out.check(file)
     require_level(level)
@@ -286,12 +289,20 @@ def check(
         loops = _by_channel(partial(open_loop, level=level), data)
         delays = _by_channel(partial(delay, integrator=integrator, progress=progress), data)
     _require_result([*loops.values(), *delays.values()])
-    tests = {name: (loop, delays[name]) for name, loop in loops.items()}
+    linears = {
+        name: "u depends on y" if getattr(one, "closed", False) else one
+        for name, one in _by_channel(partial(linear, level=CHANCE_LEVEL), data).items()
+    }
+    tests = {name: (loop, delays[name], linears[name]) for name, loop in loops.items()}
 
     def facts() -> dict[str, Any]:
         each = {
-            channel: {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
-            for channel, (loop, late) in tests.items()
+            channel: {
+                "open_loop": _loop_facts(loop),
+                "delay": _delay_facts(late),
+                "linearity": _linearity_facts(straight, gains=False),
+            }
+            for channel, (loop, late, straight) in tests.items()
         }
         return source_facts(data) | _facts_by_channel(each)
 
@@ -301,18 +312,19 @@ def check(
         for channel, found in tests.items():
             _head(channel)
             for (which, number), one in zip(_TESTS.items(), found, strict=True):
-                where = f"{which} (handout {number})" if from_recording(data) else which
+                where = f"{which} (handout {number})" if number and from_recording(data) else which
                 if isinstance(one, str):
                     say(f"{where}: not known: {one}")
                     continue
-                first, *more = (one.explain() if out.verbose else one.brief()).splitlines()
-                verdict = first.removeprefix("open loop: ")
+                brief = one.brief() if number else f"{'NONLINEAR: ' * (not one.linear)}{one.line}"
+                first, *more = (one.explain() if out.verbose else brief).splitlines()
+                verdict = first.removeprefix("open loop: ").removeprefix("linear: ")
                 say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
 
     def figures() -> dict[str, Draw]:
         drawn: dict[str, Draw] = {}
         for channel, found in tests.items():
-            for which, one in zip(_TESTS, found, strict=True):
+            for which, one in zip(_TESTS, found[:2], strict=False):
                 if not isinstance(one, str):
                     drawn |= of_channel(which.replace(" ", "_"), one.plot, channel)
         return drawn
@@ -346,15 +358,9 @@ def linearity(
     data = signals.of(file)
     found = _by_channel(partial(test, level=level), data)
     _require_result([*found.values()])
-    of = "linear p level kind numbers rails gain_of levels gains remedy remarks"
 
     def facts() -> dict[str, Any]:
-        each = {
-            channel: {"linear": None, "remarks": [one]}
-            if isinstance(one, str)
-            else fields_of(one, of)
-            for channel, one in found.items()
-        }
+        each = {channel: _linearity_facts(one) for channel, one in found.items()}
         return source_facts(data) | _facts_by_channel(each)
 
     def say_test() -> None:
@@ -383,6 +389,13 @@ def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
         return {"feedback": None, "p_value": None, "level": None, "lags": None, "remarks": [loop]}
     lags = None if loop.sims is None else loop.sims.p
     return fields_of(loop, "feedback p_value level") | {"lags": lags, "remarks": loop.remarks}
+
+
+def _linearity_facts(found: Linearity | str, *, gains: bool = True) -> dict[str, Any]:
+    if isinstance(found, str):
+        return {"linear": None, "remarks": [found]}
+    of = "linear p level kind numbers rails gain_of levels gains remedy remarks"
+    return fields_of(found, of if gains else "linear p level kind numbers remedy remarks")
 
 
 def _delay_facts(late: Delay | str) -> dict[str, Any]:

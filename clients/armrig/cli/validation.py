@@ -69,6 +69,7 @@ def validate(
     from armrig.validation.answer import simulation, tests_sentence
     from armrig.validation.comparison import compare as compared
     from armrig.validation.figures import COLUMN_WIDTH, ROW_HEIGHT, plot_residual_test
+    from armrig.validation.linearity import in_open_loop
     from armrig.validation.residuals import residuals
 
     out.check(file, model)
@@ -89,6 +90,9 @@ def validate(
     def say_validation() -> None:
         first = f"Simulated, {fit.heading} fits {simulation(simulated.rows)}."
         say_answer(f"{first}\n{tests_sentence(tests)}.")
+        for found in in_open_loop(data):
+            if not found.linear:
+                say(f"Linearity of {found.input} to {found.output}: NONLINEAR: {found.line}.")
         _say_predictions(simulated, predicted)
         counts = [str(q.N) for q in fit.quality]
         known = [str(n) for n in data.signals().valid.sum(axis=0)]

@@ -33,7 +33,7 @@ from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy
 from armrig.report.handout_study import HandoutStudy, Section, Table
 from armrig.report.model_facts import arm_at_rest
-from armrig.report.recording_facts import without_turns
+from armrig.report.recording_facts import linearity_sentences, without_turns
 from armrig.report.study import Study
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop
@@ -144,6 +144,7 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
             "The rms error is the error of the simulated angle on the validation data. p white and "
             "p dynamics are the p values of two hypotheses: the residuals are white, and past "
             "input does not explain the residuals. A value below 0.01 speaks against the model.",
+            *linearity_sentences(black.validation),
         ),
         tables=(_coefficients(black), _validation(black)),
         figure="residuals",

@@ -15,6 +15,7 @@ from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import calibration_date
 from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
+from armrig.validation.linearity import in_open_loop
 
 _MAX_NOTES = 20  # of one recording in a report
 _ANGLE_SCALE = "theta_1_rad_per_count"
@@ -149,7 +150,13 @@ def data_text(study: Study) -> str:
         said[-1] += ". No mean and no trend is removed from this angle." if steps <= cut else "."
         hidden = 100 * one.estimation.missing / one.estimation.N
         said.append(f"{hidden:.1f}{NBSP}% of the estimation data have {no}.")
+        said += linearity_sentences(one.validation)
     return " ".join([*said, _units(study)])
+
+
+def linearity_sentences(data: Dataset) -> list[str]:
+    """Return a sentence on the linearity of the validation data; none if they are closed loop."""
+    return [f"Linearity of the validation data: {found.line}." for found in in_open_loop(data)]
 
 
 def _units(study: Study) -> str:

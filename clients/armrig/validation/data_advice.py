@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
-from armrig.validation.linearity import Linearity, linearity
+from armrig.validation.linearity import CHANCE_LEVEL, in_open_loop
 
 ORDER = 4
 """Number of poles, and number of numerator coefficients, of the compared models; the arm has 4
@@ -36,7 +35,6 @@ poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1, in σ, of a pole that is not 1; σ may be too small
-_MIN_CHANCE_P = 1e-3  # the usual 0.05 finds feedback in one of twenty open-loop recordings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +56,7 @@ class Tested:
     @property
     def together(self) -> bool:
         """True if feedback or a direct term is found with p < 0.1 %."""
-        return self.loop is not None and self.loop.p_value < _MIN_CHANCE_P
+        return self.loop is not None and self.loop.p_value < CHANCE_LEVEL
 
 
 def tested(data: Dataset, integrator: bool | None) -> Tested:
@@ -81,7 +79,7 @@ def _loop(data: Dataset) -> OpenLoop | None:
 def examine_data(data: Dataset) -> Iterator[Finding]:
     """Yield the findings about the data; a possible cause precedes its effects."""
     known = tested(data, None)
-    findings = [*examine_experiment(data, known), *_about_linearity(data, known)]
+    findings = [*examine_experiment(data, known), *_about_linearity(data)]
     yield from findings
     if all(f.level == "good" for f in findings):  # else a finding explains why ARX and OE differ
         yield from _about_structures(data, known)
@@ -248,7 +246,7 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
     if loop.may_be_direct_term:
         text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
         text += "take nk=1"
-    if loop.p_value >= _MIN_CHANCE_P:
+    if loop.p_value >= CHANCE_LEVEL:
         text += (
             f". By chance one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
         )
@@ -269,17 +267,9 @@ def _about_delay(known: Tested) -> Iterator[Finding]:
         yield finding("delay", f"none is seen: estimate with nk={late.nk}", good=True)
 
 
-def _about_linearity(data: Dataset, known: Tested) -> Iterator[Finding]:
-    if known.together:  # in closed loop, u(t) contains the noise of y(t)
-        return
-    try:
-        found = cast("Linearity", linearity(data, level=_MIN_CHANCE_P))
-    except ValueError:
-        return
-    remedy = f"; {found.remedy}" if found.remedy else ""
-    yield finding(
-        "linearity", f"{found.reason} (p {p_relation(found.p)}){remedy}", good=found.linear
-    )
+def _about_linearity(data: Dataset) -> Iterator[Finding]:
+    for found in in_open_loop(data):
+        yield finding("linearity", found.line, good=found.linear)
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:

@@ -39,8 +39,9 @@ _REMEDIES: Mapping[Kind, str] = {
     "gain by level": "record small steps around one level, and estimate a model for each level",
     "friction": "record with a u that keeps the rig moving, or estimate the friction (greybox)",
 }
+CHANCE_LEVEL = 1e-3
+"""Level of findings without a test by name: 0.05 finds feedback in one of twenty recordings."""
 _MAX_LAGS = 30
-_CLOSED_P = 1e-3  # the usual 0.05 finds feedback in one of twenty open-loop recordings
 _ROWS_PER_PARAMETER = 4
 _MAX_EFFECTS = 8  # combinations of effects that are tested jointly
 _MIN_SIZE = 0.1  # least size of a tested combination of effects, relative to the largest
@@ -78,6 +79,8 @@ class Linearity:
     """Static gain at `levels`, in y's unit per u's unit."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
+    closed: bool
+    """True if feedback or a direct term is found with p < 0.1 %, so that u(t) may contain e(t)."""
     output: str
     """Name of y."""
     input: str
@@ -122,10 +125,16 @@ class Linearity:
         )
         return f"a gain of {' and of '.join(gains)}"
 
+    @property
+    def line(self) -> str:
+        """Reason, p value and remedy in a line."""
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.reason} (p {p_relation(self.p)}){remedy}"
+
     def explain(self) -> str:
         """Return the answer, its reason, the remedy and the limits of the answer."""
-        found = f"Finding: effects that are not linear in {self.input} explain the errors of a long"
-        lines = [f"{self.verdict}.", f"{found} linear model: p {p_relation(self.p)}."]
+        null = f"Hypothesis: effects that are not linear in {self.input} do not explain the errors"
+        lines = [f"{self.verdict}.", f"{null} of a long linear model; p {p_relation(self.p)}."]
         if self.remedy:
             lines.append(f"So one linear model cannot describe the data: {self.remedy}.")
         return "\n".join([*lines, *(f"Note: {remark}." for remark in self.remarks)])
@@ -209,7 +218,8 @@ def _tested(data: Signals, *, level: float, input: str) -> Linearity | ByChannel
     one, loop = data.dataset(data.outputs[0], input), None
     with suppress(InputError):
         loop = open_loop(one)
-    closed = loop is not None and loop.p_value < _CLOSED_P and not loop.few_levels
+    together = loop is not None and loop.p_value < CHANCE_LEVEL
+    closed = loop is not None and together and not loop.few_levels
     direct = loop is not None and loop.may_be_direct_term
     # In closed loop, u(t) contains e(t).
     model = _long_model(data, input, first=int(closed and not direct))
@@ -235,11 +245,22 @@ def _tested(data: Signals, *, level: float, input: str) -> Linearity | ByChannel
         **found,
         rails=tuple(rails),
         remarks=tuple(remarks),
+        closed=together,
         output=one.output,
         input=input,
         units={input: one.input_unit, one.output: one.unit},
         source=one.source,
     )
+
+
+def in_open_loop(data: Dataset | Signals) -> list[Linearity]:
+    """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result."""
+    try:
+        found = linearity(data, CHANCE_LEVEL)
+    except InputError:
+        return []
+    each = [found] if isinstance(found, Linearity) else found.results.values()
+    return [one for one in each if not one.closed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

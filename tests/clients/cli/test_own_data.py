@@ -12,6 +12,8 @@ import pytest
 from armrig.cli import main
 from scipy.signal import lfilter
 
+from tests.plants import nonlinear_rig
+
 TS = 0.05
 
 
@@ -102,21 +104,19 @@ def test_a_recording_under_another_name_is_a_recording(
         armrig.load(armrig.example_recording().path, path)
 
 
-def _write_with_outliers(path: Path) -> None:
-    """Write data with three outliers of y."""
+def test_outliers_are_reported_and_marked_on_request(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     data = made()
-    y = data.y.copy()
-    y[[90, 200, 310]] += 1e4
-    write(path, armrig.Dataset(u=data.u, y=y, Ts=TS))
-
-
-def test_outliers_are_marked_on_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _write_with_outliers(tmp_path / "data.csv")
+    y = data.y + 1e4 * np.isin(np.arange(data.N), [90, 200, 310])
+    write(tmp_path / "data.csv", armrig.Dataset(u=data.u, y=y, Ts=TS))
     command = "identify data.csv --structure arx --na 2 --nb 2"
 
     _, spoilt, proposed = run(command, tmp_path, capsys)
     code, mended, said = run(f"{command} --hampel", tmp_path, capsys)
+    searched = facts("identify data.csv --search --structure arx --max-order 2", tmp_path, capsys)
 
+    assert "outliers" in {f["about"] for f in searched["advice"]}
     assert "mark them missing (hampel)" in spoilt
     assert "armrig.hampel" not in spoilt
     assert "--hampel" in proposed[proposed.index("next:") :]
@@ -125,11 +125,11 @@ def test_outliers_are_marked_on_request(tmp_path: Path, capsys: pytest.CaptureFi
     assert "marked 3 of 400 samples of y missing as outliers (samples 90, 200, 310)" in said
 
 
-def test_a_search_reports_the_faults_of_the_data(
+def test_check_and_validate_name_a_nonlinear_rig(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _write_with_outliers(tmp_path / "data.csv")
+    data = armrig.load_data(write(tmp_path / "data.csv", nonlinear_rig("dead zone", 1)))
+    armrig.arx(data, na=1, nb=1).save(tmp_path / "m.json")
 
-    found = facts("identify data.csv --search --structure arx --max-order 2", tmp_path, capsys)
-
-    assert "outliers" in {f["about"] for f in found["advice"]}
+    for command in ("check data.csv", "validate data.csv --model m.json"):
+        assert "NONLINEAR: a dead zone of u from" in run(command, tmp_path, capsys)[1]
