@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.files.column_faults import rails_of
 from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
@@ -27,6 +28,10 @@ _EARLY_FACTOR = 2  # factor of the limit in the first n samples after a start or
 _MAX_ROUNDS = 25
 MOST = 0.1
 """Largest allowed share of outliers; the search ends early at twice this share."""
+_MIN_LEVEL_SAMPLES = 40
+_MAX_LEVELS = 20
+_MAD_LOG_VARIANCE = 1.36  # of log MAD, times the number of samples; normal distribution
+_NOISE_LEVEL = 0.01  # p value below which the noise depends on a level; else all samples count
 MIN_VISIBLE_SHARE = 1e-3  # least share of a visible pattern that marked samples do not explain
 ENOUGH_NOISE = 0.32
 """Least noise (std in converter steps) for which the quantisation error is white.
@@ -45,16 +50,56 @@ def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -
     deviations. The model cannot predict the first n samples after the start or after a gap. These
     samples are therefore searched first, with a model of the reversed data, which predicts y(t)
     from later samples. This model predicts less well if the input excites poorly, so it is used
-    with twice the limit.
+    with twice the limit, and only for errors that earlier values of u do not explain.
     """
     backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
-    corrected, early = [], []
-    for (u, y), (wrong, expected) in zip(parts, backwards, strict=True):
-        marked = wrong[::-1] & _lacks_past(y, n)
-        corrected.append((u, np.where(marked, expected[::-1], y)))
-        early.append(marked)
-    forwards = _marked(corrected, n, limit)
+    early = [
+        wrong[::-1] & _lacks_past(y, n) for (_, y), (wrong, _) in zip(parts, backwards, strict=True)
+    ]
+    forwards = _forwards(parts, backwards, early, n, limit)
+    if any(marked.any() for marked in early):
+        right = [np.where(m, np.nan, y) for m, (_, y) in zip(early, forwards, strict=True)]
+        unexplained = _unexplained(parts, right, n, limit)
+        early = [marked & mask for marked, mask in zip(early, unexplained, strict=True)]
+        forwards = _forwards(parts, backwards, early, n, limit)
     return [marked | wrong for marked, (wrong, _) in zip(early, forwards, strict=True)]
+
+
+def _forwards(
+    parts: Sequence[tuple[Array, Vector]],
+    backwards: Sequence[_Found],
+    early: Sequence[Mask],
+    n: int,
+    limit: float,
+) -> list[_Found]:
+    """Search the data in which the early outliers have the values of the reversed model."""
+    corrected = [
+        (u, np.where(marked, expected[::-1], y))
+        for (u, y), (_, expected), marked in zip(parts, backwards, early, strict=True)
+    ]
+    return _marked(corrected, n, limit)
+
+
+def _unexplained(
+    parts: Sequence[tuple[Array, Vector]], right: Sequence[Vector], n: int, limit: float
+) -> list[Mask]:
+    """Return a mask, True where later y, and u before and after y, do not explain y.
+
+    In reversed data, a fast plant jumps before its input does. The input before the start is
+    unknown: a step of u over its whole range is allowed for.
+    """
+    inputs = []
+    for u, _ in parts:
+        before = np.concatenate((np.repeat(u[:1], n + 1, axis=0), u))[: len(u)]  # u(t - n - 1)
+        inputs.append(np.hstack((u, before))[::-1])
+    model = whitening([(u, y[::-1]) for u, y in zip(inputs, right, strict=True)], n)
+    residuals = [model.residuals(u, y[::-1])[::-1] for u, (_, y) in zip(inputs, parts, strict=True)]
+    least = limit * _robust_std(np.concatenate(residuals), parts)
+    steps = np.abs(np.cumsum(model.B[model.B.shape[0] // 2 :], axis=1))
+    effect = np.ptp(np.concatenate([u for u, _ in parts]), axis=0) @ np.maximum.accumulate(steps, 1)
+    for e in residuals:
+        e[: n + 1] = np.maximum(np.abs(e[: n + 1]) - effect[::-1][: e.size], 0.0)
+    return [~(np.abs(e) < least) for e in residuals]
 
 
 def _lacks_past(y: Vector, n: int) -> Mask:
@@ -112,17 +157,19 @@ def _searched(
     seen = set()
     for _ in range(_MAX_ROUNDS):
         model = whitening(expected, n)
-        sizes = [
-            _sizes(model, model.residuals(u, y), marked)
-            for (u, y), marked in zip(expected, wrong, strict=True)
+        residuals = [model.residuals(u, y) for u, y in expected]
+        sizes = [_sizes(model, e, marked) for e, marked in zip(residuals, wrong, strict=True)]
+        levels = [
+            np.column_stack((u, y - e)) for (u, y), e in zip(expected, residuals, strict=True)
         ]
-        s = _robust_std(np.concatenate(sizes), parts)
-        for x, marked in zip(sizes, wrong, strict=True):
-            marked[_peaks(np.where(np.isnan(x), 0.0, np.abs(x) / s), limit, n)] = True
+        stds = _robust_stds(np.concatenate(sizes), np.concatenate(levels), parts)
+        s = np.split(stds, np.cumsum([y.size for _, y in parts])[:-1])
+        for x, s_x, marked in zip(sizes, s, wrong, strict=True):
+            marked[_peaks(np.where(np.isnan(x), 0.0, np.abs(x) / s_x), limit, n)] = True
         if _count(wrong) > 2 * most + n:
             break
-        for (u, y), (_, y_expected), marked in zip(parts, expected, wrong, strict=True):
-            y_expected[:] = _expect(model, u, y, marked, s * limit)
+        for (u, y), (_, y_expected), s_x, marked in zip(parts, expected, s, wrong, strict=True):
+            y_expected[:] = _expect(model, u, y, marked, s_x * limit)
         found = b"".join(marked.tobytes() for marked in wrong)
         if found in seen:
             break
@@ -137,6 +184,30 @@ def _bridged(y: Vector, wrong: Mask) -> Vector:
     if wrong.any() and right.size:
         bridged[wrong] = np.interp(np.flatnonzero(wrong), right, y[right])
     return bridged
+
+
+def _robust_stds(x: Vector, levels: Array, parts: Sequence[tuple[Array, Vector]]) -> Vector:
+    """Return the robust standard deviation of x at each sample, (N,).
+
+    `levels` (N, k) contains the inputs and the predicted y. If the noise grows with one of these
+    levels, the standard deviation at this level is used; if not, that of all samples.
+    """
+    from scipy.ndimage import maximum_filter1d
+    from scipy.stats import chi2
+
+    s = _robust_std(x, parts)
+    stds = np.full(x.size, s)
+    known = np.flatnonzero(np.isfinite(x))
+    count = min(known.size // _MIN_LEVEL_SAMPLES, _MAX_LEVELS)
+    for level in levels.T if count > 1 else ():
+        groups = np.array_split(known[np.argsort(level[known], kind="stable")], count)
+        mads = np.array([_MAD_TO_STD * np.median(np.abs(x[group])) for group in groups])
+        size = known.size / count / _MAD_LOG_VARIANCE
+        deviations = np.log(np.maximum(mads, 1e-3 * s) / s) * np.sqrt(size)
+        if np.sum(deviations**2) > chi2.isf(_NOISE_LEVEL, count):
+            for group, mad in zip(groups, maximum_filter1d(mads, 3, mode="nearest"), strict=True):
+                stds[group] = np.maximum(stds[group], mad)
+    return stds
 
 
 def _robust_std(x: Vector, parts: Sequence[tuple[Array, Vector]]) -> float:
@@ -184,36 +255,36 @@ def _peaks(z: Vector, limit: float, n: int) -> Indices:
     return np.array(peaks, dtype=np.intp)
 
 
-def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: float) -> Vector:
+def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: Vector) -> Vector:
     """Return y with the marked samples set to the values that minimise the residuals.
 
     The values of samples near each other are estimated jointly. A sample is unmarked if its
-    estimated error, in the unit of `_sizes`, is below `least`.
+    estimated error, in the unit of `_sizes`, is below `least` (N,).
     """
     n = model.A.size - 1
     expected, e = y.copy(), model.residuals(u, y)
     for group in _groups(np.flatnonzero(marked), n):
         rows = _rows(np.isfinite(e), group, n)
-        kept, wrong_by = _surely_wrong(_columns(model, rows, group), e[rows], least)
+        kept, wrong_by = _surely_wrong(_columns(model, rows, group), e[rows], least[group])
         expected[group[kept]] -= wrong_by
         marked[np.delete(group, kept)] = False
     return expected
 
 
-def _surely_wrong(columns: Array, e: Vector, least: float) -> tuple[Indices, Vector]:
-    """Return the columns j with |b_j| / sqrt(P_jj) >= `least`, and their coefficients b_j.
+def _surely_wrong(columns: Array, e: Vector, least: Vector) -> tuple[Indices, Vector]:
+    """Return the columns j with |b_j| / sqrt(P_jj) >= `least[j]`, and their coefficients b_j.
 
     The covariance of the coefficients b is P times the residual variance. The column with the least
-    |b_j| / sqrt(P_jj) is removed until all remaining columns reach `least`.
+    |b_j| / sqrt(P_jj) / least[j] is removed until all remaining columns reach `least`.
     Without column j, b becomes b - P_j b_j / P_jj, and P becomes P - P_j P_j^T / P_jj.
     """
     basis = orthonormal(columns)
     kept, b, P = np.arange(columns.shape[1]), basis.coefficients(e), basis.W @ basis.W.T
     while kept.size:
         variance = np.diag(P)
-        size = np.abs(b) / np.sqrt(np.where(variance > 0, variance, np.inf))
+        size = np.abs(b) / np.sqrt(np.where(variance > 0, variance, np.inf)) / least[kept]
         j = int(np.argmin(size))
-        if size[j] >= least:
+        if size[j] >= 1:
             break
         if variance[j] > 0:
             b, P = b - P[:, j] * (b[j] / P[j, j]), P - np.outer(P[:, j], P[j] / P[j, j])
@@ -262,9 +333,10 @@ def hampel(data: Signals, *, threshold: float | None = None, order: int | None =
     The samples with the largest ``|z|`` are marked. For the rest of the search, these samples are
     set to the model's values. The errors of marked samples near each other are then estimated
     together. A sample with an insignificant error is unmarked. The returned data contain
-    no interpolated value. The first n samples after the start or a gap are searched in the reversed
-    data, with twice the threshold. No outlier can be found in n or fewer consecutive samples
-    between two gaps.
+    no interpolated value. If the noise grows with u or y, s is the value at the same level. The
+    first n samples after the start or a gap are searched in the reversed data, with twice the
+    threshold. No outlier can be found among samples at a limit of y (a saturated sensor), or in n
+    or fewer consecutive samples between two gaps.
 
     Parameters
     ----------
@@ -304,7 +376,10 @@ def hampel(data: Signals, *, threshold: float | None = None, order: int | None =
     """
     valid, steps = data.valid.copy(), []
     for i, name in enumerate(data.outputs):
-        parts = [(part.u, part.y[:, i]) for part in data.experiments()]
+        judged = data.valid.copy()
+        if valid[:, i].any():
+            judged[:, i] &= ~rails_of(data.y[:, i])[0]  # a linear model does not stop at a rail
+        parts = [(p.u, p.y[:, i]) for p in data.replaced(step=None, valid=judged).experiments()]
         wrong, step = _outliers(parts, name, threshold, order)
         valid[:, i] &= ~wrong
         steps.append(step)
