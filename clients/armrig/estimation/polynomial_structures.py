@@ -64,11 +64,11 @@ def oe(
         circle, and estimate B again. A finding of the fit reports the reflection. During the search
         all poles of F stay inside or on the circle.
     starts : {"many", "few"}, default "many"
-        If the first searches end in different minima or the noise is strong, the search starts
-        again from changed copies of the best model. In each copy one mode has another frequency or
-        damping. With "few" only complex root pairs of F are changed. With "many" real roots, and C
-        and D, are changed, too, and a few copies are tried even if the first searches agree. "few"
-        needs a tenth to a half of the time of "many", but ends in a poorer minimum more often.
+        With "many" the search starts again from changed copies of the best model. In each copy one
+        mode has another frequency or damping. With "few" only complex root pairs of F are changed.
+        These pairs are changed only if the first searches end in different minima or the noise is
+        strong. "few" needs a tenth to a half of the time of "many", but ends in a poorer minimum
+        more often.
     shared : {"", "denominator"}
         With "denominator" all outputs and inputs have the same F, or the same A in a structure
         without F, and the inverse covariance matrix of e weights the outputs. For an output with an

@@ -32,9 +32,6 @@ _MIN_NOISE_SHARE = 0.2  # if noise is a larger share of the output's variance, a
 _MAX_ROUNDS = 6
 _MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
 _STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)
-_MAX_SURE_STEPS = 60  # agreed searches with more steps passed a narrow valley: modes are moved
-_FIRST_CHECK_STEPS = 6  # steps of each search that checks the minimum of agreed searches
-_CHECK_STEPS = 40  # further steps of the check with the least cost
 _RETURN_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
 _PAIR_ANGLES = np.linspace(0.1, 3.0, 15)  # angles of a moved pair, in rad per sample
 _REAL_ROOTS = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
@@ -59,24 +56,19 @@ def searched_minimum(
     """Return the minimum reached from each start value, best first.
 
     If the minimum is in doubt, the search moves each mode of the best model and starts again, as
-    long as the cost decreases. The minimum is in doubt if the searches end in different minima, or
-    if an F has at least two roots and the noise is strong. In a thorough search without `part`, it
-    is also in doubt if y has gaps, or if no F is searched. Further causes are a search of more than
-    60 steps, and a short search from a moved mode that leads to a lower cost. If C, D and F have
-    more than 30 coefficients, no mode is moved, because a single mode then has little meaning.
+    long as the cost decreases. The minimum is always in doubt if the searches end in different
+    minima. In a thorough search without `part`, the minimum is also in doubt if the cost is larger
+    than rounding errors explain. In any other search, the minimum is also in doubt if an F has at
+    least two roots and the noise is strong. If C, D and F have more than 30 coefficients, no mode
+    is moved, because a single mode then has little meaning.
 
     All searches start on `part`, a part of long data. From each minimum on the part, one search
     continues on all data. If the search is not thorough, it moves only complex pairs of F.
     """
     ends = from_starts(problem) if part is None else _through(part, problem)
-    strict = thorough and part is None
     if not (thorough or _largest_order(problem) >= 2):
         return ends
-    doubtful = _doubtful(problem, ends, strict=strict)
-    if strict and not doubtful and 0 < problem.size <= _MAX_MOVED_COEFFICIENTS:
-        slow = max(end.iterations for _, end in ends) > _MAX_SURE_STEPS
-        checked = slow or _gaps(problem) or _lower_beside(problem, ends[0][1])
-        doubtful = checked and ends[0][1].cost > rounding_floor(problem)
+    doubtful = _doubtful(problem, ends, strict=thorough and part is None)
     for _ in range(_MAX_ROUNDS if doubtful else 0):
         best = ends[0][1]
         lowest = _lowest_without_gaps(problem, best, thorough=thorough)
@@ -84,26 +76,6 @@ def searched_minimum(
             break
         ends.insert(0, ("mode at another frequency", lowest))
     return ends
-
-
-def _lower_beside(problem: PolynomialProblem, best: Optimum) -> bool:
-    """Return whether a search from a moved mode leads to a lower cost than agreed searches.
-
-    For each polynomial and kind of move, one short search is tried, and the search with the least
-    cost continues. This check costs about as much as the searches from the start values.
-    """
-    starts = [
-        start
-        for k in range(len(problem.layout.letters))
-        for kind, step in ((other_pairs, 3), (_other_reals, 1), (other_real, 1))
-        for start in _cheapest(problem, [*_with_mode(problem, best.theta, k, kind)][::step], 1)
-    ]
-    starts += [*_moved_together(problem, best.theta)][:1]
-    near = [problem.minimise(start, most=_FIRST_CHECK_STEPS, known=best.cost) for start in starts]
-    near = [end for end in near if abs(end.cost - best.cost) > _RETURN_TOLERANCE * best.cost]
-    near.sort(key=lambda end: end.cost)
-    ends = [problem.minimise(end.theta, most=_CHECK_STEPS, known=best.cost) for end in near[:1]]
-    return any(not same_minimum(problem, end.cost, best.cost) for end in ends)
 
 
 def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
@@ -221,9 +193,10 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
         return False
     if not same_minimum(problem, ends[0][1].cost, ends[-1][1].cost):
         return True
+    if strict:
+        return ends[0][1].cost > rounding_floor(problem)
     if _largest_order(problem) < 2:
-        floor = rounding_floor(problem)
-        return strict and "f" not in problem.letters and ends[0][1].cost > floor
+        return False
     parts = problem.solve(ends[0][1].theta).parts
     noise = variance = 0.0
     for of, found in zip(problem.experiments, parts, strict=True):
