@@ -351,7 +351,7 @@ def linearity(
     level: float = chosen(0.05, "--level", "Significance level of the test."),
     out: Shown,
 ) -> None:
-    """Test whether the rig is linear, and name the kind of a nonlinearity."""
+    """Test whether the rig is linear; name a nonlinearity."""
     from armrig.validation.linearity import linearity as test
 
     out.check(file)
