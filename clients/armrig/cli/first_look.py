@@ -318,7 +318,7 @@ def check(
                     continue
                 brief = one.brief() if number else f"{'NONLINEAR: ' * (not one.linear)}{one.line}"
                 first, *more = (one.explain() if out.verbose else brief).splitlines()
-                verdict = first.removeprefix("open loop: ").removeprefix("linear: ")
+                verdict = first.removeprefix("open loop: ")
                 say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
 
     def figures() -> dict[str, Draw]:

@@ -134,7 +134,8 @@ class Linearity:
     def explain(self) -> str:
         """Return the answer, its reason, the remedy and the limits of the answer."""
         null = f"Hypothesis: effects that are not linear in {self.input} do not explain the errors"
-        lines = [f"{self.verdict}.", f"{null} of a long linear model; p {p_relation(self.p)}."]
+        answer = self.reason if self.linear else self.verdict
+        lines = [f"{answer}.", f"{null} of a long linear model; p {p_relation(self.p)}."]
         if self.remedy:
             lines.append(f"So one linear model cannot describe the data: {self.remedy}.")
         return "\n".join([*lines, *(f"Note: {remark}." for remark in self.remarks)])
@@ -406,7 +407,7 @@ def _thresholds(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
         inside = abs(1 + c * float(np.sum(P)) / (B_1 or 1.0))
         if kind == "friction" or (kind == "saturation" and c < _MAX_OUTSIDE):
             yield found
-        elif kind == "dead zone" and inside < _MAX_INSIDE:
+        elif kind != "saturation" and inside < _MAX_INSIDE:
             zones.append((*found, inside))
     if zones:  # between two levels of u, all thresholds leave the same errors
         same = min(zones, key=itemgetter(0))[0] + _SAME_BIC
