@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import pytest
-from armrig_core.signal_pipe import ENDING
+from armrig_core.process.signal_pipe import ENDING
 from hypothesis import HealthCheck, settings
 
 pytest_plugins = ("tests.stalls.repeats",)

@@ -1,4 +1,4 @@
-"""Print the graph of rooms of clients and daemon; exit 1 at an arrow up or a circle.
+"""Print the graph of rooms of clients, daemon and core; exit 1 at an arrow up or a circle.
 
 `python tests/rooms.py`. The order of the rooms is that of import-linter's contracts in
 pyproject.toml. All imports count between rooms, also imports inside of functions and for types
@@ -18,7 +18,7 @@ from pathlib import Path
 import grimp
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("armrig", "armrig_daemon")
+PACKAGES = ("armrig", "armrig_daemon", "armrig_core")
 FACE = "__init__"
 Arrow = tuple[str, str]
 

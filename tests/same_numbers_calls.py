@@ -16,7 +16,7 @@ from typing import Any
 
 import armrig
 import numpy as np
-from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -1302,7 +1302,7 @@ def recorded(kind: str) -> Path:
 @cache
 def told() -> Path:
     """Return the path of a recording with the daemon's reports, flags and a rail."""
-    from armrig_core import protobuf
+    from armrig_core.telemetry import protobuf
 
     from tests.clients import made_recordings as made
 
@@ -1359,7 +1359,7 @@ def load() -> Variants:
 
 def other_calibration() -> Any:
     """Return a calibration that is not the default."""
-    from armrig_core.calibration import Calibration, Driver, Potentiometer
+    from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
 
     return Calibration(
         theta_1=Potentiometer(zero_counts=30000.0, rad_per_count=-9.1e-5, wraps=True),
@@ -1423,7 +1423,7 @@ def catalogue() -> Variants:
 @variants
 def calibration() -> Variants:
     from armrig.recordings.calibration import estimate
-    from armrig_core.calibration import Calibration, Made
+    from armrig_core.rig.calibration import Calibration, Made
 
     from tests.clients.made_turns import made_turns, still
 

@@ -57,7 +57,7 @@ ALLOWED = {
     ("clients/armrig/lab/fleet_recorder.py", "rig "): _SHOWN,
     ("clients/armrig/rig/local_daemon.py", "armrigd: "): _SHOWN,
     ("clients/armrig/lab/host.py", r"^flags\s*:.*\bhypervisor\b"): _OTHERS,
-    ("daemon/armrig_core/owned_session.py", r"os error (\d+)"): _OTHERS,
+    ("daemon/armrig_core/access/owned_session.py", r"os error (\d+)"): _OTHERS,
     ("daemon/armrig_daemon/config.py", r"(?:{}) \(at line (\d+)"): _OTHERS,
     ("daemon/armrig_daemon/tables.py", "unknown field `(.+?)`"): _OTHERS,
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from armrig_core.loading import end_at_ctrl_c, is_interrupt, use_one_thread
+from armrig_core.process.loading import end_at_ctrl_c, is_interrupt, use_one_thread
 
 
 def main() -> None:

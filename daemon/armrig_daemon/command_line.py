@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import msgspec
 import typer
-from armrig_core.emulator_stall import held_up
-from armrig_core.endpoint import endpoint, require_trusted, socket_directory
+from armrig_core.access.endpoint import endpoint, require_trusted, socket_directory
 from armrig_core.errors import InputError, OperationError
-from armrig_core.printable import brief, printable
-from armrig_core.signal_pipe import held_back
-from armrig_core.volts import U_MAX_V
+from armrig_core.process.printable import brief, printable
+from armrig_core.process.signal_pipe import held_back
+from armrig_core.rig.emulator_stall import held_up
+from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
 from armrig_daemon.config import EX_CONFIG, Config
@@ -100,7 +100,7 @@ def run(
     When the daemon has ended, the motor is at 0 V.
     """
     try:
-        from armrig_core.open_files import require
+        from armrig_core.process.open_files import require
 
         # With less, the daemon would start, and die when numpy is loaded during the first arming.
         require("armrigd run", memory_mib=2048, files=64)
@@ -169,7 +169,7 @@ def estop(
 
     If a daemon has opened the port, the command sends nothing: use `armrig stop`.
     """
-    from armrig_core.journal import log_prefix
+    from armrig_core.process.journal import log_prefix
 
     from armrig_daemon.loop.estop import estop as send_estop
     from armrig_daemon.loop.link import LinkError, TakenPortError
@@ -199,7 +199,7 @@ def estop(
 
 def _holder(rig: str, port: str, err: Exception) -> str:
     """Return a sentence on the holder of the device's port, and on the way to stop the motor."""
-    from armrig_core.daemon_lock import absolute, read_facts
+    from armrig_core.access.daemon_lock import absolute, read_facts
 
     where = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
     with suppress(InputError, OSError):
@@ -276,7 +276,7 @@ def emulate(
 ) -> None:
     """Emulate a rig at a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
     try:
-        from armrig_core.open_files import require
+        from armrig_core.process.open_files import require
 
         require("armrigd emulate", memory_mib=512, files=16)
         from armrig_daemon.emulator.device import Device
@@ -333,7 +333,7 @@ def show_config(
 
 def _check_file(file: Path) -> None:
     """Print a configuration's rig and networks; after an error, exit with the daemon's code."""
-    from armrig_core.recording_directory import SYSTEM
+    from armrig_core.recording_file.recording_directory import SYSTEM
 
     from armrig_daemon.config import load, load_installed, recordings
     from armrig_daemon.service.access import networks_of
@@ -539,7 +539,7 @@ def _check_no_file(path: Path) -> None:
 
 
 def _refuse(message: str, code: int = 1) -> NoReturn:
-    from armrig_core.journal import log_prefix
+    from armrig_core.process.journal import log_prefix
 
     text = f"{log_prefix('error') or 'armrigd: '}{message}"
     typer.echo(printable(brief(text), keep="\n"), err=True)

@@ -16,17 +16,17 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
-from armrig_core.calibration import Calibration
-from armrig_core.calibration_file import tables_of
-from armrig_core.emulator_socket import socket_path
-from armrig_core.endpoint import anchored, check_listen, network_address
+from armrig_core.access.emulator_socket import socket_path
+from armrig_core.access.endpoint import anchored, check_listen, network_address
 from armrig_core.errors import FileError, InputError
-from armrig_core.printable import printable
-from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
-from armrig_core.toml_file import toml_tables
-from armrig_core.topics import check_own_id
-from armrig_core.volts import U_MAX_V, code_of
+from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
+from armrig_core.process.printable import printable
+from armrig_core.process.toml_file import toml_tables
+from armrig_core.recording_file.recording_directory import SYSTEM, directory_of, installed, of_rig
+from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.calibration_file import tables_of
+from armrig_core.rig.volts import U_MAX_V, code_of
+from armrig_core.telemetry.topics import check_own_id
 from armrig_protocol.messages import (
     CODE_FULL_SCALE,
     WATCHDOG_DEFAULT_MS,
@@ -42,7 +42,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.tables import convert
 
 if TYPE_CHECKING:
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
 EX_CONFIG = 78
 """Exit code of a failed start if a person must correct the cause (sysexits.h)."""
@@ -175,7 +175,7 @@ class ArmSettings(Table, frozen=True, kw_only=True):
     def parameters(self) -> ArmParameters:
         """Return the parameters of the rig."""
         # Imported here: the emulator and the command line read configurations without scipy.
-        from armrig_core.arm import ArmParameters
+        from armrig_core.rig.arm import ArmParameters
 
         given = msgspec.structs.asdict(self)
         del given["removed"]

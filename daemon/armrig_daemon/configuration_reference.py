@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-from armrig_core.calibration import Made
-from armrig_core.recording_directory import SYSTEM
+from armrig_core.recording_file.recording_directory import SYSTEM
+from armrig_core.rig.calibration import Made
 from msgspec.inspect import (
     BoolType,
     DictType,
@@ -150,7 +150,7 @@ _CALIBRATION_FILE = Key(
 
 def _arm_keys() -> Iterator[Key]:
     """Yield the keys of the emulated arm; they are the parameters of the rig's model."""
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
     descriptions = _descriptions(ArmParameters)
     for name, field in ArmParameters.__dataclass_fields__.items():

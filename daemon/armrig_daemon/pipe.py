@@ -11,8 +11,8 @@ from struct import Struct
 from typing import Any
 
 import msgspec
-from armrig_core.calibration import Calibration
-from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.rig.calibration import Calibration
 
 _HEAD = Struct("<IB")
 _SAMPLE_KIND, _RECORD_KIND = 0, 1

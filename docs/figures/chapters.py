@@ -17,7 +17,7 @@ from armrig.physics.integrators.figures import (
 )
 from armrig.physics.integrators.methods import METHODS
 from armrig.plots.layout import save
-from armrig_core.arm import arm_matrices
+from armrig_core.rig.arm import arm_matrices
 from matplotlib.axes import Axes
 
 mpl.use("Agg")

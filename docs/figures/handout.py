@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import armrig
-from armrig_core.arm import ArmParameters
+from armrig_core.rig.arm import ArmParameters
 
 FOLDER = Path(__file__).parent
 

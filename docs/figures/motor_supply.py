@@ -1,7 +1,7 @@
 """Computes the tables of docs/hardware.md on the motor's supply, and prints them.
 
-The arm is `armrig_core.arm` with the handout's values. Values of parts are constants below, each
-with its source. "Memory" means that nobody compared the value with the data sheet.
+The arm is `armrig_core.rig.arm` with the handout's values. Values of parts are constants below,
+each with its source. "Memory" means that nobody compared the value with the data sheet.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]

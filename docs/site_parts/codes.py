@@ -7,7 +7,7 @@ import inspect
 from enum import StrEnum
 from typing import Any
 
-from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
 from armrig_daemon.decisions.faults import OF_DEVICE, REMEDIES, Id
 from armrig_protocol.messages import Cause
 

@@ -81,7 +81,7 @@ def dataset(case: str, seed: int) -> dict[str, Any]:
 
 
 def _arm() -> tuple[Any, Any]:
-    from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+    from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 
     A, B, C = arm_matrices(ArmParameters())
     Phi, x = zero_order_hold(A, B, 0.01)

@@ -18,7 +18,7 @@ import numpy as np
 from armrig import Dataset, armax, arx, bj, greybox, iv4, n4sid, oe, telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.physics.systems import chassis
-from armrig_core.arm import ArmParameters, chassis_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, chassis_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]

@@ -8,10 +8,10 @@ from struct import pack
 import numpy as np
 from armrig.recordings.calibration import Estimate, estimate
 from armrig.recordings.calibration_readings import Readings
-from armrig_core.arm import ArmParameters
-from armrig_core.calibration import Calibration
-from armrig_core.telemetry import decode_sample
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.rig.arm import ArmParameters
+from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.telemetry.telemetry import decode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.board import driven, volts
 from armrig_daemon.emulator.settings import EmulatorSettings

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 import armrig
 import pytest
-from armrig_core.endpoint import endpoint
+from armrig_core.access.endpoint import endpoint
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.handout_plant import plant, reference

@@ -10,10 +10,11 @@ import msgspec
 import numpy as np
 import zenoh
 from armrig.rig.collection import Plan
-from armrig_core import commands, topics
-from armrig_core.codes import TRY_AGAIN, OutcomeCode
-from armrig_core.commands import LastRun, StatusReport
-from armrig_core.predicted_motion import Rehearsal
+from armrig_core.commands import commands
+from armrig_core.commands.codes import TRY_AGAIN, OutcomeCode
+from armrig_core.commands.commands import LastRun, StatusReport
+from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.telemetry import topics
 
 
 def step_plan(owner: str, seconds: float = 1.0) -> Plan:

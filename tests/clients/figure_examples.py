@@ -29,7 +29,7 @@ from armrig.report.figures import plot_velocity, write_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, study
 from armrig.validation.search_result import SearchResult
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -12,7 +12,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]

@@ -10,12 +10,12 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from armrig_core import protobuf, telemetry
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
-from armrig_core.calibration import Calibration, Potentiometer
-from armrig_core.codes import GapCode, OutcomeCode
-from armrig_core.manifest import CALIBRATION, INPUT, OUTCOME, RUN, Manifest, Outcome
-from armrig_core.topics import topic
+from armrig_core.commands.codes import GapCode, OutcomeCode
+from armrig_core.recording_file.manifest import CALIBRATION, INPUT, OUTCOME, RUN, Manifest, Outcome
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.rig.calibration import Calibration, Potentiometer
+from armrig_core.telemetry import protobuf, telemetry
+from armrig_core.telemetry.topics import topic
 from armrig_protocol.messages import Flag
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from armrig.excitation import telegraph
 from armrig.recordings.calibration_readings import Readings
-from armrig_core import protobuf
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
-from armrig_core.calibration import Calibration, Driver, Made, Potentiometer
-from armrig_core.manifest import Manifest, Outcome
-from armrig_core.predicted_motion import Rehearsal
-from armrig_core.telemetry import Sample
+from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.recording_file.manifest import Manifest, Outcome
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.rig.calibration import Calibration, Driver, Made, Potentiometer
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 from msgspec.structs import replace
 

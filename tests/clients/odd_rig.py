@@ -16,11 +16,11 @@ from armrig.dashboard.feed import LiveModel
 from armrig.excitation import telegraph
 from armrig.lab.doctor import examine
 from armrig.lab.host import Granted, Host
-from armrig_core import protobuf
-from armrig_core.calibration import Calibration, Potentiometer
-from armrig_core.commands import LastRun, StatusReport
-from armrig_core.manifest import Outcome
-from armrig_core.telemetry import Sample
+from armrig_core.commands.commands import LastRun, StatusReport
+from armrig_core.recording_file.manifest import Outcome
+from armrig_core.rig.calibration import Calibration, Potentiometer
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 
 from tests.clients.made_recordings import manifest, recorded, written

@@ -13,7 +13,7 @@ import numpy as np
 from armrig.cli.collect import InputChoice, chosen_inputs
 from armrig.excitation import step
 from armrig.recordings.recording_summary import VALIDATION_OF
-from armrig_core.commands import Run
+from armrig_core.commands.commands import Run
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.board import FULL_SCALE_V, Board, Witness
 from armrig_daemon.emulator.device import Device

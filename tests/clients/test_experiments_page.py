@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig_core import commands
+from armrig_core.commands import commands
 
 from tests.clients import pages
 from tests.clients.fake_daemon import FakeDaemon

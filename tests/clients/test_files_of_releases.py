@@ -15,11 +15,11 @@ from armrig.models.model_writing import model_text
 from armrig.recordings.calibration import estimate
 from armrig.recordings.container import read
 from armrig.recordings.verification import verify
-from armrig_core.calibration_file import raw_path, read_calibration
-from armrig_core.codes import GapCode, OutcomeCode
+from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.errors import FileError
-from armrig_core.manifest import CALIBRATION_RAW
-from armrig_core.volts import applied_code, volts_of
+from armrig_core.recording_file.manifest import CALIBRATION_RAW
+from armrig_core.rig.calibration_file import raw_path, read_calibration
+from armrig_core.rig.volts import applied_code, volts_of
 from msgspec.structs import replace
 
 from tests.clients.made_turns import stored_readings

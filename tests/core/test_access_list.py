@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core.access_list import AccessList, read_access_list
+from armrig_core.access.access_list import AccessList, read_access_list
 from armrig_core.errors import FileError
 
 

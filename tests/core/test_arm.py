@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
 
 
 def test_the_steady_speed_equals_that_of_the_handout() -> None:

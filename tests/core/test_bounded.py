@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 import pytest
-from armrig_core.bounded import read_bounded, read_text
 from armrig_core.errors import FileError
+from armrig_core.process.bounded import read_bounded, read_text
 
 TEXT = "[rig]\r\nid = '1' # Prüfstand\r\n"
 

@@ -6,8 +6,9 @@ import hashlib
 from pathlib import Path
 
 import pytest
-from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiometer
-from armrig_core.calibration_file import (
+from armrig_core.errors import FileError
+from armrig_core.rig.calibration import Calibration, Driver, Figure, Made, Potentiometer
+from armrig_core.rig.calibration_file import (
     RAW_LIMIT,
     check_measured,
     raw_path,
@@ -15,7 +16,6 @@ from armrig_core.calibration_file import (
     read_calibration,
     toml_of,
 )
-from armrig_core.errors import FileError
 from msgspec.structs import replace
 
 SAMPLES = b"samples"

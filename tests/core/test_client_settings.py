@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core import client_settings as settings_module
-from armrig_core.client_settings import ClientSettings, client_settings
+from armrig_core.access import client_settings as settings_module
+from armrig_core.access.client_settings import ClientSettings, client_settings
 
 
 def _file(path: Path, text: str) -> Path:

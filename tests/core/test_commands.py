@@ -6,7 +6,7 @@ import json
 
 import msgspec
 import pytest
-from armrig_core.commands import REQUESTS, Arm, Note, Run, Set, Stop, json_schema, parse
+from armrig_core.commands.commands import REQUESTS, Arm, Note, Run, Set, Stop, json_schema, parse
 
 LEASE = "0" * 32
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from armrig.lab import pki
-from armrig_core.credential import Purpose, read_credential
+from armrig_core.access.credential import Purpose, read_credential
 from armrig_core.errors import FileError
 from cryptography import x509
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from armrig_core.daemon_lock import DaemonFacts, lock_path, read_facts, write_facts
+from armrig_core.access.daemon_lock import DaemonFacts, lock_path, read_facts, write_facts
 from msgspec.structs import replace
 
 FACTS = DaemonFacts(pid=os.getpid(), port="/dev/ttyACM0", baud=500_000)

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from armrig_core.emulator_socket import require_safe_folder, socket_path, stranger
+from armrig_core.access.emulator_socket import require_safe_folder, socket_path, stranger
 from armrig_core.errors import InputError
 
 LONGEST = "/" + "a" * 106

@@ -8,7 +8,7 @@ import stat
 from pathlib import Path, PurePosixPath
 
 import pytest
-from armrig_core.endpoint import (
+from armrig_core.access.endpoint import (
     anchored,
     check_listen,
     endpoint,

@@ -8,7 +8,7 @@ from zlib import crc32
 
 import pytest
 from armrig_core.errors import FileError
-from armrig_core.firmware_image import read_image
+from armrig_core.rig.firmware_image import read_image
 
 END = ":00000001FF"
 

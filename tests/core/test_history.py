@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.errors import MalformedReplyError
-from armrig_core.history import ANSWER_LIMIT, NUMBER_LIMIT, decode_past, encode_past
-from armrig_core.topics import STREAMS
+from armrig_core.telemetry.history import ANSWER_LIMIT, NUMBER_LIMIT, decode_past, encode_past
+from armrig_core.telemetry.topics import STREAMS
 from hypothesis import given
 from hypothesis import strategies as st
 

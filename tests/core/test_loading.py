@@ -7,7 +7,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
-from armrig_core.loading import end_at_ctrl_c, is_interrupt
+from armrig_core.process.loading import end_at_ctrl_c, is_interrupt
 
 
 @pytest.fixture(autouse=True)

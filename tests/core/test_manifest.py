@@ -6,14 +6,14 @@ from contextlib import nullcontext
 from typing import Any
 
 import pytest
-from armrig_core.emulated import is_emulated
-from armrig_core.manifest import (
+from armrig_core.recording_file.manifest import (
     Manifest,
     Recovered,
     check_whole_numbers,
     manifest_of,
     recovered_of,
 )
+from armrig_core.rig.emulated import is_emulated
 
 MADE: dict[str, Any] = {
     "rig": "lab-2",

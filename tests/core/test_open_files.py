@@ -6,7 +6,7 @@ import os
 import resource
 
 import pytest
-from armrig_core import open_files
+from armrig_core.process import open_files
 
 from tests.core.test_process_limits import limit
 

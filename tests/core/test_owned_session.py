@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core.history import REPLY_LIMIT
-from armrig_core.owned_session import (
+from armrig_core.access.owned_session import (
     LANES,
     listening,
     os_error_number,
     strangers,
     transport,
 )
+from armrig_core.telemetry.history import REPLY_LIMIT
 
 
 def test_an_unauthenticated_tls_handshake_is_limited_to_three_seconds() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from armrig_core.access.passwords import read_passwords, read_users
 from armrig_core.errors import FileError
-from armrig_core.passwords import read_passwords, read_users
 
 
 def _written(path: Path, data: bytes) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from armrig_core.printable import brief, json_printable, printable
+from armrig_core.process.printable import brief, json_printable, printable
 from hypothesis import given
 from hypothesis import strategies as st
 

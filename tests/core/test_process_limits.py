@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.errors import OperationError
-from armrig_core.open_files import require
+from armrig_core.process.open_files import require
 
 INFINITE, MIB = resource.RLIM_INFINITY, 1 << 20
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core import recording_directory
-from armrig_core.recording_directory import VARIABLE, directory_of, directory_to_look_in
+from armrig_core.recording_file import recording_directory
+from armrig_core.recording_file.recording_directory import VARIABLE, directory_to_look_in
 
 
 @pytest.fixture
@@ -27,10 +27,10 @@ def test_the_configured_folder_precedes_those_of_user_and_service(
     assert directory_to_look_in([], {VARIABLE: str(away)}) == away
     assert directory_to_look_in([], {}) == service
     service.rmdir()
-    assert directory_to_look_in([], {}) == directory_of("")
+    assert directory_to_look_in([], {}) == recording_directory.directory_of("")
     service.mkdir()
-    directory_of("").mkdir(parents=True)
-    assert directory_to_look_in([], {}) == directory_of("")
+    recording_directory.directory_of("").mkdir(parents=True)
+    assert directory_to_look_in([], {}) == recording_directory.directory_of("")
 
 
 def test_a_configuration_that_cannot_be_read_is_reported_with_its_path(tmp_path: Path) -> None:
@@ -40,4 +40,4 @@ def test_a_configuration_that_cannot_be_read_is_reported_with_its_path(tmp_path:
 
 def test_a_home_of_an_unknown_user_is_refused() -> None:
     with pytest.raises(ValueError, match="= '~nobody-is-called-so/runs': there is no such user"):
-        directory_of("~nobody-is-called-so/runs")
+        recording_directory.directory_of("~nobody-is-called-so/runs")

@@ -7,10 +7,10 @@ from math import ceil, degrees, inf, pi, tau
 
 import numpy as np
 import pytest
-from armrig_core.arm import ArmParameters
+from armrig_core.commands.predicted_motion import sentence
+from armrig_core.commands.rehearsal import rehearse
 from armrig_core.errors import InputError
-from armrig_core.predicted_motion import sentence
-from armrig_core.rehearsal import rehearse
+from armrig_core.rig.arm import ArmParameters
 from armrig_daemon.emulator.plant import REST, advance, build
 from numpy.typing import NDArray
 

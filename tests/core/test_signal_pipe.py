@@ -14,13 +14,13 @@ from threading import Timer
 
 import armrig_core
 import pytest
-from armrig_core.signal_pipe import ENDING, SignalPipe, held_back, until_signal
+from armrig_core.process.signal_pipe import ENDING, SignalPipe, held_back, until_signal
 
 WITHIN_S = 30.0
 SIGNALS = 300
 _ROUNDS = """
 import sys
-from armrig_core.signal_pipe import until_signal
+from armrig_core.process.signal_pipe import until_signal
 for _ in range(int(sys.argv[1])):
     with until_signal() as ended:
         print("waits", flush=True)
@@ -28,7 +28,7 @@ for _ in range(int(sys.argv[1])):
             pass
 """
 _ONE = """
-from armrig_core.signal_pipe import SignalPipe
+from armrig_core.process.signal_pipe import SignalPipe
 signals = SignalPipe()
 signals.wait()
 print(sorted(signals.read()))

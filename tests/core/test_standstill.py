@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core import standstill
-from armrig_core.standstill import Standstill
+from armrig_core.process import standstill
+from armrig_core.process.standstill import Standstill
 
 
 def test_a_sleep_is_reported_once_and_a_short_delay_is_not(monkeypatch: pytest.MonkeyPatch) -> None:

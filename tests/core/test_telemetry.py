@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from armrig_core import protobuf
-from armrig_core.telemetry import SAMPLE_FIELDS, SAMPLE_LENGTH, Sample, decode_sample, encode_sample
+from armrig_core.telemetry import protobuf, telemetry
+from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample, decode_sample, encode_sample
 from google.protobuf import descriptor_pb2
 from google.protobuf.descriptor import FieldDescriptor
 from hypothesis import given
@@ -33,7 +33,7 @@ def test_a_packed_sample_equals_the_encoding_of_protobuf(sample: Sample) -> None
     message = protobuf.message_class(protobuf.SAMPLE)(**sample._asdict())
 
     assert message.SerializeToString(deterministic=True) == encode_sample(sample)
-    assert len(encode_sample(sample)) == SAMPLE_LENGTH == 87
+    assert len(encode_sample(sample)) == telemetry.SAMPLE_LENGTH == 87
     assert decode_sample(encode_sample(sample)) == sample
 
 

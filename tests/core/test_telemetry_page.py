@@ -6,8 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from armrig_core import commands, protobuf, topics
-from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.commands import commands
+from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.telemetry import protobuf, topics
 from armrig_protocol.messages import Flag
 from google.protobuf import descriptor_pb2
 

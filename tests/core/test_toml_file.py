@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.errors import FileError
-from armrig_core.toml_file import read_toml, toml_tables
+from armrig_core.process.toml_file import read_toml, toml_tables
 
 
 @pytest.mark.parametrize(

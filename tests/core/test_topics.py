@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core import topics
 from armrig_core.errors import InputTypeError
-from armrig_core.topics import RECORDED, STREAMS, check_own_id, check_rig_id, played_id, stream_of
+from armrig_core.telemetry import topics
+from armrig_core.telemetry.topics import RECORDED, STREAMS, check_own_id, check_rig_id, played_id
 
 LONGEST = "a" * 40
 
@@ -23,7 +23,7 @@ def test_each_rig_has_separate_keys() -> None:
 def test_an_id_that_is_not_valid_in_a_key_is_refused(rig: str) -> None:
     with pytest.raises(ValueError, match="use 1 to 40 characters, each a-z, 0-9 or -"):
         check_rig_id(rig)
-    assert stream_of(f"/rig/{rig}/gap") == ""
+    assert topics.stream_of(f"/rig/{rig}/gap") == ""
     assert topics.rig_of_alive(f"rig/{rig}/alive") == ""
 
 
@@ -48,23 +48,15 @@ def test_a_recording_is_played_under_an_id_that_no_rig_can_have(rig: str, played
     assert (rig == played) or check_own_id(rig) == rig
 
 
-@pytest.mark.parametrize(
-    ("key", "rig"),
-    [
-        ("rig/lab-2/alive", "lab-2"),
-        ("rig/lab-2/sample", ""),
-        ("rag/lab-2/alive", ""),
-        ("rig/lab-2/alive/x", ""),
-        ("rig/lab-2", ""),
-    ],
-)
-def test_the_key_of_a_liveliness_token_names_its_rig(key: str, rig: str) -> None:
-    assert topics.rig_of_alive(key) == rig
+def test_the_key_of_a_liveliness_token_names_its_rig() -> None:
+    assert topics.rig_of_alive("rig/lab-2/alive") == "lab-2"
+    for key in ("rig/lab-2/sample", "rag/lab-2/alive", "rig/lab-2/alive/x", "rig/lab-2"):
+        assert topics.rig_of_alive(key) == ""
 
 
 def test_the_topic_of_a_message_names_its_stream() -> None:
     for stream in RECORDED:
-        assert stream_of(topics.topic("lab-2", stream)) == stream
+        assert topics.stream_of(topics.topic("lab-2", stream)) == stream
     assert set(RECORDED) - set(STREAMS) == {"trace"}
     for other in ("/rig/1/other", "rig/1/gap", "/rig/1/gap/x", "/rag/1/gap", "/rig/1/"):
-        assert stream_of(other) == ""
+        assert topics.stream_of(other) == ""

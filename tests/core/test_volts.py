@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from armrig_core.volts import applied_code, code_of, codes_of, volts_of
+from armrig_core.rig.volts import applied_code, code_of, codes_of, volts_of
 from hypothesis import given
 from hypothesis import strategies as st
 

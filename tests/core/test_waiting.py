@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import closing, suppress
 
 import pytest
-from armrig_core.waiting import TERMINAL_BYTES, Waiter, sleep_until
+from armrig_core.process.waiting import TERMINAL_BYTES, Waiter, sleep_until
 
 MS = 1_000_000
 LONG_NS = 10_000 * MS

@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from armrig_core.firmware_image import shipped_image
+from armrig_core.rig.firmware_image import shipped_image
 
 ROOT = Path(__file__).parents[2]
 IMAGE = "armrig_core/firmware/armrig-uno.hex"
@@ -44,8 +44,8 @@ def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
 @pytest.mark.usefixtures("wheel")
 def test_an_installed_armrig_finds_its_glossary_and_its_firmware(unpacked: Path) -> None:
     program = (
-        "from armrig.cli import glossary; from armrig_core.firmware_image import shipped_image; "
-        "print(glossary._page(), shipped_image())"
+        "from armrig.cli import glossary; from armrig_core.rig import firmware_image; "
+        "print(glossary._page(), firmware_image.shipped_image())"
     )
     found = subprocess.run(
         [sys.executable, "-c", program],

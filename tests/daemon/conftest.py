@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core import recording_directory
+from armrig_core.recording_file import recording_directory
 from armrig_daemon import config
 
 

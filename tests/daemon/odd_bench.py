@@ -11,8 +11,8 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 import msgspec
-from armrig_core.calibration import Calibration, Driver, Potentiometer
-from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
+from armrig_core.telemetry.telemetry import Sample, decode_sample
 from armrig_daemon.config import ArmSettings, Config, Device, Limits, Recording, Rig, Timing
 from armrig_daemon.decisions.state import ServiceGone
 from armrig_daemon.emulator.settings import EmulatorSettings

@@ -5,11 +5,11 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from armrig_core import protobuf
-from armrig_core.codes import Ending, GapCode, OutcomeCode
-from armrig_core.commands import Renew, Run
-from armrig_core.history import decode_past
-from armrig_core.telemetry import SAMPLE_FIELDS, Sample
+from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
+from armrig_core.commands.commands import Renew, Run
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.history import decode_past
+from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from armrig.recordings.container import read
-from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.calibration_file import raw_path, toml_of
-from armrig_core.codes import COMPLETE
-from armrig_core.commands import Run
+from armrig_core.commands.codes import COMPLETE
+from armrig_core.commands.commands import Run
 from armrig_core.errors import InputError
-from armrig_core.manifest import CALIBRATION_RAW
+from armrig_core.recording_file.manifest import CALIBRATION_RAW
+from armrig_core.rig.calibration import Calibration, Made, Potentiometer
+from armrig_core.rig.calibration_file import raw_path, toml_of
 from armrig_daemon.config import Config, load
 from armrig_daemon.pipe import RunStarted, State
 from armrig_daemon.service.runs import Runs

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig_core.arm import ArmParameters
-from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.errors import InputError
-from armrig_core.volts import code_of
+from armrig_core.rig.arm import ArmParameters
+from armrig_core.rig.calibration import Calibration, Potentiometer
+from armrig_core.rig.volts import code_of
 from armrig_daemon.config import ArmSettings, Config, Limits, load, load_installed
 from armrig_daemon.decisions.state import Rules
 

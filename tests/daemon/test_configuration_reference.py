@@ -9,8 +9,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from armrig_core.calibration import Made
 from armrig_core.errors import InputError
+from armrig_core.rig.calibration import Made
 from armrig_daemon.command_line import app
 from armrig_daemon.config import Config, load
 from armrig_daemon.configuration_reference import BEGIN, END, PAGE, example, page_tables, tables

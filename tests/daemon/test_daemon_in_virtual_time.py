@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from armrig_core.codes import GapCode
-from armrig_core.telemetry import decode_sample
-from armrig_core.volts import code_of
+from armrig_core.commands.codes import GapCode
+from armrig_core.rig.volts import code_of
+from armrig_core.telemetry.telemetry import decode_sample
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase

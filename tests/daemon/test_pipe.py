@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import get_args
 
-from armrig_core.codes import GapCode
-from armrig_core.telemetry import SAMPLE_FIELDS, Sample, encode_sample
+from armrig_core.commands.codes import GapCode
+from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample, encode_sample
 from armrig_daemon.pipe import (
     Answer,
     Arm,

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from armrig_core.telemetry import decode_sample
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.telemetry.telemetry import decode_sample
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Timing
 from armrig_daemon.decisions.state import Ordered, Phase

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from armrig_core.volts import code_of, volts_of
+from armrig_core.rig.volts import code_of, volts_of
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Gap, Run, RunEnded, RunStarted
 

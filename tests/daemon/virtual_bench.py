@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from struct import pack
 
-from armrig_core.telemetry import Sample, decode_sample
-from armrig_core.volts import code_of
+from armrig_core.rig.volts import code_of
+from armrig_core.telemetry.telemetry import Sample, decode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.settings import EmulatorSettings

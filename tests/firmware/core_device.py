@@ -11,7 +11,7 @@ from struct import Struct
 from types import SimpleNamespace
 from typing import Any
 
-from armrig_core.volts import duty
+from armrig_core.rig.volts import duty
 from armrig_daemon.emulator import clock
 from armrig_daemon.emulator.board import VoltageError
 from armrig_daemon.emulator.clock import U32, Clock

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig_core.volts import duty
+from armrig_core.rig.volts import duty
 from armrig_daemon.emulator.board import reported
 from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from armrig_core.volts import applied_code, duty
+from armrig_core.rig.volts import applied_code, duty
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.budget import scheduled_us
 from armrig_daemon.emulator.harness import Violation

@@ -7,8 +7,8 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
-from armrig_core.commands import Run
+from armrig_core.commands.commands import Run
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import VirtualService
 

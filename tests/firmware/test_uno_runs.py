@@ -8,8 +8,8 @@ from functools import partial
 from itertools import pairwise
 
 import pytest
-from armrig_core.telemetry import Sample
-from armrig_core.volts import applied_code, code_of, duty, volts_of
+from armrig_core.rig.volts import applied_code, code_of, duty, volts_of
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.settings import EmulatorSettings

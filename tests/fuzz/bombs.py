@@ -11,10 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import zstandard
-from armrig_core import protobuf
-from armrig_core.manifest import OUTCOME
 from armrig_core.recording_file import budget, file_records
 from armrig_core.recording_file.file_records import MAGIC
+from armrig_core.recording_file.manifest import OUTCOME
+from armrig_core.telemetry import protobuf
 from mcap.opcode import Opcode
 
 from tests.fuzz.cuts import edges, noisy

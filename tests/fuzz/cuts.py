@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig_core import telemetry
 from armrig_core.errors import FileError
-from armrig_core.manifest import CONFIG, INPUT, Manifest, Outcome
 from armrig_core.recording_file import file_records
+from armrig_core.recording_file.manifest import CONFIG, INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recording_part import Part
+from armrig_core.telemetry import telemetry
 
 from tests.fuzz.files import in_memory, in_one_line
 

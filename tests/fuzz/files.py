@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig_core import protobuf, telemetry
-from armrig_core.calibration import Calibration
 from armrig_core.errors import FileError
-from armrig_core.manifest import CALIBRATION, OUTCOME, RUN, Manifest, Outcome
-from armrig_core.topics import topic
+from armrig_core.recording_file.manifest import CALIBRATION, OUTCOME, RUN, Manifest, Outcome
+from armrig_core.rig.calibration import Calibration
+from armrig_core.telemetry import protobuf, telemetry
+from armrig_core.telemetry.topics import topic
 from mcap.writer import CompressionType, Writer
 
 from tests.fuzz.mutation import mutated

@@ -6,8 +6,8 @@ from collections import Counter
 from math import inf, isfinite
 from random import Random
 
-from armrig_core.commands import REQUESTS, Calibrate, Requests, Run, Set, parse
-from armrig_core.volts import U_MAX_V
+from armrig_core.commands.commands import REQUESTS, Calibrate, Requests, Run, Set, parse
+from armrig_core.rig.volts import U_MAX_V
 
 from tests.fuzz.mutation import mutated
 

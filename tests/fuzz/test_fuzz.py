@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core.commands import Set
+from armrig_core.commands.commands import Set
 
 from tests.fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
 from tests.sampling import sampled

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from armrig_core.credential import read_credential
+from armrig_core.access.credential import read_credential
 
 QUERIES = 1500  # more answers than the queues of zenoh and of the kernel hold
 _RECEIVED = 4096  # B; a small buffer is soon full

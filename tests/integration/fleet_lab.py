@@ -13,8 +13,8 @@ from armrig.lab import pki
 from armrig.lab.fleet_recorder import FleetRecorder, RigRecorded
 from armrig.lab.router import open_router
 from armrig.rig.session import open_endpoint
-from armrig_core import protobuf
-from armrig_core.telemetry import Sample, encode_sample
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_daemon.config import Access, Config, Rig
 from armrig_daemon.service.access import networks_of
 from armrig_daemon.service.publish import Session

@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 from armrig.lab import pki
 from armrig.rig.client import Rig
-from armrig_core.credential import read_credential
+from armrig_core.access.credential import read_credential
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec

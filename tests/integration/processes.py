@@ -19,7 +19,7 @@ from tempfile import TemporaryFile
 
 import armrig
 from armrig.rig.client import Rig
-from armrig_core.emulator_socket import socket_path
+from armrig_core.access.emulator_socket import socket_path
 
 from tests.integration.fork_server import LAST_FRAME, SHOW_THREADS, Forked, ForkServer
 

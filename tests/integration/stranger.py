@@ -18,8 +18,8 @@ from functools import partial
 from typing import Any
 
 import zenoh
-from armrig_core.commands import REQUESTS
-from armrig_core.topics import STREAMS
+from armrig_core.commands.commands import REQUESTS
+from armrig_core.telemetry.topics import STREAMS
 
 TIMES = int(os.environ.get("STRANGER_TIMES", "20"))
 OPERATOR, WATCHER = "alice", "carol"

@@ -23,8 +23,8 @@ from armrig.lab import pki
 from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
-from armrig_core.credential import Credential, read_credential
-from armrig_core.open_files import MOST_FILES
+from armrig_core.access.credential import Credential, read_credential
+from armrig_core.process.open_files import MOST_FILES
 from armrig_daemon.config import EX_CONFIG
 from armrig_daemon.service.network_guard import MAX_IDLE_FILES, SHUT_S
 

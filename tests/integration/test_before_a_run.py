@@ -6,8 +6,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.rig.replies import RefusedError
-from armrig_core.commands import RunAccepted
-from armrig_core.rehearsal import rehearse
+from armrig_core.commands.commands import RunAccepted
+from armrig_core.commands.rehearsal import rehearse
 
 from tests.integration.processes import Bench
 

@@ -18,8 +18,8 @@ from armrig.cli.replay import replay
 from armrig.recordings.calibration import estimate
 from armrig.recordings.container import read
 from armrig.recordings.usability import doubts_of_calibration
-from armrig_core.calibration_file import raw_path, read_calibration
-from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW
+from armrig_core.recording_file.manifest import CALIBRATION, CALIBRATION_RAW
+from armrig_core.rig.calibration_file import raw_path, read_calibration
 from msgspec.structs import replace
 
 from tests.clients.made_turns import stored_readings

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
-from armrig_core.telemetry import decode_sample
+from armrig_core.telemetry.telemetry import decode_sample
 
 from tests.integration.driving import hold
 from tests.integration.processes import WITHIN_S, Bench, wait_for

@@ -19,7 +19,7 @@ ELSEWHERE = """
 import os, signal, sys
 
 THEIRS = "fcntl", "pty", "termios", "tty", "resource", "grp", "zenoh", "serial"
-OURS = "armrig_core.waiting", "armrig_daemon.loop.realtime", "armrig_daemon.loop.process"
+OURS = "armrig_core.process.waiting", "armrig_daemon.loop.realtime", "armrig_daemon.loop.process"
 
 class Nowhere:
     def find_spec(self, name, path=None, target=None):

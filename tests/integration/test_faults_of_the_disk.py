@@ -8,8 +8,8 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig_core.codes import COMPLETE
-from armrig_core.manifest import Manifest
+from armrig_core.commands.codes import COMPLETE
+from armrig_core.recording_file.manifest import Manifest
 from armrig_core.recording_file.recorder import Recording, RecordingError
 
 from tests.integration.driving import (

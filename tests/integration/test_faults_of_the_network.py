@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from armrig_core.access_control import MOST_LOCAL_BYTES
-from armrig_core.codes import GapCode
+from armrig_core.access.access_control import MOST_LOCAL_BYTES
+from armrig_core.commands.codes import GapCode
 
 from tests.integration.driving import (
     check_every_k,

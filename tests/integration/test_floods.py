@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from armrig_core import commands
+from armrig_core.commands import commands
 
 from tests.integration.driving import begin
 from tests.integration.processes import Bench, wait_for

@@ -20,8 +20,8 @@ from armrig.recordings.verification import verify
 from armrig.rig.remote_recording import RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import open_session
-from armrig_core import protobuf
-from armrig_core.codes import COMPLETE
+from armrig_core.commands.codes import COMPLETE
+from armrig_core.telemetry import protobuf
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
 

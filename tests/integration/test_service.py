@@ -8,7 +8,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.rig.replies import RefusedError
-from armrig_core.manifest import CONFIG
+from armrig_core.recording_file.manifest import CONFIG
 from armrig_daemon.config import EX_CONFIG
 from mcap.reader import make_reader
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import armrig
 import numpy as np
 import pytest
-from armrig_core import protobuf
-from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample, decode_sample
 from mcap.reader import make_reader
 
 from tests.integration.driving import samples

@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from armrig_core import access_control
-from armrig_core.credential import Credential
+from armrig_core.access import access_control
+from armrig_core.access.credential import Credential
 
 _tls = Credential.tls
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
 from armrig_daemon.decisions.gaps import MAX_MISSING_PIECES
 from armrig_daemon.decisions.requests import MAX_REMEMBERED_FRAMES

@@ -5,7 +5,7 @@ from __future__ import annotations
 from random import Random
 from struct import pack
 
-from armrig_core.calibration import Calibration, Driver, Potentiometer
+from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
 from armrig_daemon.pipe import (
     Answer,
     Arm,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.telemetry.telemetry import Sample, decode_sample
 from armrig_daemon.loop.outbox import Outbox
 from armrig_daemon.pipe import Record, take_records
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections import deque
 from pathlib import Path
 
-from armrig_core.volts import applied_code
-from armrig_core.volts import duty as duty_of
+from armrig_core.rig.volts import applied_code
+from armrig_core.rig.volts import duty as duty_of
 from armrig_daemon.emulator.board import FULL_SCALE_V
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN
 from armrig_daemon.emulator.harness import Duty

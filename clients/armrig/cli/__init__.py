@@ -19,7 +19,7 @@ from typing import Any
 import typer
 import typer.core
 from armrig_core.errors import ArmrigError, OperationError, ParameterError
-from armrig_core.loading import is_interrupt, use_one_thread
+from armrig_core.process.loading import is_interrupt, use_one_thread
 
 from armrig.cli.options import HELP, chosen, with_options
 from armrig.cli.printing import tell_error
@@ -249,7 +249,7 @@ def _require_limits(given: Sequence[str]) -> None:
     """Refuse a command for which the limits of this process are too low; `stop` is always tried."""
     name = next((word for word in given if not word.startswith("-")), "")
     if name in _NEEDS and sys.platform != "win32" and not {"-h", "--help"} & {*given}:
-        from armrig_core.open_files import require
+        from armrig_core.process.open_files import require
 
         try:
             require(f"armrig {name}", memory_mib=_NEEDS[name][0], files=_NEEDS[name][1])

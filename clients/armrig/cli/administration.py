@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.errors import OperationError
-from armrig_core.signal_pipe import until_signal
+from armrig_core.process.signal_pipe import until_signal
 
 from armrig.cli.options import Commands, Json, argument, chosen, group, option
 from armrig.cli.printing import agree, echo, inform, print_json

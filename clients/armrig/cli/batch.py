@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import FileError, InputError
-from armrig_core.telemetry import THETA_1, OutputName
+from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from msgspec.structs import asdict
 
 from armrig.cli.model_structures import Given, estimation_options, requested

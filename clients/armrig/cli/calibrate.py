@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from armrig_core.errors import FileError, InputError
-from armrig_core.telemetry import ALPHA
+from armrig_core.telemetry.telemetry import ALPHA
 
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading, take_into_use
 from armrig.cli.next_step import naming, say_next
@@ -21,7 +21,7 @@ from armrig.cli.results import Plot, check_plot, write_plot
 from armrig.numerics.quantities import with_std
 
 if TYPE_CHECKING:
-    from armrig_core.calibration import Calibration
+    from armrig_core.rig.calibration import Calibration
 
     from armrig.recordings.calibration import Estimate
     from armrig.recordings.recording import Recording
@@ -106,7 +106,7 @@ def calibrate(
 
     Each number is printed with its standard deviation.
     """
-    from armrig_core.calibration import Calibration
+    from armrig_core.rig.calibration import Calibration
 
     path = _checked(save or _default(rig))
     _check_figure(plot, wanted)
@@ -203,7 +203,7 @@ def _default(rig: str) -> Path:
 
 def _checked(path: Path) -> Path:
     """Refuse, before the measurements, a file that cannot or must not be written."""
-    from armrig_core.calibration_file import LostSamplesError, read_calibration
+    from armrig_core.rig.calibration_file import LostSamplesError, read_calibration
 
     if path.suffix != ".toml":
         raise InputError(
@@ -238,7 +238,7 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
 
 def _applied(code: int, rest: Recording) -> float:
     """Return the voltage, in V, that the device applies for a code, rounded to the PWM's steps."""
-    from armrig_core.volts import applied_code, volts_of
+    from armrig_core.rig.volts import applied_code, volts_of
 
     bits = rest.manifest.device.get("pwm_bits")
     return volts_of(applied_code(code, bits) if isinstance(bits, int) and bits > 0 else code)
@@ -257,8 +257,8 @@ def _write(
     import hashlib
     from importlib.metadata import version
 
-    from armrig_core.calibration import Made
-    from armrig_core.calibration_file import raw_path, toml_of
+    from armrig_core.rig.calibration import Made
+    from armrig_core.rig.calibration_file import raw_path, toml_of
 
     from armrig.recordings.calibration_readings import compressed
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 import typer
-from armrig_core.calibration_file import raw_path
 from armrig_core.errors import InputError
+from armrig_core.rig.calibration_file import raw_path
 
 from armrig.cli.next_step import say_to_copy
 from armrig.cli.printing import inform, question
@@ -47,7 +47,7 @@ class Dialogue:
 
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
         """Ask for the voltmeter's reading at each level; return pairs (PWM code, reading in V)."""
-        from armrig_core.volts import code_of
+        from armrig_core.rig.volts import code_of
 
         readings: list[tuple[int, float]] = []
         for u in levels:
@@ -113,7 +113,7 @@ class Player:
 
 def check_turns(levels: Sequence[float], level_seconds: float) -> None:
     """Refuse voltages outside the rig's range, and times too short for a steady speed."""
-    from armrig_core.volts import U_MAX_V
+    from armrig_core.rig.volts import U_MAX_V
 
     from armrig.recordings.calibration_turns import LEAST_S, SETTLE_S
 

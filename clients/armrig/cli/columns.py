@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1, OutputName
+from armrig_core.telemetry.telemetry import THETA_1, OutputName
 
 from armrig.cli.printing import inform, tell
 from armrig.data.step import DOUBT, codes_of

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armrig_core.codes import TRY_AGAIN
+from armrig_core.commands.codes import TRY_AGAIN
 from rich.console import Console
 
 from armrig.rig.client import Rig

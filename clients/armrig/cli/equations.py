@@ -9,7 +9,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.telemetry import ALPHA, THETA_1
+from armrig_core.telemetry.telemetry import ALPHA, THETA_1
 
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next
 from armrig.cli.options import chosen, group
@@ -19,7 +19,7 @@ from armrig.cli.results import Draw, Output
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
     from armrig.physics.integrators.accuracy import Recommendation, Sinusoid
     from armrig.physics.step_response import Characteristics
@@ -117,7 +117,7 @@ def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None
 
 def _state_space(p: ArmParameters) -> str:
     """Return x' = A x + B u, with a line for each state."""
-    from armrig_core.arm import arm_matrices
+    from armrig_core.rig.arm import arm_matrices
 
     A, B, _ = arm_matrices(p)
     lines = [f"x' = A x + B u  {''.join(f'{name:>10}' for name in _STATES)}       u [V]"]
@@ -159,7 +159,7 @@ def _root_texts(roots: Any) -> list[str]:
 
 
 def _facts(answer: _Answer) -> dict[str, Any]:
-    from armrig_core.arm import arm_matrices
+    from armrig_core.rig.arm import arm_matrices
 
     p = answer.predicted
     A, B, _ = arm_matrices(p.parameters)
@@ -201,7 +201,7 @@ def integrate(
 
     The input is sinusoidal, u = A sin(ωt). Each solution is compared with the exact solution.
     """
-    from armrig_core.arm import ArmParameters, arm_matrices
+    from armrig_core.rig.arm import ArmParameters, arm_matrices
 
     from armrig.physics.integrators.accuracy import sinusoid
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.telemetry import THETA_1, ChannelName
+from armrig_core.telemetry.telemetry import THETA_1, ChannelName
 
 from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen, option
 from armrig.cli.printing import echo, fields_of, inform, print_json, print_table, tell, warned

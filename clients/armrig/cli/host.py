@@ -18,7 +18,7 @@ from armrig.cli.printing import agree, echo, print_json, say, say_answer, say_mo
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
-    from armrig_core.firmware_image import FirmwareImage
+    from armrig_core.rig.firmware_image import FirmwareImage
 
     from armrig.lab.avrdude import Board
 
@@ -134,7 +134,7 @@ def flash(
     The command uses avrdude and the board's boot loader, Optiboot, and verifies the written
     firmware. It refuses a port that a daemon uses, and a board with another boot loader.
     """
-    from armrig_core.firmware_image import read_image, shipped_image
+    from armrig_core.rig.firmware_image import read_image, shipped_image
 
     from armrig.lab import avrdude
 

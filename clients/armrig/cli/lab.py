@@ -12,9 +12,9 @@ from math import degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from armrig_core.loading import end_at_ctrl_c
-from armrig_core.printable import printable
-from armrig_core.signal_pipe import until_signal
+from armrig_core.process.loading import end_at_ctrl_c
+from armrig_core.process.printable import printable
+from armrig_core.process.signal_pipe import until_signal
 
 from armrig.cli.next_step import naming, next_line
 from armrig.cli.options import Connect, Json, RigId, chosen, option
@@ -23,7 +23,7 @@ from armrig.cli.printing import echo, folded, inform, print_json, takes_styles
 if TYPE_CHECKING:
     import subprocess
 
-    from armrig_core.commands import StatusReport
+    from armrig_core.commands.commands import StatusReport
     from rich.text import Text
 
     from armrig.dashboard.serving import Served

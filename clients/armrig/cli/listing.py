@@ -8,9 +8,9 @@ from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from armrig_core.codes import COMPLETE
+from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import InputError
-from armrig_core.printable import printable
+from armrig_core.process.printable import printable
 
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, argument, chosen, option

@@ -8,7 +8,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from armrig_core.telemetry import THETA_1
+from armrig_core.telemetry.telemetry import THETA_1
 from msgspec import structs
 
 from armrig.cli.columns import far_from_zero

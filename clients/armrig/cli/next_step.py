@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armrig_core.errors import ArmrigError
-from armrig_core.printable import printable
+from armrig_core.process.printable import printable
 from armrig_core.recording_file.budget import DamageError
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from armrig.cli.options import option
 from armrig.cli.printing import tell
 
 if TYPE_CHECKING:
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
 
 def _doubted(given: list[str] | None) -> list[str] | None:
     """Return the parameters unchanged; print the parameters that are probably not in SI units."""
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
     for name, value in _values(given).items():
         handout = getattr(ArmParameters(), name)
@@ -63,7 +63,7 @@ def parameters(given: list[str] | None) -> ArmParameters:
     """Return the parameters of the handout with the given changes."""
     from dataclasses import replace
 
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
     return replace(ArmParameters(), **_values(given))
 
@@ -91,7 +91,7 @@ def changes(given: list[str] | None) -> str:
 def _values(given: list[str] | None) -> dict[str, float]:
     from dataclasses import fields
 
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
     names = [f.name for f in fields(ArmParameters)]
     values: dict[str, float] = {}

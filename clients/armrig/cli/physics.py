@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1, ChannelName
+from armrig_core.telemetry.telemetry import THETA_1, ChannelName
 
 from armrig.cli.columns import chosen_outputs
 from armrig.cli.next_step import say_next, typed
@@ -22,7 +22,7 @@ from armrig.cli.spinner import spinner
 from armrig.cli.validation import print_comparison, row_facts
 
 if TYPE_CHECKING:
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit

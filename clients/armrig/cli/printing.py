@@ -11,8 +11,8 @@ from typing import Any, TextIO
 
 import typer
 from armrig_core.errors import OperationError
-from armrig_core.journal import log_prefix
-from armrig_core.printable import brief, json_printable, printable
+from armrig_core.process.journal import log_prefix
+from armrig_core.process.printable import brief, json_printable, printable
 
 _ANSWER_WIDTH = 16  # characters for the default and the answer after a question
 _NO_BREAK_SPACE = "\u00a0"

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode
+from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import InputError, OperationError
-from armrig_core.signal_pipe import SignalPipe, until_signal
+from armrig_core.process.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.next_step import naming, say_next, typed
 from armrig.cli.options import From, Json, To, chosen, option
@@ -60,7 +60,7 @@ def record(
     A new file begins if the daemon restarts or the sampling time changes. A new file also begins
     after 8 388 608 samples, or if more than 200 000 samples of the current file are missing.
     """
-    from armrig_core.topics import check_own_id
+    from armrig_core.telemetry.topics import check_own_id
 
     if seconds is not None and not seconds > 0:
         raise InputError(f"--seconds {seconds:g}: must be more than 0")
@@ -226,7 +226,7 @@ def play(
     """
     from math import inf
 
-    from armrig_core.topics import check_rig_id, played_id
+    from armrig_core.telemetry.topics import check_rig_id, played_id
 
     from armrig.rig.playback import play as played
     from armrig.rig.playback import published, rest, staged

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1
+from armrig_core.telemetry.telemetry import THETA_1
 
 from armrig.cli.columns import (
     UNNAMED,

@@ -16,7 +16,7 @@ from armrig.cli.recorded_data import Part
 from armrig.cli.results import Draw, Shown, name_runs
 
 if TYPE_CHECKING:
-    from armrig_core.manifest import Recovered
+    from armrig_core.recording_file.manifest import Recovered
 
     from armrig.cli.replay import Replay
     from armrig.recordings.recording import Recording

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
-from armrig_core.manifest import RUN, Manifest, manifest_of
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.telemetry import Sample
-from armrig_core.volts import codes_of
+from armrig_core.recording_file.manifest import RUN, Manifest, manifest_of
+from armrig_core.rig.volts import codes_of
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
 from armrig_daemon.decisions.state import Action, Emit, Publish, Send

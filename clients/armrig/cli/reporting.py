@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.printable import printable
-from armrig_core.telemetry import OutputName
+from armrig_core.process.printable import printable
+from armrig_core.telemetry.telemetry import OutputName
 
 from armrig.cli.columns import chosen_outputs
 from armrig.cli.next_step import REASONS, for_the_report, free_name, opener, say_next

@@ -10,7 +10,7 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from armrig_core.errors import InputError
-from armrig_core.printable import printable
+from armrig_core.process.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console

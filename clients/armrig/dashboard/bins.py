@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry.telemetry import Sample
 from numpy.typing import NDArray
 
 Rows = NDArray[np.float64]

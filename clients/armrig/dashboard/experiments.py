@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from armrig_core.arm import ArmParameters
-from armrig_core.commands import StatusReport
+from armrig_core.commands.commands import StatusReport
+from armrig_core.commands.predicted_motion import sentence
+from armrig_core.commands.rehearsal import rehearse
 from armrig_core.errors import InputError
-from armrig_core.predicted_motion import sentence
-from armrig_core.rehearsal import rehearse
+from armrig_core.rig.arm import ArmParameters
 from msgspec import Meta
 from numpy.typing import NDArray
 

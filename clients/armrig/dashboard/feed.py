@@ -13,9 +13,9 @@ from operator import itemgetter
 from typing import Any
 
 import numpy as np
-from armrig_core.commands import StatusReport
-from armrig_core.emulated import is_emulated
-from armrig_core.telemetry import Sample
+from armrig_core.commands.commands import StatusReport
+from armrig_core.rig.emulated import is_emulated
+from armrig_core.telemetry.telemetry import Sample
 from numpy.typing import NDArray
 
 from armrig.dashboard.bins import COLUMNS, Rows, binned, coarser, needed_before, rate, signals

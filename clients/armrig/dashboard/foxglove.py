@@ -10,9 +10,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from armrig_core import protobuf
-from armrig_core.telemetry import Sample, encode_sample
-from armrig_core.topics import STREAMS, stream_key
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.topics import STREAMS, stream_key
 
 from armrig.data.optional_packages import imported
 from armrig.recordings.export import transforms, transforms_channel

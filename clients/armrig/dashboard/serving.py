@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import uvicorn
-from armrig_core.commands import StatusReport
-from armrig_core.open_files import raise_limit
+from armrig_core.commands.commands import StatusReport
+from armrig_core.process.open_files import raise_limit
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route

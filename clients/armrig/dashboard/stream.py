@@ -13,10 +13,10 @@ from pathlib import PurePosixPath
 from typing import Any
 
 import msgspec
-from armrig_core.arm import ArmParameters
-from armrig_core.commands import LastRun, StatusReport
+from armrig_core.commands.commands import LastRun, StatusReport
 from armrig_core.errors import OperationError
-from armrig_core.telemetry import CHANNELS, Sample
+from armrig_core.rig.arm import ArmParameters
+from armrig_core.telemetry.telemetry import CHANNELS, Sample
 from msgspec.structs import replace
 
 from armrig.dashboard.bins import Rows, as_lists

@@ -8,8 +8,8 @@ from inspect import Parameter, signature
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
 import numpy as np
-from armrig_core.calls import check_call
 from armrig_core.errors import InputError, InputTypeError
+from armrig_core.process.calls import check_call
 
 from armrig.data.columns import MAX_SIZE
 from armrig.data.dataset import Dataset, Signals

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from armrig_core.calls import checked_call
 from armrig_core.errors import InputError
+from armrig_core.process.calls import checked_call
 from numpy.typing import ArrayLike
 
 from armrig.data.columns import (

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any, overload
 
 import numpy as np
-from armrig_core.calls import checked_call
 from armrig_core.errors import InputError, InputTypeError
+from armrig_core.process.calls import checked_call
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Trend

@@ -6,8 +6,8 @@ from math import ceil
 from typing import Literal
 
 import numpy as np
-from armrig_core.calls import checked_call
 from armrig_core.errors import InputError
+from armrig_core.process.calls import checked_call
 
 from armrig.excitation.levels import Vector, generator, require_levels
 from armrig.numerics.checks import require_integers, require_numbers

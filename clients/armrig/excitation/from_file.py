@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import numpy as np
-from armrig_core.bounded import read_text
-from armrig_core.calls import checked_call
 from armrig_core.errors import FileError, InputError
+from armrig_core.process.bounded import read_text
+from armrig_core.process.calls import checked_call
 
 from armrig.data.columns import interval
 from armrig.excitation.levels import HIGHEST_V, LOWEST_V, Vector, require_levels

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from typing import Literal
 
 import numpy as np
-from armrig_core.calls import checked_call
 from armrig_core.errors import InputError
+from armrig_core.process.calls import checked_call
 
 from armrig.data.columns import interval
 from armrig.excitation.levels import Vector, generator, require_levels, within

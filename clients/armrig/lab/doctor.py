@@ -28,7 +28,7 @@ from armrig.lab.host import (
 )
 
 if TYPE_CHECKING:
-    from armrig_core.commands import StatusReport
+    from armrig_core.commands.commands import StatusReport
 
 
 MAX_IDLE_WAKE_US = 20

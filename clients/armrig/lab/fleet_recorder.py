@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
-from armrig_core.codes import COMPLETE
+from armrig_core.commands.codes import COMPLETE
 
 from armrig.rig.remote_recording import (
     DiskError,

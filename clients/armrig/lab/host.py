@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import platformdirs
-from armrig_core.bounded import CONFIGURATION_LIMIT
-from armrig_core.toml_file import read_toml
+from armrig_core.process.bounded import CONFIGURATION_LIMIT
+from armrig_core.process.toml_file import read_toml
 
 if TYPE_CHECKING:
-    from armrig_core.commands import StatusReport
+    from armrig_core.commands.commands import StatusReport
 
 Level = Literal["good", "note", "bad"]
 PRIORITY = 80

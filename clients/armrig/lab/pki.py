@@ -18,10 +18,10 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from armrig_core.access_list import AccessList, read_access_list
-from armrig_core.credential import RIG_PREFIX, ROUTER, check_name, rig_name
+from armrig_core.access.access_list import AccessList, read_access_list
+from armrig_core.access.credential import RIG_PREFIX, ROUTER, check_name, rig_name
 from armrig_core.errors import InputError
-from armrig_core.topics import check_rig_id
+from armrig_core.telemetry.topics import check_rig_id
 
 try:
     from cryptography import x509

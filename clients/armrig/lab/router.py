@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from armrig_core import access_control, open_files
-from armrig_core.access_list import AccessList, read_access_list
-from armrig_core.commands import Calibrate, Run
-from armrig_core.credential import Credential, read_credential
-from armrig_core.endpoint import check_listen
-from armrig_core.errors import InputError, OperationError
-from armrig_core.owned_session import (
+from armrig_core.access import access_control
+from armrig_core.access.access_list import AccessList, read_access_list
+from armrig_core.access.credential import Credential, read_credential
+from armrig_core.access.endpoint import check_listen
+from armrig_core.access.owned_session import (
     LANES,
     NOT_FOUND,
     lane,
@@ -27,7 +25,10 @@ from armrig_core.owned_session import (
     strangers,
     transport,
 )
-from armrig_core.topics import EVERY_RIG, command_key
+from armrig_core.commands.commands import Calibrate, Run
+from armrig_core.errors import InputError, OperationError
+from armrig_core.process import open_files
+from armrig_core.telemetry.topics import EVERY_RIG, command_key
 
 MOST_LINKS = 500
 """Largest number of connected rigs and people."""

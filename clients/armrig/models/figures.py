@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.telemetry import THETA_1, VELOCITY
+from armrig_core.telemetry.telemetry import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.characteristics import integrates

@@ -11,8 +11,8 @@ from typing import Any, get_type_hints
 
 import msgspec
 import numpy as np
-from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
+from armrig_core.process.bounded import read_text
 
 from armrig.data.step import Step
 from armrig.models.fit import Fit

@@ -6,11 +6,11 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.arm import ArmParameters as ArmParameters
-from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold
-from armrig_core.calls import checked_call
-from armrig_core.rehearsal import rehearse as rehearse
-from armrig_core.telemetry import ALPHA, THETA_1
+from armrig_core.commands.rehearsal import rehearse as rehearse
+from armrig_core.process.calls import checked_call
+from armrig_core.rig.arm import ArmParameters as ArmParameters
+from armrig_core.rig.arm import arm_matrices, chassis_matrices, zero_order_hold
+from armrig_core.telemetry.telemetry import ALPHA, THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset

@@ -10,8 +10,8 @@ from math import pi, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.calibration import Figure
 from armrig_core.errors import InputError
+from armrig_core.rig.calibration import Figure
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from math import isfinite, pi, sqrt
 
 import numpy as np
-from armrig_core.calibration import Figure
 from armrig_core.errors import InputError
-from armrig_core.volts import U_MAX_V
+from armrig_core.rig.calibration import Figure
+from armrig_core.rig.volts import U_MAX_V
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import numpy as np
 import platformdirs
-from armrig_core.bounded import read_bounded
+from armrig_core.process.bounded import read_bounded
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray

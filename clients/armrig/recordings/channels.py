@@ -12,9 +12,9 @@ from math import pi, tau
 from typing import Any
 
 import numpy as np
-from armrig_core import telemetry
-from armrig_core.calibration import Calibration, Potentiometer
-from armrig_core.protobuf import ABSENT
+from armrig_core.rig.calibration import Calibration, Potentiometer
+from armrig_core.telemetry import telemetry
+from armrig_core.telemetry.protobuf import ABSENT
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 

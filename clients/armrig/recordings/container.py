@@ -15,16 +15,6 @@ from struct import Struct
 from typing import Any
 
 import numpy as np
-from armrig_core import protobuf
-from armrig_core.manifest import (
-    CALIBRATION,
-    CALIBRATION_RAW,
-    CONFIG,
-    INPUT,
-    OUTCOME,
-    RECOVERED,
-    RUN,
-)
 from armrig_core.recording_file.budget import KEPT, WORK, Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
@@ -39,8 +29,18 @@ from armrig_core.recording_file.file_records import (
     check_attachment,
     file_records,
 )
+from armrig_core.recording_file.manifest import (
+    CALIBRATION,
+    CALIBRATION_RAW,
+    CONFIG,
+    INPUT,
+    OUTCOME,
+    RECOVERED,
+    RUN,
+)
 from armrig_core.recording_file.opening import byte_source
-from armrig_core.topics import STREAMS, stream_of
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.topics import STREAMS, stream_of
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray

@@ -8,8 +8,8 @@ from itertools import groupby
 from math import floor
 from typing import Any
 
-from armrig_core import protobuf
-from armrig_core.codes import GapCode
+from armrig_core.commands.codes import GapCode
+from armrig_core.telemetry import protobuf
 
 from armrig.numerics.quantities import plural
 
@@ -31,7 +31,7 @@ class Gap:
     reason: str
     """Reason for the gap."""
     code: str
-    """Code of the reason: an `armrig_core.codes.GapCode`."""
+    """Code of the reason: an `armrig_core.commands.codes.GapCode`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

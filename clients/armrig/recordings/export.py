@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core import telemetry
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1, ChannelName
-from armrig_core.topics import topic
+from armrig_core.telemetry import telemetry
+from armrig_core.telemetry.telemetry import THETA_1, ChannelName
+from armrig_core.telemetry.topics import topic
 from numpy.typing import NDArray
 
 from armrig.data.optional_packages import imported

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.codes import OutcomeCode
+from armrig_core.commands.codes import OutcomeCode
 from armrig_protocol.messages import Flag
 
 from armrig.data.finding import Finding

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
-from armrig_core.codes import OutcomeCode
+from armrig_core.commands.codes import OutcomeCode
 from armrig_core.errors import InputError
-from armrig_core.manifest import Manifest, Outcome
 from armrig_core.recording_file.budget import SAMPLES_LIMIT, DamageError
+from armrig_core.recording_file.manifest import Manifest, Outcome
 from numpy.typing import NDArray
 
 MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10

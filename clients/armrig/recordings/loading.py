@@ -11,14 +11,21 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from armrig_core import manifest as records
-from armrig_core import telemetry
-from armrig_core.calibration import Calibration, Driver
-from armrig_core.calibration_file import read_calibration
 from armrig_core.errors import FileError, InputError, InputTypeError
-from armrig_core.manifest import OUTCOME, RECOVERED, RUN, Manifest, Outcome, Recovered
+from armrig_core.recording_file import manifest as records
 from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.manifest import (
+    OUTCOME,
+    RECOVERED,
+    RUN,
+    Manifest,
+    Outcome,
+    Recovered,
+)
 from armrig_core.recording_file.part_names import part_number, part_paths
+from armrig_core.rig.calibration import Calibration, Driver
+from armrig_core.rig.calibration_file import read_calibration
+from armrig_core.telemetry import telemetry
 from numpy.typing import NDArray
 
 from armrig.data.files import OTHER_DATA, RECORDING

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from armrig_core import telemetry
-from armrig_core.calibration import Calibration
 from armrig_core.errors import FileError, InputError
-from armrig_core.manifest import Manifest, Outcome, Recovered
-from armrig_core.telemetry import THETA_1, OutputName
+from armrig_core.recording_file.manifest import Manifest, Outcome, Recovered
+from armrig_core.rig.calibration import Calibration
+from armrig_core.telemetry import telemetry
+from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, Signals
@@ -100,7 +100,7 @@ class Recording:
     the arm does not make whole turns through its dead band.
     """
     others: Mapping[str, Channel]
-    """Further channels of `armrig_core.telemetry.CHANNELS`, by name; currently none."""
+    """Further channels of `armrig_core.telemetry.telemetry.CHANNELS`, by name; currently none."""
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]

@@ -12,16 +12,7 @@ from struct import Struct, error
 from typing import IO
 
 import msgspec
-from armrig_core.codes import OutcomeCode
-from armrig_core.manifest import (
-    OUTCOME,
-    RUN,
-    Manifest,
-    Outcome,
-    check_whole_numbers,
-    manifest_of,
-    outcome_of,
-)
+from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import (
     MAGIC,
@@ -30,6 +21,15 @@ from armrig_core.recording_file.file_records import (
     CutOffError,
     Place,
     Record,
+)
+from armrig_core.recording_file.manifest import (
+    OUTCOME,
+    RUN,
+    Manifest,
+    Outcome,
+    check_whole_numbers,
+    manifest_of,
+    outcome_of,
 )
 from armrig_core.recording_file.opening import byte_source, regular_file
 from armrig_core.recording_file.part_names import part_paths
@@ -138,7 +138,7 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     armrig: str
     """Version of armrig that made the recording."""
     outcome_code: str
-    """Code of the outcome: an `armrig_core.codes.OutcomeCode`."""
+    """Code of the outcome: an `armrig_core.commands.codes.OutcomeCode`."""
 
     @property
     def is_complete(self) -> bool:

@@ -12,15 +12,15 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from armrig_core import protobuf, telemetry
 from armrig_core.recording_file.budget import SAMPLES_LIMIT, DamageError
 from armrig_core.recording_file.file_records import MESSAGE_HEAD, RECORD_HEAD
+from armrig_core.telemetry import protobuf, telemetry
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 _FORMATS = {"fixed64": "<u8", "sfixed64": "<i8", "double": "<f8", "fixed32": "<u4"}
 SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMPLE_FIELDS])
-"""Type of one sample as a numpy record, with the fields of `armrig_core.telemetry.Sample`."""
+"""Type of one sample as a numpy record, with the fields of `telemetry.Sample`."""
 
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
 """Length of the record of a sample with constant layout, in B."""

@@ -8,9 +8,9 @@ from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.calibration import Calibration
-from armrig_core.codes import OutcomeCode
-from armrig_core.manifest import Manifest
+from armrig_core.commands.codes import OutcomeCode
+from armrig_core.recording_file.manifest import Manifest
+from armrig_core.rig.calibration import Calibration
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
@@ -152,7 +152,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
 
 def _step(r: Recording) -> float:
     """Return the converter's step in rad of theta_1; without a calibration, use the default."""
-    from armrig_core.calibration import Potentiometer
+    from armrig_core.rig.calibration import Potentiometer
 
     pot = r.calibration.theta_1 if r.calibration else Potentiometer()
     return abs(pot.rad_per_count) * findings.converter_step(r)

@@ -15,13 +15,13 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from armrig_core.codes import OutcomeCode
-from armrig_core.manifest import CONFIG
+from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import Place
+from armrig_core.recording_file.manifest import CONFIG
 from armrig_core.recording_file.opening import regular_file
 from armrig_core.recording_file.part_names import part_number
-from armrig_core.volts import U_MAX_V
+from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE
 from numpy.typing import NDArray
 

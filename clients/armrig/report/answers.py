@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.errors import FileError
-from armrig_core.printable import printable
-from armrig_core.toml_file import read_toml
+from armrig_core.process.bounded import CONFIGURATION_LIMIT
+from armrig_core.process.printable import printable
+from armrig_core.process.toml_file import read_toml
 
 MAX_STUDENTS: Final = 2
 """Largest number of students: the handout's cover has this number of lines for names."""

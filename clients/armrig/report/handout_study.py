@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 
 from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.sampling_time import SamplingTime, sampling_time

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, listed, minus, number, power

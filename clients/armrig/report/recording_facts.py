@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from armrig_core.calibration import Driver
-from armrig_core.telemetry import ALPHA
+from armrig_core.rig.calibration import Driver
+from armrig_core.telemetry.telemetry import ALPHA
 
 from armrig.data.dataset import Dataset
 from armrig.data.figures import without_ramp

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import msgspec
 import zenoh
-from armrig_core import commands, topics
-from armrig_core.calibration_file import raw_samples, read_calibration
-from armrig_core.endpoint import network_address
+from armrig_core.access.endpoint import network_address
+from armrig_core.commands import commands
 from armrig_core.errors import InputError, MalformedReplyError
-from armrig_core.standstill import Standstill
-from armrig_core.volts import U_MAX_V
+from armrig_core.process.standstill import Standstill
+from armrig_core.rig.calibration_file import raw_samples, read_calibration
+from armrig_core.rig.volts import U_MAX_V
+from armrig_core.telemetry import topics
 
 from armrig.rig.replies import (
     BusyError,

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted
+from armrig_core.commands.commands import MOST_SAMPLES, LastRun, RunAccepted
+from armrig_core.commands.predicted_motion import Rehearsal, sentence
 from armrig_core.errors import ParameterError
-from armrig_core.predicted_motion import Rehearsal, sentence
 from armrig_core.recording_file.part_names import part_paths
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray

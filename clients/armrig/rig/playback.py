@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import zenoh
-from armrig_core import protobuf
+from armrig_core.access.owned_session import owned_session
 from armrig_core.errors import FileError
-from armrig_core.group_socket import group_may_open
-from armrig_core.manifest import Manifest
-from armrig_core.owned_session import owned_session
-from armrig_core.telemetry import Sample, encode_sample
-from armrig_core.topics import STREAMS, alive_key, schema_key, stream_key
+from armrig_core.process.group_socket import group_may_open
+from armrig_core.recording_file.manifest import Manifest
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.topics import STREAMS, alive_key, schema_key, stream_key
 from numpy.typing import NDArray
 
 from armrig.recordings.container import Content

@@ -16,14 +16,14 @@ from typing import Any, NamedTuple, Protocol
 
 import msgspec
 import zenoh
-from armrig_core import protobuf
-from armrig_core.codes import CONTINUED, Ending, GapCode, OutcomeCode
+from armrig_core.commands.codes import CONTINUED, Ending, GapCode, OutcomeCode
 from armrig_core.errors import InputError
-from armrig_core.manifest import Manifest, check_whole_numbers
+from armrig_core.recording_file.manifest import Manifest, check_whole_numbers
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE
 from armrig_core.recording_file.recorder import Recording, RecordingError
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample
 from google.protobuf.message import DecodeError
 
 from armrig.recordings.grid import MISSING_LIMIT, TS_LEAST_S, TS_LIMIT_S

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import msgspec
 import zenoh
 from armrig_core.errors import MalformedReplyError
-from armrig_core.history import REPLY_LIMIT, HistoryRequest, Past, decode_past
-from armrig_core.topics import history_key
+from armrig_core.telemetry.history import REPLY_LIMIT, HistoryRequest, Past, decode_past
+from armrig_core.telemetry.topics import history_key
 
 from armrig.rig.session import RigError
 

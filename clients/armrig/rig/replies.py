@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import msgspec
-from armrig_core import commands
-from armrig_core.codes import OutcomeCode, RefusalCode
+from armrig_core.commands import commands
+from armrig_core.commands.codes import OutcomeCode, RefusalCode
 from armrig_core.errors import MalformedReplyError
 from msgspec.structs import replace
 
@@ -73,7 +73,7 @@ class RefusedError(RigError):
         """Store the message, and the code and parameters that a daemon of this version sends."""
         super().__init__(message)
         self.code = code
-        """Code of the reason: an `armrig_core.codes.RefusalCode`; "" if unknown."""
+        """Code of the reason: an `armrig_core.commands.codes.RefusalCode`; "" if unknown."""
         self.parameters = parameters or {}
         """Values in the message, by name."""
 

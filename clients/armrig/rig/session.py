@@ -13,9 +13,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import zenoh
-from armrig_core.client_settings import ClientSettings, client_settings
-from armrig_core.credential import Credential, read_credential, utc
-from armrig_core.endpoint import (
+from armrig_core.access.client_settings import ClientSettings, client_settings
+from armrig_core.access.credential import Credential, read_credential, utc
+from armrig_core.access.endpoint import (
     SERVICE_USER,
     SERVICES,
     endpoint,
@@ -23,11 +23,11 @@ from armrig_core.endpoint import (
     require_trusted,
     socket_directory,
 )
+from armrig_core.access.passwords import read_users
 from armrig_core.errors import FileError, InputError, OperationError
-from armrig_core.passwords import read_users
-from armrig_core.printable import printable
-from armrig_core.recording_directory import installed, of_rig
-from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
+from armrig_core.process.printable import printable
+from armrig_core.recording_file.recording_directory import installed, of_rig
+from armrig_core.telemetry.topics import PLAYED, check_rig_id, is_rig_id
 
 from armrig.rig import silent_daemon
 

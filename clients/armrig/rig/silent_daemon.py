@@ -7,8 +7,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from armrig_core.daemon_lock import DaemonFacts, read_facts
-from armrig_core.endpoint import SERVICE_USER, require_trusted
+from armrig_core.access.daemon_lock import DaemonFacts, read_facts
+from armrig_core.access.endpoint import SERVICE_USER, require_trusted
 from armrig_core.errors import InputError
 
 _UNIX_SOCKET = "unixsock-stream/"

@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 import zenoh
-from armrig_core.commands import Status, StatusReport
+from armrig_core.commands.commands import Status, StatusReport
 from armrig_core.errors import MalformedReplyError
-from armrig_core.topics import EVERY_RIG, alive_key, command_key, rig_of_alive
+from armrig_core.telemetry.topics import EVERY_RIG, alive_key, command_key, rig_of_alive
 
 from armrig.rig.replies import refusal_of, reply_of
 from armrig.rig.session import (

@@ -13,10 +13,10 @@ from threading import Lock
 from typing import Any, Generic, TypeVar
 
 import zenoh
-from armrig_core import protobuf, telemetry, topics
-from armrig_core.codes import GapCode
+from armrig_core.commands.codes import GapCode
 from armrig_core.errors import InputError
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry import protobuf, telemetry, topics
+from armrig_core.telemetry.telemetry import Sample
 from google.protobuf.message import DecodeError
 
 from armrig.rig.session import (
@@ -217,7 +217,7 @@ class LiveGap:
     A listener that receives the samples 502 and 505 missed the two samples between them.
 
     >>> from armrig.rig.telemetry_stream import gaps_between
-    >>> from armrig_core.telemetry import Sample
+    >>> from armrig_core.telemetry.telemetry import Sample
     >>> rows = armrig.example_recording().samples[[0, 3]]
     >>> (gap,) = gaps_between(*(Sample._make(row.tolist()) for row in rows), [])
     >>> gap.k_first, gap.count, gap.reason
@@ -239,7 +239,7 @@ class LiveGap:
     published: bool
     """True if the daemon published the samples, but this listener missed them."""
     code: str
-    """Code of the reason: an `armrig_core.codes.GapCode`."""
+    """Code of the reason: an `armrig_core.commands.codes.GapCode`."""
 
 
 def told_gaps() -> Newest[Any]:

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from armrig_core.codes import CONTINUED, Ending, OutcomeCode
+from armrig_core.commands.codes import CONTINUED, Ending, OutcomeCode
 from armrig_core.errors import ArmrigError
-from armrig_core.manifest import INPUT, Manifest, Outcome
+from armrig_core.recording_file.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE, part_path
 from armrig_core.recording_file.recording_part import ChangedError, EndsHereError, Part

@@ -16,9 +16,12 @@ from typing import IO, NamedTuple, TypeVar
 
 import msgspec
 
-from armrig_core import protobuf
-from armrig_core.codes import OutcomeCode
-from armrig_core.manifest import (
+from armrig_core.commands.codes import OutcomeCode
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.byte_source import ByteSource
+from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
+from armrig_core.recording_file.manifest import (
     OUTCOME,
     RECOVERED,
     RUN,
@@ -30,14 +33,11 @@ from armrig_core.manifest import (
     outcome_of,
     recovered_of,
 )
-from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.byte_source import ByteSource
-from armrig_core.recording_file.file_lock import lock
-from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 from armrig_core.recording_file.rewriting import Rewriter, all_records, sync_directory
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
-from armrig_core.topics import stream_of
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.topics import stream_of
 
 CUT_OFF = "cut off: its recorder died or could not write"
 """Outcome of a run whose recording contains no outcome."""

@@ -21,11 +21,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from armrig_core.codes import OutcomeCode
-from armrig_core.manifest import OUTCOME, RUN, manifest_of, outcome_of
+from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
+from armrig_core.recording_file.manifest import OUTCOME, RUN, manifest_of, outcome_of
 from armrig_core.recording_file.part_names import ACTIVE, COPY, PART
 from armrig_core.recording_file.rewriting import all_records
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held

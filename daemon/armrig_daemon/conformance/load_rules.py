@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_core.volts import applied_code
+from armrig_core.rig.volts import applied_code
 from armrig_protocol import frame
 from armrig_protocol.crc import crc32
 from armrig_protocol.messages import (

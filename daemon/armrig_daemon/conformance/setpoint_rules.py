@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_core.volts import applied_code
+from armrig_core.rig.volts import applied_code
 from armrig_protocol.messages import (
     SETPOINTS_PER_FRAME,
     Cause,

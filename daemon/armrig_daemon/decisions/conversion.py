@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import nan
 
-from armrig_core.calibration import Calibration
-from armrig_core.telemetry import Sample
-from armrig_core.volts import volts_of
+from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.volts import volts_of
+from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 from armrig_protocol.messages import Sample as DeviceSample
 

@@ -5,8 +5,8 @@ This is invariant L2 of ARCHITECTURE.md.
 
 from __future__ import annotations
 
-from armrig_core.codes import GapCode
-from armrig_core.volts import volts_of
+from armrig_core.commands.codes import GapCode
+from armrig_core.rig.volts import volts_of
 from msgspec.structs import replace
 
 from armrig_daemon.decisions.requests import Step

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from armrig_core.codes import OutcomeCode, RefusalCode
-from armrig_core.volts import volts_of
+from armrig_core.commands.codes import OutcomeCode, RefusalCode
+from armrig_core.rig.volts import volts_of
 from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_core.codes import RefusalCode
+from armrig_core.commands.codes import RefusalCode
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     SCHEMA_HASH,

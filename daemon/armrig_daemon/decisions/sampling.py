@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from armrig_core.volts import applied_code, volts_of
+from armrig_core.rig.volts import applied_code, volts_of
 from armrig_protocol.messages import Flag
 from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace

@@ -8,8 +8,8 @@ Setpoints have no other acknowledgement.
 
 from __future__ import annotations
 
-from armrig_core.codes import GapCode, OutcomeCode
-from armrig_core.volts import applied_code
+from armrig_core.commands.codes import GapCode, OutcomeCode
+from armrig_core.rig.volts import applied_code
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SETPOINTS_PER_FRAME, Ping, Setpoints
 from msgspec.structs import replace

@@ -6,9 +6,9 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import msgspec
-from armrig_core.calibration import Calibration
-from armrig_core.codes import Ending, GapCode, OutcomeCode
-from armrig_core.telemetry import Sample
+from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
+from armrig_core.rig.calibration import Calibration
+from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import HelloReply
 
 from armrig_daemon.decisions.clockmap import ClockMap

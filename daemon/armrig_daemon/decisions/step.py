@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import Spoilt, Unknown, encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import gaps

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from armrig_core.codes import RefusalCode
-from armrig_core.volts import volts_of
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.rig.volts import volts_of
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import (
     FULL_SCALE_MV,

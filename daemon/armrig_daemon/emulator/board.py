@@ -12,7 +12,7 @@ from math import radians, tau
 from typing import NamedTuple
 
 import numpy as np
-from armrig_core.volts import applied_code, duty
+from armrig_core.rig.volts import applied_code, duty
 from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV, Cause, State
 
 from armrig_daemon.emulator import plant

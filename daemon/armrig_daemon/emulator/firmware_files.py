@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from armrig_core.errors import FileError, OperationError
-from armrig_core.firmware_image import read_image, shipped_image
+from armrig_core.rig.firmware_image import read_image, shipped_image
 
 VARIABLE = "ARMRIG_FIL"
 _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout

@@ -12,7 +12,7 @@ from select import EPOLLHUP, EPOLLOUT
 from struct import Struct
 
 from armrig_core.errors import OperationError
-from armrig_core.waiting import Waiter
+from armrig_core.process.waiting import Waiter
 
 from armrig_daemon.emulator.backlog import Backlog
 

@@ -16,8 +16,8 @@ from math import copysign, isfinite
 from typing import Final
 
 import numpy as np
-from armrig_core.arm import ArmParameters, Matrix, arm_matrices, chassis_matrices
 from armrig_core.errors import InputError
+from armrig_core.rig.arm import ArmParameters, Matrix, arm_matrices, chassis_matrices
 from scipy.linalg import expm
 
 State = tuple[float, float, float, float]

@@ -20,10 +20,10 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Protocol, TextIO
 
-from armrig_core.emulator_socket import socket_path
+from armrig_core.access.emulator_socket import socket_path
 from armrig_core.errors import OperationError
-from armrig_core.signal_pipe import SignalPipe
-from armrig_core.waiting import Waiter
+from armrig_core.process.signal_pipe import SignalPipe
+from armrig_core.process.waiting import Waiter
 from armrig_protocol.messages import Cause, State
 
 from armrig_daemon.emulator.board import Board, Change, Witness

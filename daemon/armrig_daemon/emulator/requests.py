@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from armrig_core.emulated import EMULATOR_UID
+from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_protocol.decoder import Received
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (

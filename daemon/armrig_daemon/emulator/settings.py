@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.errors import InputError
-from armrig_core.toml_file import read_toml
+from armrig_core.process.bounded import CONFIGURATION_LIMIT
+from armrig_core.process.toml_file import read_toml
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
 
 from armrig_daemon.tables import convert
 
 if TYPE_CHECKING:
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
 # Allowed range of each number, both ends included.
 RANGES: dict[str, tuple[float, float]] = {
@@ -138,7 +138,7 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         """Return the handout's parameters, overridden by `arm`."""
         # Imported here: the daemon's configuration contains these settings, and the loop, which
         # reads the configuration, must not load scipy.
-        from armrig_core.arm import ArmParameters
+        from armrig_core.rig.arm import ArmParameters
 
         allowed = ArmParameters.__dataclass_fields__
         for key in self.arm:

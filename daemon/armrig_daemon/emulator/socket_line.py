@@ -9,9 +9,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from armrig_core.emulator_socket import is_socket, lock_path, require_safe_folder, stranger
+from armrig_core.access.emulator_socket import is_socket, lock_path, require_safe_folder, stranger
 from armrig_core.errors import InputError, OperationError
-from armrig_core.waiting import Waiter
+from armrig_core.process.waiting import Waiter
 
 from armrig_daemon.emulator.line import Line
 

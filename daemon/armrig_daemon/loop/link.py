@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 import serial
-from armrig_core.emulator_socket import (
+from armrig_core.access.emulator_socket import (
     is_socket,
     lock_path,
     require_safe_folder,
@@ -23,7 +23,7 @@ from armrig_core.emulator_socket import (
     stranger,
 )
 from armrig_core.errors import ArmrigError, InputError
-from armrig_core.waiting import TERMINAL_BYTES, Waiter
+from armrig_core.process.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
 """Largest number of bytes that a step handles; one record contains them and their answers."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry.telemetry import Sample
 
 from armrig_daemon.decisions.clockmap import ClockMap, estimate
 from armrig_daemon.loop.timing import Histogram

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from armrig_core.codes import GapCode
-from armrig_core.telemetry import Sample, encode_sample
+from armrig_core.commands.codes import GapCode
+from armrig_core.telemetry.telemetry import Sample, encode_sample
 
 from armrig_daemon.loop.ports import Ports
 from armrig_daemon.pipe import (

@@ -14,8 +14,8 @@ import sys
 from select import EPOLLIN
 
 import msgspec
-from armrig_core.signal_pipe import SignalPipe
-from armrig_core.waiting import Waiter, sleep_until
+from armrig_core.process.signal_pipe import SignalPipe
+from armrig_core.process.waiting import Waiter, sleep_until
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 

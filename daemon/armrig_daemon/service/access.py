@@ -7,12 +7,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from armrig_core import access_control
-from armrig_core.access_list import AccessList, read_access_list
-from armrig_core.credential import Credential, read_credential, rig_name
-from armrig_core.endpoint import check_listen
+from armrig_core.access import access_control
+from armrig_core.access.access_list import AccessList, read_access_list
+from armrig_core.access.credential import Credential, read_credential, rig_name
+from armrig_core.access.endpoint import check_listen
+from armrig_core.access.passwords import read_passwords
 from armrig_core.errors import FileError, InputError
-from armrig_core.passwords import read_passwords
 
 from armrig_daemon.config import Access, Config
 

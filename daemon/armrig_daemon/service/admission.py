@@ -6,9 +6,9 @@ commands. The service and the core check admitted commands again; the core alone
 
 from __future__ import annotations
 
-from armrig_core.access_control import MOST_BYTES, MOST_CALIBRATION_BYTES
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import REQUESTS, Calibrate, Leased, Refused, Run, refused
+from armrig_core.access.access_control import MOST_BYTES, MOST_CALIBRATION_BYTES
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import REQUESTS, Calibrate, Leased, Refused, Run, refused
 
 from armrig_daemon.decisions.orders import NOT_HELD
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_core.calibration import Calibration
-from armrig_core.calibration_file import check_measured
 from armrig_core.errors import InputError
-from armrig_core.telemetry import ALPHA, THETA_1
+from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.calibration_file import check_measured
+from armrig_core.telemetry.telemetry import ALPHA, THETA_1
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config

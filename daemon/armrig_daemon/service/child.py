@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 
 import msgspec
-from armrig_core.signal_pipe import held_back
+from armrig_core.process.signal_pipe import held_back
 
 from armrig_daemon.loop.process import Settings
 from armrig_daemon.pipe import Orders, Record, record_bytes, take_records

@@ -10,8 +10,8 @@ from __future__ import annotations
 from math import inf
 from typing import NamedTuple
 
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import CommandRefusedError, Renew, Run, refused
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import CommandRefusedError, Renew, Run, refused
 
 from armrig_daemon.decisions import orders
 

@@ -12,11 +12,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, assert_never
 
-from armrig_core import commands
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import CommandRefusedError
+from armrig_core.commands import commands
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import CommandRefusedError
 from armrig_core.errors import InputError
-from armrig_core.volts import code_of
+from armrig_core.rig.volts import code_of
 from msgspec.structs import replace
 
 from armrig_daemon import pipe

@@ -7,8 +7,8 @@ import pwd
 import shutil
 from pathlib import Path
 
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import Refused, refused
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import Refused, refused
 
 
 def check_directory(directory: Path, needed: int) -> Refused | None:

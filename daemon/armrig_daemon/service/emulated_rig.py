@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
-from armrig_core.emulator_socket import port_of
+from armrig_core.access.emulator_socket import port_of
 from armrig_core.errors import OperationError
-from armrig_core.signal_pipe import held_back
+from armrig_core.process.signal_pipe import held_back
 
 from armrig_daemon.config import Config
 

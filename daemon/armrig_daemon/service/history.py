@@ -6,7 +6,7 @@ docs/decisions/missed-messages-are-requested-from-the-daemon.md.
 
 from __future__ import annotations
 
-from armrig_core.history import REPLY_LIMIT, encode_past
+from armrig_core.telemetry.history import REPLY_LIMIT, encode_past
 
 MOST_BYTES = 2 << 20
 """Largest size of the kept messages, in B: 24 105 samples of 87 B, 24 s at 1 kHz."""

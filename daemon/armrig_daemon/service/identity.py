@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import unicodedata
 
-from armrig_core.printable import printable
+from armrig_core.process.printable import printable
 
 _MAX_CHARACTERS = 80
 _SQUARE = str.maketrans("()", "[]")

@@ -15,12 +15,8 @@ from typing import Any
 
 import msgspec
 import zenoh
-from armrig_core import access_control, protobuf
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import REQUESTS, Refused, Renew, Stop, json_schema, refused
-from armrig_core.group_socket import group_may_open
-from armrig_core.history import HistoryRequest
-from armrig_core.owned_session import (
+from armrig_core.access import access_control
+from armrig_core.access.owned_session import (
     LANES,
     NOT_FOUND,
     listening,
@@ -28,7 +24,12 @@ from armrig_core.owned_session import (
     strangers,
     transport,
 )
-from armrig_core.topics import (
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import REQUESTS, Refused, Renew, Stop, json_schema, refused
+from armrig_core.process.group_socket import group_may_open
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.history import HistoryRequest
+from armrig_core.telemetry.topics import (
     STREAMS,
     alive_key,
     command_key,

@@ -12,8 +12,8 @@ from math import nan
 from pathlib import Path
 from time import monotonic_ns
 
-from armrig_core.codes import Ending, OutcomeCode, RefusalCode
-from armrig_core.commands import Refused, refused
+from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
+from armrig_core.commands.commands import Refused, refused
 from armrig_protocol.messages import Cause
 
 from armrig_daemon.decisions.faults import Id

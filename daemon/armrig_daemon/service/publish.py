@@ -12,8 +12,8 @@ from functools import partial
 from typing import Self
 
 import zenoh
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import Calibrate, Renew, Status, Stop, refused
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import Calibrate, Renew, Status, Stop, refused
 from armrig_core.errors import OperationError
 
 from armrig_daemon.service import admission

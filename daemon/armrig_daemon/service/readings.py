@@ -13,9 +13,9 @@ from __future__ import annotations
 from math import isnan
 from typing import NamedTuple
 
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import Refused, refused
-from armrig_core.telemetry import Sample
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import Refused, refused
+from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 
 RAIL_NS = 200_000_000

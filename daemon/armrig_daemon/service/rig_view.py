@@ -6,9 +6,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from armrig_core.calibration import Calibration
-from armrig_core.commands import LastRun, Refused, StatusReport
-from armrig_core.telemetry import Sample
+from armrig_core.commands.commands import LastRun, Refused, StatusReport
+from armrig_core.rig.calibration import Calibration
+from armrig_core.telemetry.telemetry import Sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config

@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-from armrig_core.calibration import Calibration
-from armrig_core.calibration_file import raw_samples
-from armrig_core.codes import Ending, OutcomeCode, RefusalCode
-from armrig_core.commands import (
+from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
+from armrig_core.commands.commands import (
     CommandRefusedError,
     LastRun,
     Refused,
@@ -23,12 +21,20 @@ from armrig_core.commands import (
     RunAccepted,
     refused,
 )
-from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
-from armrig_core.predicted_motion import Rehearsal
+from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.rehearsal import rehearse
+from armrig_core.recording_file.manifest import (
+    CALIBRATION,
+    CALIBRATION_RAW,
+    CONFIG,
+    INPUT,
+    Manifest,
+)
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
-from armrig_core.rehearsal import rehearse
-from armrig_core.volts import codes_of
+from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.calibration_file import raw_samples
+from armrig_core.rig.volts import codes_of
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
 from armrig_daemon import pipe

@@ -9,10 +9,10 @@ import sys
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 
-from armrig_core.endpoint import network_address
-from armrig_core.journal import log_prefix
-from armrig_core.owned_session import os_error_number
-from armrig_core.printable import printable
+from armrig_core.access.endpoint import network_address
+from armrig_core.access.owned_session import os_error_number
+from armrig_core.process.journal import log_prefix
+from armrig_core.process.printable import printable
 
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Log, State

@@ -18,16 +18,17 @@ from functools import partial
 from pathlib import Path
 
 import zenoh
-from armrig_core import commands, open_files
-from armrig_core.codes import Ending, OutcomeCode
-from armrig_core.daemon_lock import DaemonFacts, absolute
-from armrig_core.emulator_stall import held_up
+from armrig_core.access.daemon_lock import DaemonFacts, absolute
+from armrig_core.commands import commands
+from armrig_core.commands.codes import Ending, OutcomeCode
 from armrig_core.errors import InputError
+from armrig_core.process import open_files
+from armrig_core.process.signal_pipe import SignalPipe
+from armrig_core.process.standstill import Standstill
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
-from armrig_core.signal_pipe import SignalPipe
-from armrig_core.standstill import Standstill
-from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.rig.emulator_stall import held_up
+from armrig_core.telemetry.telemetry import Sample, decode_sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import EX_CONFIG, Config

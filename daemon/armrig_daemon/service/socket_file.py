@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from armrig_core.daemon_lock import DaemonFacts, lock_path, write_facts
+from armrig_core.access.daemon_lock import DaemonFacts, lock_path, write_facts
 
 _Inode = tuple[int, int] | None
 

@@ -12,7 +12,7 @@ import socket
 import struct
 from collections.abc import Mapping, MutableMapping
 
-from armrig_core.journal import priority
+from armrig_core.process.journal import priority
 
 JOURNAL = "/run/systemd/journal/socket"
 """Socket at which the journal accepts entries with fields."""

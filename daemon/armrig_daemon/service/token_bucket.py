@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import Refused, refused
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import Refused, refused
 
 PER_S = 200
 """Largest number of queries of one kind that are answered each second, for all clients together."""

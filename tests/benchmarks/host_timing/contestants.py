@@ -16,10 +16,10 @@ from contextlib import suppress
 import zenoh
 from armrig.lab.host import PRIORITY, lock_memory, set_fifo
 from armrig.rig.session import open_session
-from armrig_core.telemetry import Sample as Telemetry
-from armrig_core.telemetry import decode_sample, encode_sample
-from armrig_core.topics import stream_key
-from armrig_core.waiting import TERMINAL_BYTES, Waiter, sleep_until
+from armrig_core.process.waiting import TERMINAL_BYTES, Waiter, sleep_until
+from armrig_core.telemetry.telemetry import Sample as Telemetry
+from armrig_core.telemetry.telemetry import decode_sample, encode_sample
+from armrig_core.telemetry.topics import stream_key
 from armrig_daemon.service.listener import session_config
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Sample

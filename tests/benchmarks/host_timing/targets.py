@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from armrig_core.codes import GapCode
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.commands.codes import GapCode
+from armrig_core.rig.volts import applied_code, code_of, volts_of
 from numpy.typing import ArrayLike, NDArray
 
 Vector = NDArray[np.float64]

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig_core.codes import GapCode
+from armrig_core.commands.codes import GapCode
 from armrig_core.errors import OperationError
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.rig.volts import applied_code, code_of, volts_of
 
 from tests.benchmarks.host_timing import targets, turns
 from tests.benchmarks.host_timing.__main__ import run

@@ -26,7 +26,7 @@ from armrig.lab.host import PRIORITY, granted
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.rig.replies import RunEndedError
-from armrig_core.endpoint import endpoint
+from armrig_core.access.endpoint import endpoint
 from armrig_core.errors import InputError, OperationError
 from numpy.typing import NDArray
 

@@ -13,11 +13,11 @@ from armrig.cli.calibrate import _checked, _default, _measured, _Wanted
 from armrig.cli.calibration_runs import check_turns, meter_reading
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
-from armrig_core import commands
-from armrig_core.calibration import Calibration, Made
-from armrig_core.calibration_file import raw_path, read_calibration, toml_of
-from armrig_core.codes import RefusalCode
+from armrig_core.commands import commands
+from armrig_core.commands.codes import RefusalCode
 from armrig_core.errors import InputError
+from armrig_core.rig.calibration import Calibration, Made
+from armrig_core.rig.calibration_file import raw_path, read_calibration, toml_of
 from msgspec.structs import replace
 
 from tests.clients.calibration_rig import recording_of

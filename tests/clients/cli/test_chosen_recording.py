@@ -10,7 +10,7 @@ import pytest
 from armrig.cli import main
 from armrig.recordings.recording_names import answering_among, short_name
 from armrig.recordings.recording_summary import summary_of
-from armrig_core.manifest import Outcome
+from armrig_core.recording_file.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, recorded, sample, written
 

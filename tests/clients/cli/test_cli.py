@@ -18,7 +18,7 @@ import pytest
 from armrig.cli import main
 from armrig.cli.printing import folded, tell
 from armrig.rig import status
-from armrig_core import telemetry
+from armrig_core.telemetry import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import sample

@@ -16,8 +16,9 @@ import pytest
 from armrig.cli import main
 from armrig.excitation.named_signals import realisations
 from armrig.rig.collection import Collected, Plan
-from armrig_core import commands, telemetry
-from armrig_core.predicted_motion import Rehearsal
+from armrig_core.commands import commands
+from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.telemetry import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import gap, of_the_arm, sample, timing, written

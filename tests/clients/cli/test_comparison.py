@@ -14,7 +14,7 @@ from armrig.cli.validation import _same
 from armrig.data.dataset import Signals
 from armrig.validation.answer import closest
 from armrig.validation.comparison import Comparison, ComparisonTable
-from armrig_core.arm import ArmParameters
+from armrig_core.rig.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
 from tests.clients.models.made_fits import made

@@ -15,7 +15,7 @@ from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError
 from armrig.rig.session import RigError
-from armrig_core import commands
+from armrig_core.commands import commands
 from rich.console import Console
 
 from tests.clients.fake_daemon import FakeDaemon

@@ -9,7 +9,7 @@ import pytest
 from armrig.cli import _HEADINGS, main
 from armrig.cli import app as armrig_app
 from armrig.cli.parameters import PARAMETERS
-from armrig_core.arm import ArmParameters
+from armrig_core.rig.arm import ArmParameters
 from typer.main import get_command
 
 

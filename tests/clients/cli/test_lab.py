@@ -20,7 +20,7 @@ from armrig.cli.lab import _between_words, _Lab, _lines, _page, _sentence, _show
 from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
-from armrig_core.commands import LastRun, StatusReport
+from armrig_core.commands.commands import LastRun, StatusReport
 
 from tests.clients.fake_daemon import status_report
 from tests.integration.processes import settled

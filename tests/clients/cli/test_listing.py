@@ -12,7 +12,7 @@ import pytest
 from armrig.cli import main
 from armrig.rig import status
 from armrig.rig.status import LiveRig
-from armrig_core.manifest import Outcome
+from armrig_core.recording_file.manifest import Outcome
 
 from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import manifest, note, recorded, sample, written

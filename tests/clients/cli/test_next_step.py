@@ -15,7 +15,7 @@ from armrig.cli import app, main
 from armrig.cli.next_step import AFTER, free_name, naming, next_line
 from armrig.excitation import telegraph
 from armrig.rig.collection import Collected
-from armrig_core.manifest import Outcome
+from armrig_core.recording_file.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written
 

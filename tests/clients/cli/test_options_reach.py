@@ -23,9 +23,9 @@ import pytest
 import typer
 from armrig.cli import app, main
 from armrig.dashboard.foxglove import LAYOUTS
-from armrig_core.calibration import Calibration, Driver
-from armrig_core.calibration_file import toml_of
 from armrig_core.errors import OperationError
+from armrig_core.rig.calibration import Calibration, Driver
+from armrig_core.rig.calibration_file import toml_of
 from scipy.io import loadmat
 
 from tests.clients.made_recordings import of_the_arm, written

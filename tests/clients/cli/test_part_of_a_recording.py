@@ -11,7 +11,7 @@ import typer
 from armrig.cli import app
 from armrig.cli.recorded_data import between, loaded
 from armrig.data.dataset import Dataset
-from armrig_core.manifest import Outcome
+from armrig_core.recording_file.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, recorded, turning, written
 

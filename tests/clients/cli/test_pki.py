@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig_core.access_list import read_access_list
-from armrig_core.credential import read_credential
+from armrig_core.access.access_list import read_access_list
+from armrig_core.access.credential import read_credential
 from armrig_core.errors import FileError
 from cryptography import x509
 

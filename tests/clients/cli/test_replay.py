@@ -9,9 +9,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli.replay import Replay, _messages, replay
-from armrig_core.commands import Run
-from armrig_core.telemetry import decode_sample, encode_sample
-from armrig_core.topics import stream_of
+from armrig_core.commands.commands import Run
+from armrig_core.telemetry.telemetry import decode_sample, encode_sample
+from armrig_core.telemetry.topics import stream_of
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import Emit
 from armrig_daemon.pipe import Log

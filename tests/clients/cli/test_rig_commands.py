@@ -13,8 +13,8 @@ from armrig.cli import main, record
 from armrig.cli.rig import _WATCH_HEADING, _sample_line
 from armrig.rig.replies import RefusedError
 from armrig.rig.telemetry_stream import LiveGap
-from armrig_core.codes import COMPLETE, RefusalCode
-from armrig_core.commands import StatusReport
+from armrig_core.commands.codes import COMPLETE, RefusalCode
+from armrig_core.commands.commands import StatusReport
 
 from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import sample

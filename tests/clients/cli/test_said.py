@@ -19,9 +19,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import app as armrig_app
-from armrig_core.calibration_file import toml_of
-from armrig_core.commands import Run
-from armrig_core.endpoint import endpoint
+from armrig_core.access.endpoint import endpoint
+from armrig_core.commands.commands import Run
+from armrig_core.rig.calibration_file import toml_of
 from armrig_daemon.command_line import app as armrigd_app
 from armrig_daemon.config import ArmSettings, Config
 from armrig_daemon.emulator.settings import EmulatorSettings

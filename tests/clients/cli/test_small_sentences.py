@@ -10,8 +10,8 @@ import pytest
 from armrig.cli import main, printing, recording_info
 from armrig.cli.parameters import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
-from armrig_core.arm import ArmParameters
 from armrig_core.errors import OperationError
+from armrig_core.rig.arm import ArmParameters
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from armrig.cli import main
 from armrig.cli.printing import tell
 from armrig.cli.spinner import spinner
 from armrig.rig.collection import bar
-from armrig_core.manifest import Outcome
+from armrig_core.recording_file.manifest import Outcome
 from rich.console import Console
 
 from tests.clients.made_recordings import (

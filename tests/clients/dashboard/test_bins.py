@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 from armrig.dashboard.bins import as_lists, binned, coarser, needed_before, rate, signals
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry.telemetry import Sample
 
 
 def _samples(theta_1_deg: list[float], Ts: float = 0.001, u: float = 1.0) -> list[Sample]:

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.rig.session import NoReplyError
-from armrig_core import commands
-from armrig_core.predicted_motion import Rehearsal
+from armrig_core.commands import commands
+from armrig_core.commands.predicted_motion import Rehearsal
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan
 

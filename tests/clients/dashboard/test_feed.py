@@ -13,7 +13,7 @@ import pytest
 from armrig.dashboard import feed as feed_module
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.stream import live_facts
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry.telemetry import Sample
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon

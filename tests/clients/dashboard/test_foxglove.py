@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 from armrig.dashboard import foxglove
-from armrig_core import protobuf
-from armrig_core.telemetry import decode_sample
-from armrig_core.topics import STREAMS
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import decode_sample
+from armrig_core.telemetry.topics import STREAMS
 
 from tests.clients.made_recordings import event, sample
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.recordings.export import write_transforms
 from armrig.recordings.loading import load
-from armrig_core.commands import Run
+from armrig_core.commands.commands import Run
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 

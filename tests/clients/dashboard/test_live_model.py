@@ -7,7 +7,7 @@ import re
 import numpy as np
 from armrig.dashboard.feed import LiveModel
 from armrig.excitation import telegraph
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 
 TS = 0.01
 

@@ -16,9 +16,9 @@ from armrig.dashboard import serving
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.serving import HOST, Listener, Settings, _listening, dashboard
 from armrig.rig.session import RigError
-from armrig_core.commands import StatusReport
-from armrig_core.history import Past
-from armrig_core.telemetry import Sample, encode_sample
+from armrig_core.commands.commands import StatusReport
+from armrig_core.telemetry.history import Past
+from armrig_core.telemetry.telemetry import Sample, encode_sample
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon

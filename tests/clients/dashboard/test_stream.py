@@ -26,7 +26,7 @@ from armrig.dashboard.stream import (
     event,
     status_facts,
 )
-from armrig_core.emulated import EMULATOR_UID
+from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_daemon.decisions.faults import REMEDIES, Id
 from msgspec.structs import replace
 

@@ -18,7 +18,7 @@ from armrig.cli.printing import folded
 from armrig.lab import doctor
 from armrig.lab.doctor import examine, is_well
 from armrig.lab.host import Granted, Host, HostCheck, preemption, probe, recordings_directory
-from armrig_core.commands import StatusReport
+from armrig_core.commands.commands import StatusReport
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon

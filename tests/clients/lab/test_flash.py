@@ -25,7 +25,7 @@ from armrig.cli import main
 from armrig.lab import avrdude
 from armrig.lab.avrdude import Board, chosen
 from armrig_core.errors import OperationError
-from armrig_core.firmware_image import read_image, shipped_image
+from armrig_core.rig.firmware_image import read_image, shipped_image
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno as SimulatedUno

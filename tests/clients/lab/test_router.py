@@ -12,12 +12,12 @@ import pytest
 import zenoh
 from armrig.lab import pki
 from armrig.lab.router import MOST_LINKS, open_router, router_config
-from armrig_core import access_control
-from armrig_core.access_list import read_access_list
-from armrig_core.credential import read_credential
+from armrig_core.access import access_control
+from armrig_core.access.access_list import read_access_list
+from armrig_core.access.credential import read_credential
+from armrig_core.access.owned_session import LANES
 from armrig_core.errors import InputError
-from armrig_core.owned_session import LANES
-from armrig_core.topics import EVERY_RIG
+from armrig_core.telemetry.topics import EVERY_RIG
 
 
 @pytest.fixture

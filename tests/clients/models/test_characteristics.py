@@ -12,7 +12,7 @@ from armrig.models import characteristics
 from armrig.models.characteristics import SCALARS, model_characteristics, overlapping
 from armrig.numerics.polynomial import filtered
 from armrig.physics.systems import physical_model
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 
 from tests.clients.models.made_fits import made
 from tests.sampling import sampled

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from armrig.models.fit import Fit
 from armrig.physics.systems import physical_model
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.errors import InputError
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 from tests.clients.models.made_fits import changed, made

@@ -19,7 +19,7 @@ from armrig.numerics.step_times import (
 )
 from armrig.physics.step_response import step_response
 from armrig.physics.systems import physical_model
-from armrig_core.arm import ArmParameters
+from armrig_core.rig.arm import ArmParameters
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray

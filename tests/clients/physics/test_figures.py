@@ -13,7 +13,7 @@ from armrig.physics.integrators.figures import (
     plot_stability_edge,
     plot_stability_regions,
 )
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.physics.systems import ArmParameters, transfer
-from armrig_core.arm import chassis_matrices
+from armrig_core.rig.arm import chassis_matrices
 
 
 @pytest.mark.parametrize("Ts", [1e-2, 1e-3])

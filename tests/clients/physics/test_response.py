@@ -20,7 +20,7 @@ from armrig.physics.grey_box.response import (
 )
 from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.systems import ArmParameters, arm, chassis
-from armrig_core.arm import chassis_matrices, zero_order_hold
+from armrig_core.rig.arm import chassis_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 from tests.clients.chassis_data import Ts, rubbing

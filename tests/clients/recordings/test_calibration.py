@@ -27,8 +27,8 @@ from armrig.recordings.calibration_turns import (
     turning,
 )
 from armrig.recordings.usability import doubts_of_calibration
-from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
+from armrig_core.rig.calibration import Calibration, Figure, Made, Potentiometer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure as Canvas

@@ -25,9 +25,9 @@ from armrig.recordings.catalogue import (
     newest_first,
 )
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
-from armrig_core.manifest import OUTCOME, RUN, Outcome
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import RECORD_LIMIT
+from armrig_core.recording_file.manifest import OUTCOME, RUN, Outcome
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Footer, MetadataIndex

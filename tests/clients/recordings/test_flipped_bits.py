@@ -12,8 +12,8 @@ import pytest
 from armrig.numerics.quantities import plural
 from armrig.recordings.container import read, streamed
 from armrig.recordings.verification import verify
-from armrig_core.calibration import Calibration
-from armrig_core.manifest import CALIBRATION
+from armrig_core.recording_file.manifest import CALIBRATION
+from armrig_core.rig.calibration import Calibration
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 

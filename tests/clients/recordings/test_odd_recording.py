@@ -32,10 +32,10 @@ from armrig.recordings.verification import (
     check_timing,
 )
 from armrig.rig.playback import published
-from armrig_core import protobuf
-from armrig_core.codes import OutcomeCode
-from armrig_core.manifest import Outcome
-from armrig_core.telemetry import decode_sample
+from armrig_core.commands.codes import OutcomeCode
+from armrig_core.recording_file.manifest import Outcome
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import decode_sample
 
 from tests.clients.odd_recording import (
     CLIPPED,

@@ -11,8 +11,8 @@ import pytest
 from armrig.recordings.container import streamed
 from armrig.recordings.loading import load
 from armrig_core.errors import FileError
-from armrig_core.manifest import Outcome
 from armrig_core.recording_file.chunks import Unpacker
+from armrig_core.recording_file.manifest import Outcome
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

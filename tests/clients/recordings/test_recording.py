@@ -24,15 +24,15 @@ from armrig.recordings.daemon_reports import Gap, gap_lines
 from armrig.recordings.jitter import disturbances, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig_core import protobuf, telemetry
-from armrig_core.calibration import Calibration, Driver, Potentiometer
-from armrig_core.codes import GapCode
+from armrig_core.commands.codes import GapCode
 from armrig_core.errors import FileError
-from armrig_core.manifest import INPUT, RUN, Manifest, Outcome
 from armrig_core.recording_file import budget, file_records
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import Wanted
+from armrig_core.recording_file.manifest import INPUT, RUN, Manifest, Outcome
+from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
+from armrig_core.telemetry import protobuf, telemetry
 from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -11,10 +11,10 @@ from armrig.cli.replay import replay
 from armrig.recordings.loading import load
 from armrig.recordings.verification import verify
 from armrig.rig.playback import published
-from armrig_core.codes import COMPLETE
+from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import FileError
-from armrig_core.manifest import RUN, Outcome, manifest_of
 from armrig_core.recording_file import recorder
+from armrig_core.recording_file.manifest import RUN, Outcome, manifest_of
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
 from mcap.reader import make_reader

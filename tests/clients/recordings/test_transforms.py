@@ -11,7 +11,7 @@ from armrig.cli import main
 from armrig.recordings.export import transforms
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig_core.topics import topic
+from armrig_core.telemetry.topics import topic
 from mcap.reader import make_reader
 
 from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written

@@ -34,9 +34,9 @@ from armrig.recordings.usability import (
     doubts_of_pair,
     early_ends,
 )
-from armrig_core.calibration import Calibration, Driver
-from armrig_core.manifest import Outcome
-from armrig_core.predicted_motion import Rehearsal
+from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.recording_file.manifest import Outcome
+from armrig_core.rig.calibration import Calibration, Driver
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 

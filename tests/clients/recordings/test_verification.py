@@ -22,11 +22,11 @@ from armrig.recordings.verification import (
     verify,
     verify_recording,
 )
-from armrig_core import protobuf
-from armrig_core.manifest import CONFIG, Outcome
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.telemetry import Sample
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.recording_file.manifest import CONFIG, Outcome
+from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Sample
 
 from tests.clients.made_recordings import gap, manifest, recorded, sample, written
 

@@ -25,8 +25,8 @@ from armrig.report.recording_facts import role, treatment
 from armrig.report.study import AssessedFit, Study, assessed, study
 from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset
-from armrig_core.arm import ArmParameters
-from armrig_core.calibration import Calibration, Made
+from armrig_core.rig.arm import ArmParameters
+from armrig_core.rig.calibration import Calibration, Made
 from matplotlib import figure
 from matplotlib.text import Text
 

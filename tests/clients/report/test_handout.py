@@ -33,9 +33,9 @@ from armrig.report.physical_sections import numerical_sections, physical_section
 from armrig.report.recording_facts import run_name
 from armrig.report.study import Assessed, best_first
 from armrig.report.typesetting import compiled, typeset
-from armrig_core.arm import ArmParameters
 from armrig_core.errors import OperationError
-from armrig_core.manifest import Outcome
+from armrig_core.recording_file.manifest import Outcome
+from armrig_core.rig.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
 from tests.clients.pages import script

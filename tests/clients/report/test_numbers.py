@@ -15,7 +15,7 @@ from armrig.report.document import content
 from armrig.report.model_facts import estimations, model_table, residual_rows
 from armrig.report.recording_facts import facts, shared_facts, timing_rows
 from armrig.report.study import AssessedFit, Study
-from armrig_core.calibration import Calibration, Figure, Made
+from armrig_core.rig.calibration import Calibration, Figure, Made
 
 from tests.clients.models.made_fits import changed
 

@@ -11,7 +11,7 @@ import pytest
 from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
 from armrig.rig.replies import BusyError, RefusedError
-from armrig_core import commands
+from armrig_core.commands import commands
 
 from tests.clients.fake_clock import FakeClock
 from tests.clients.fake_daemon import FakeDaemon

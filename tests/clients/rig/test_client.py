@@ -19,8 +19,9 @@ from armrig.rig.client import REPLY_S, Rig, longest_reply_s
 from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import stream
-from armrig_core import commands, telemetry
-from armrig_core.predicted_motion import Rehearsal
+from armrig_core.commands import commands
+from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.telemetry import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import sample
@@ -28,7 +29,7 @@ from tests.clients.made_recordings import sample
 ALIVE = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
-from armrig_core import telemetry
+from armrig_core.telemetry import telemetry
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import sample
 with FakeDaemon(sys.argv[2]) as daemon:

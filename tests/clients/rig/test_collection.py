@@ -15,8 +15,8 @@ from armrig.rig.client import Rig
 from armrig.rig.collection import Plan, TimingNote, _interrupted_sentence, collect
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError
-from armrig_core.codes import OutcomeCode
-from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport
+from armrig_core.commands.codes import OutcomeCode
+from armrig_core.commands.commands import Arm, LastRun, Run, Status, StatusReport
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan

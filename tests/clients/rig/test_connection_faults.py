@@ -17,8 +17,8 @@ from armrig.lab import pki
 from armrig.rig import session
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError, _way, why_not_connected
-from armrig_core.client_settings import ClientSettings
-from armrig_core.credential import read_credential, utc
+from armrig_core.access.client_settings import ClientSettings
+from armrig_core.access.credential import read_credential, utc
 
 
 @pytest.fixture

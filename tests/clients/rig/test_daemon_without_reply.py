@@ -22,10 +22,10 @@ from armrig.rig.remote_source import Piece
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError, default_endpoint
 from armrig.rig.silent_daemon import daemon_at, living_daemon
-from armrig_core.commands import StatusReport
-from armrig_core.daemon_lock import DaemonFacts, lock_path, write_facts
-from armrig_core.endpoint import endpoint
-from armrig_core.history import Past
+from armrig_core.access.daemon_lock import DaemonFacts, lock_path, write_facts
+from armrig_core.access.endpoint import endpoint
+from armrig_core.commands.commands import StatusReport
+from armrig_core.telemetry.history import Past
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan

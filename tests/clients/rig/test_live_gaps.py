@@ -16,8 +16,8 @@ from armrig.cli import main
 from armrig.rig import telemetry_stream
 from armrig.rig.session import open_session
 from armrig.rig.telemetry_stream import LiveGap, Newest, arrivals, gaps_between, stream
-from armrig_core import telemetry
-from armrig_core.codes import GapCode
+from armrig_core.commands.codes import GapCode
+from armrig_core.telemetry import telemetry
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

@@ -11,7 +11,7 @@ import pytest
 from armrig.rig import status
 from armrig.rig.session import Connection, NoReplyError
 from armrig.rig.status import ids_alive, live_rigs
-from armrig_core.topics import alive_key
+from armrig_core.telemetry.topics import alive_key
 
 from tests.clients.fake_daemon import FakeDaemon
 

@@ -19,8 +19,8 @@ from armrig.rig.client import Rig
 from armrig.rig.playback import play, published, staged
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import LiveGap, stream
-from armrig_core import telemetry
-from armrig_core.topics import check_own_id
+from armrig_core.telemetry import telemetry
+from armrig_core.telemetry.topics import check_own_id
 from armrig_daemon.config import Rig as RigTable
 
 from tests.clients.fake_clock import FakeClock

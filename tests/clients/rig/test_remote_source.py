@@ -10,7 +10,7 @@ import pytest
 from armrig.rig import remote_source
 from armrig.rig.remote_source import RemoteSource
 from armrig.rig.session import RigError
-from armrig_core.history import HistoryRequest, encode_past
+from armrig_core.telemetry.history import HistoryRequest, encode_past
 
 LIFE, OTHER = b"a" * 16, b"b" * 16
 

@@ -15,8 +15,8 @@ from armrig.cli import main
 from armrig.rig.client import Rig
 from armrig.rig.replies import MOST_BYTES, BusyError, RefusedError, refusal_of, reply_of
 from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import Done, LeaseGranted, Refused, StatusReport, refused
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import Done, LeaseGranted, Refused, StatusReport, refused
 from armrig_core.errors import MalformedReplyError
 
 from tests.clients.fake_daemon import FakeDaemon

@@ -15,8 +15,8 @@ from armrig.rig import session, silent_daemon
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 from armrig.rig.status import live_rigs
-from armrig_core.endpoint import endpoint
-from armrig_core.topics import PLAYED
+from armrig_core.access.endpoint import endpoint
+from armrig_core.telemetry.topics import PLAYED
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.rig.conftest import SERVICE_UID

@@ -14,8 +14,8 @@ from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.feedback_and_delay.by_channel import _best_blocks
 from armrig.validation.feedback_and_delay.delay import _hidden_by_steps
 from armrig.validation.feedback_and_delay.lag_tests import _least_without_one, lag_tests
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.errors import InputError
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 from scipy.stats import f
 

@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import multisine, prbs, telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.feedback_and_delay.sims import Sims, sims
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from armrig_core.codes import COMPLETE, Ending
+from armrig_core.commands.codes import COMPLETE, Ending
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording
-from armrig_core.telemetry import Sample, encode_sample
+from armrig_core.telemetry.telemetry import Sample, encode_sample
 from msgspec.structs import replace
 
 from tests.clients.made_recordings import manifest

@@ -8,10 +8,10 @@ import threading
 from pathlib import Path
 
 import pytest
-from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
-from armrig_core.manifest import OUTCOME, outcome_of
+from armrig_core.commands.codes import COMPLETE, Ending, GapCode, OutcomeCode
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.manifest import OUTCOME, outcome_of
 from armrig_core.recording_file.recorder import PartLimits, RecordingError
 from armrig_core.recording_file.recording_part import Part
 from armrig_daemon.pipe import Gap

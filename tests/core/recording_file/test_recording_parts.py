@@ -11,8 +11,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.verification import verify
-from armrig_core.codes import GapCode, OutcomeCode
-from armrig_core.manifest import CONFIG, INPUT
+from armrig_core.commands.codes import GapCode, OutcomeCode
+from armrig_core.recording_file.manifest import CONFIG, INPUT
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError

@@ -16,11 +16,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.verification import verify
-from armrig_core import protobuf
-from armrig_core.manifest import INPUT, OUTCOME, RECOVERED, RUN, Outcome
 from armrig_core.recording_file import unfinished
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import MAGIC, RECORD_LIMIT
+from armrig_core.recording_file.manifest import INPUT, OUTCOME, RECOVERED, RUN, Outcome
 from armrig_core.recording_file.recovery import (
     CUT_OFF,
     MOST_CUT_OFF,
@@ -28,7 +27,8 @@ from armrig_core.recording_file.recovery import (
     sentence,
 )
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
-from armrig_core.telemetry import encode_sample
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import encode_sample
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode
+from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.recording_file import recording_part
 from armrig_core.recording_file.syncing import Syncer
 from mcap.reader import make_reader

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isnan
 
 import pytest
-from armrig_core.volts import volts_of
+from armrig_core.rig.volts import volts_of
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions import clock_comparison, clockmap
 from armrig_daemon.decisions.budget import PING_INTERVAL_US

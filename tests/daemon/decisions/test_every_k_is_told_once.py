@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from armrig_core.codes import GapCode
-from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.commands.codes import GapCode
+from armrig_core.telemetry.telemetry import Sample, decode_sample
 from armrig_daemon.config import Config, Timing
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core import protobuf
+from armrig_core.telemetry import protobuf
 from armrig_daemon.decisions.faults import REMEDIES, Id, of_device
 from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.protobuf_out import outgoing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core.calibration import Calibration
+from armrig_core.rig.calibration import Calibration
 from armrig_daemon.decisions import replies, step
 from armrig_daemon.decisions.state import (
     Link,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from armrig_core.calibration import Calibration, Driver, Potentiometer
-from armrig_core.volts import code_of
+from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
+from armrig_core.rig.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.decisions.faults import Fault, Id

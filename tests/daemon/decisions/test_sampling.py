@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core.codes import GapCode
-from armrig_core.telemetry import Sample
-from armrig_core.volts import applied_code, code_of
+from armrig_core.commands.codes import GapCode
+from armrig_core.rig.volts import applied_code, code_of
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
 from armrig_daemon.decisions import sampling
 from armrig_daemon.decisions.clockmap import ClockMap

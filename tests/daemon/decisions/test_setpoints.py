@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core.codes import GapCode
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.commands.codes import GapCode
+from armrig_core.rig.volts import applied_code, code_of, volts_of
 from armrig_daemon import pipe
 from armrig_daemon.decisions import gaps, sampling, setpoints
 from armrig_daemon.decisions.budget import PING_INTERVAL_US

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from armrig_core.codes import GapCode, OutcomeCode
-from armrig_core.volts import code_of
+from armrig_core.commands.codes import GapCode, OutcomeCode
+from armrig_core.rig.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core.codes import OutcomeCode, RefusalCode
+from armrig_core.commands.codes import OutcomeCode, RefusalCode
 from armrig_daemon.decisions.state import ActiveRun, Emit, Queue
 from armrig_daemon.decisions.stopping import end_run, ending
 from armrig_daemon.pipe import Answer, RunEnded

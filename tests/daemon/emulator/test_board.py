@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from armrig_core.volts import duty
+from armrig_core.rig.volts import duty
 from armrig_daemon.emulator import board as board_module
 from armrig_daemon.emulator.board import Board, Change, VoltageError, reported, volts
 from armrig_daemon.emulator.settings import EmulatorSettings

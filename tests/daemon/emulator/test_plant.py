@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_daemon.emulator.plant import REST, State, advance, build
 from hypothesis import given
 from hypothesis import strategies as st

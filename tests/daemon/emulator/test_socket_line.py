@@ -10,9 +10,9 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
-from armrig_core.emulator_socket import lock_path
+from armrig_core.access.emulator_socket import lock_path
 from armrig_core.errors import OperationError
-from armrig_core.waiting import Waiter
+from armrig_core.process.waiting import Waiter
 from armrig_daemon.emulator import socket_line
 from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import msgspec
-from armrig_core.volts import code_of
+from armrig_core.rig.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import Event, Ordered, Phase, Received, RequestKind
 from armrig_daemon.pipe import Answer, Run, Set, Stop, Timing

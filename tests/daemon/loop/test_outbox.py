@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from armrig_core.codes import GapCode, OutcomeCode
-from armrig_core.telemetry import SAMPLE_FIELDS, Sample, decode_sample
+from armrig_core.commands.codes import GapCode, OutcomeCode
+from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample, decode_sample
 from armrig_daemon.loop.outbox import MAX_WAITING_RECORDS, Outbox
 from armrig_daemon.pipe import Gap, Log, Record, RunEnded, take_records
 from hypothesis import given

@@ -15,7 +15,7 @@ from unittest import mock
 
 import msgspec
 import pytest
-from armrig_core.emulator_socket import lock_path
+from armrig_core.access.emulator_socket import lock_path
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import process, realtime

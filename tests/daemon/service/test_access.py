@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 from armrig.lab import pki
-from armrig_core.access_control import remote, size_limits
-from armrig_core.access_list import AccessList
-from armrig_core.credential import read_credential
+from armrig_core.access.access_control import remote, size_limits
+from armrig_core.access.access_list import AccessList
+from armrig_core.access.credential import read_credential
 from armrig_core.errors import InputError
 from armrig_daemon.config import Access, Config, load
 from armrig_daemon.service.access import network_of, router_of

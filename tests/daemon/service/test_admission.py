@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from armrig_core.calibration_file import RAW_LIMIT
-from armrig_core.codes import RefusalCode
-from armrig_core.commands import REQUESTS, Renew, Run, Set
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import REQUESTS, Renew, Run, Set
+from armrig_core.rig.calibration_file import RAW_LIMIT
 from armrig_daemon.service.admission import LEASED, refusal
 
 LEASE = "0123456789abcdef" * 2

@@ -6,7 +6,7 @@ import hashlib
 from typing import Any
 
 import pytest
-from armrig_core.calibration import Calibration, Made, Potentiometer
+from armrig_core.rig.calibration import Calibration, Made, Potentiometer
 from armrig_daemon.config import Config, Rig
 from armrig_daemon.service.calibration import checked_calibration, taken
 from msgspec.structs import replace

@@ -12,14 +12,14 @@ from typing import Any
 import armrig
 import pytest
 from armrig.recordings.container import read
-from armrig_core.commands import Run
-from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, OUTCOME, RECOVERED, RUN
+from armrig_core.commands.commands import Run
+from armrig_core.recording_file.manifest import CALIBRATION, CONFIG, INPUT, OUTCOME, RECOVERED, RUN
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
-from armrig_core.telemetry import Sample, encode_sample
-from armrig_core.topics import RECORDED
+from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.topics import RECORDED
 from armrig_daemon.config import Config
 from armrig_daemon.service import runs
 from armrig_daemon.service.virtual_service import LEASE, VirtualService

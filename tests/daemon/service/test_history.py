@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from armrig.rig.session import open_session
-from armrig_core.history import REPLY_LIMIT, decode_past
+from armrig_core.telemetry.history import REPLY_LIMIT, decode_past
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
 

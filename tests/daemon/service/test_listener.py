@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_core.owned_session import LANES, owned_session, strangers, transport
+from armrig_core.access.owned_session import LANES, owned_session, strangers, transport
 from armrig_daemon.service import listener
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.listener import Listener, session_config

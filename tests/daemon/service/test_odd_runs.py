@@ -11,7 +11,7 @@ from typing import Any
 import armrig
 import msgspec
 import numpy as np
-from armrig_core.commands import Run
+from armrig_core.commands.commands import Run
 from armrig_core.errors import OperationError
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader

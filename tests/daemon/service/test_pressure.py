@@ -7,7 +7,7 @@ from math import isnan
 from pathlib import Path
 
 import pytest
-from armrig_core.codes import RefusalCode
+from armrig_core.commands.codes import RefusalCode
 from armrig_daemon.pipe import Distribution, Timing
 from armrig_daemon.service import pressure
 from msgspec.structs import replace

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import nan
 
 import pytest
-from armrig_core.codes import RefusalCode
-from armrig_core.telemetry import Sample
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.service.readings import Readings, objection, theta_1_rad, updated
 from armrig_protocol.messages import Flag
 

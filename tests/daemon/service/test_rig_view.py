@@ -6,8 +6,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.telemetry import Sample
+from armrig_core.rig.calibration import Calibration, Made, Potentiometer
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import ArmSettings, Config
 from armrig_daemon.pipe import Distribution, Host, State, Timing
 from armrig_daemon.service.rig_view import RigView

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_core.codes import OutcomeCode, RefusalCode
-from armrig_core.commands import LastRun, Run
-from armrig_core.rehearsal import rehearse
+from armrig_core.commands.codes import OutcomeCode, RefusalCode
+from armrig_core.commands.commands import LastRun, Run
+from armrig_core.commands.rehearsal import rehearse
 from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.service.directory import check_directory

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from armrig_core.journal import journal_prefix
+from armrig_core.process.journal import journal_prefix
 from armrig_daemon.service import sentences
 from armrig_daemon.service.sentences import (
     print_line,

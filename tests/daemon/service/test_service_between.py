@@ -18,17 +18,17 @@ from typing import Any
 import msgspec
 import pytest
 from armrig.rig.session import open_session
-from armrig_core import protobuf
-from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.codes import Ending, OutcomeCode, RefusalCode
-from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
-from armrig_core.commands import Calibrate as AskedCalibrate
-from armrig_core.commands import Reset as AskedReset
-from armrig_core.history import decode_past
-from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
-from armrig_core.manifest import RUN as OF_RUN
-from armrig_core.telemetry import Sample, encode_sample
-from armrig_core.topics import command_key
+from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
+from armrig_core.commands.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
+from armrig_core.commands.commands import Calibrate as AskedCalibrate
+from armrig_core.commands.commands import Reset as AskedReset
+from armrig_core.recording_file.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
+from armrig_core.recording_file.manifest import RUN as OF_RUN
+from armrig_core.rig.calibration import Calibration, Made, Potentiometer
+from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.history import decode_past
+from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.topics import command_key
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.orders import BY_HAND, not_newer

@@ -8,7 +8,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig_core.commands import Run
+from armrig_core.commands.commands import Run
 from armrig_core.errors import OperationError
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.service.virtual_service import LEASE, VirtualService, requests_of

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from armrig_core.bounded import decoded, read_bounded
-from armrig_core.calls import checked_call
 from armrig_core.errors import FileError, InputError
+from armrig_core.process.bounded import decoded, read_bounded
+from armrig_core.process.calls import checked_call
 from armrig_core.recording_file.file_records import MAGIC
 from numpy.typing import NDArray
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError
-from armrig_core.manifest import RUN
 from armrig_core.recording_file.budget import WORK, Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
@@ -26,6 +25,7 @@ from armrig_core.recording_file.file_records import (
     Wanted,
     file_records,
 )
+from armrig_core.recording_file.manifest import RUN
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema

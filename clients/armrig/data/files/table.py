@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError
-from armrig_core.printable import printable
+from armrig_core.process.printable import printable
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from armrig_core import telemetry
-from armrig_core.telemetry import THETA_1
+from armrig_core.telemetry import telemetry
+from armrig_core.telemetry.telemetry import THETA_1
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector

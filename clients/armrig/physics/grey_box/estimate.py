@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from armrig_core.arm import ArmParameters, require_parameters
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1
+from armrig_core.rig.arm import ArmParameters, require_parameters
+from armrig_core.telemetry.telemetry import THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_signals

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
+from armrig_core.rig.arm import ArmParameters
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset

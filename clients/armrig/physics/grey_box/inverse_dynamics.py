@@ -17,9 +17,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
-from armrig_core.telemetry import THETA_1
+from armrig_core.rig.arm import ArmParameters
+from armrig_core.telemetry.telemetry import THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings

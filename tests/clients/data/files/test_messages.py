@@ -17,7 +17,7 @@ from armrig import FileError, load_data, load_signals
 from armrig.cli import main
 from armrig.recordings.catalogue import catalogue
 from armrig.recordings.recording_summary import is_recording
-from armrig_core.manifest import OUTCOME, RUN, Outcome
+from armrig_core.recording_file.manifest import OUTCOME, RUN, Outcome
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass

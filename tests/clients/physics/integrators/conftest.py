@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from armrig_core.arm import ArmParameters
+from armrig_core.rig.arm import ArmParameters
 
 
 def parameter_sets() -> list[ArmParameters]:

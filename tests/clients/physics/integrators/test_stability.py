@@ -9,7 +9,7 @@ import pytest
 from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import _positive_roots, stability_limit
 from armrig.physics.integrators.stepping import integrate, system
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from armrig.physics.integrators.accuracy import recommend_step, sinusoid
 from armrig.physics.integrators.methods import METHODS
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 
 A, B, _ = arm_matrices(ArmParameters())
 

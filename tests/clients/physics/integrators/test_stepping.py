@@ -12,7 +12,7 @@ from armrig.physics.integrators.accuracy import convergence, sinusoid
 from armrig.physics.integrators.methods import METHODS
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.integrators.stepping import integrate
-from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]

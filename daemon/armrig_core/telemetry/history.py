@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.errors import MalformedReplyError
-from armrig_core.topics import STREAMS
+from armrig_core.telemetry.topics import STREAMS
 
 REPLY_LIMIT = 64 << 10
 """Length at which an answer ends, in B; the last message may exceed this length."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from armrig_core.commands import Stop
-from armrig_core.topics import EVERY_RIG, command_key, history_key, schema_key
+from armrig_core.commands.commands import Stop
+from armrig_core.telemetry.topics import EVERY_RIG, command_key, history_key, schema_key
 
 _OS_ERROR = re.compile(r"os error (\d+)")
 

@@ -9,9 +9,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from armrig_core.credential import RIG_PREFIX, check_name
+from armrig_core.access.credential import RIG_PREFIX, check_name
 from armrig_core.errors import FileError, InputError
-from armrig_core.toml_file import read_toml
+from armrig_core.process.toml_file import read_toml
 
 LIMIT = 1 << 20
 """Longest access list, in B."""

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from armrig_core.errors import InputError
-from armrig_core.topics import check_rig_id
+from armrig_core.telemetry.topics import check_rig_id
 
 SOCKET_PATH_MAX = 107
 """Longest path of a Unix socket, in B: sun_path of unix(7) without its final zero."""

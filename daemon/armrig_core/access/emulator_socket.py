@@ -12,9 +12,9 @@ import stat
 from pathlib import Path
 from struct import Struct
 
-from armrig_core.emulated import SOCKET_PREFIX
-from armrig_core.endpoint import SOCKET_PATH_MAX, require_trusted
+from armrig_core.access.endpoint import SOCKET_PATH_MAX, require_trusted
 from armrig_core.errors import InputError
+from armrig_core.rig.emulated import SOCKET_PREFIX
 
 _CREDENTIALS = Struct("iII")  # struct ucred of unix(7): pid, uid, gid
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-from armrig_core.telemetry import PACKAGE, SAMPLE_FIELDS
+from armrig_core.telemetry.telemetry import PACKAGE, SAMPLE_FIELDS
 
 _DISTRIBUTION = (
     ("p50", "double"),

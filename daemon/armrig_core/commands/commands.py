@@ -7,12 +7,12 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import msgspec
 from msgspec import Meta
 
-from armrig_core.calibration import Calibration
-from armrig_core.codes import OutcomeCode, RefusalCode
+from armrig_core.commands.codes import OutcomeCode, RefusalCode
+from armrig_core.commands.predicted_motion import Rehearsal
 from armrig_core.errors import InputError
-from armrig_core.predicted_motion import Rehearsal
-from armrig_core.printable import printable
-from armrig_core.volts import U_MAX_V
+from armrig_core.process.printable import printable
+from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.volts import U_MAX_V
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]
 Seconds = Annotated[float, Meta(gt=0, le=1, description="s")]

@@ -9,9 +9,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from armrig_core.bounded import CONFIGURATION_LIMIT, decoded, read_bounded
-from armrig_core.credential import check_name, require_private
+from armrig_core.access.credential import check_name, require_private
 from armrig_core.errors import FileError, InputError
+from armrig_core.process.bounded import CONFIGURATION_LIMIT, decoded, read_bounded
 
 MIN_PASSWORD_LENGTH = 12
 """Shortest password, in characters: a shorter password is guessed quickly."""

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig_core.commands.predicted_motion import Rehearsal
 from armrig_core.errors import InputError
-from armrig_core.predicted_motion import Rehearsal
 
 if TYPE_CHECKING:
-    from armrig_core.arm import ArmParameters
+    from armrig_core.rig.arm import ArmParameters
 
 _Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def _steps(
 ) -> tuple[_Array, _Array, int]:
     """Return Phi (4, 4) and Gamma (4, 1) of one step, and the number of steps in one Ts."""
     # Imported here: a reader of a stored rehearsal does not need scipy.
-    from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
+    from armrig_core.rig.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
 
     p = parameters or ArmParameters()
     swing = 0.0 if arm_removed else sqrt(p.K_lin / p.J_1 + p.K_lin / p.J_2)  # undamped, rad/s

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from armrig_core.calls import checked_class
 from armrig_core.errors import InputError, InputTypeError
+from armrig_core.process.calls import checked_class
 
 Matrix = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import platformdirs
 
-from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.errors import FileError, InputError
-from armrig_core.toml_file import read_toml
+from armrig_core.process.bounded import CONFIGURATION_LIMIT
+from armrig_core.process.toml_file import read_toml
 
 SYSTEM = Path("/etc/armrig/armrig.toml")
 VARIABLE = "ARMRIG_RECORDING_DIRECTORY"

@@ -10,10 +10,10 @@ from typing import Any
 
 import msgspec
 
-from armrig_core.bounded import read_bounded
-from armrig_core.calibration import Calibration, Made
 from armrig_core.errors import FileError
-from armrig_core.toml_file import read_toml
+from armrig_core.process.bounded import read_bounded
+from armrig_core.process.toml_file import read_toml
+from armrig_core.rig.calibration import Calibration, Made
 
 RAW_LIMIT = 1 << 20
 """Largest size of the compressed samples of a calibration, in B."""

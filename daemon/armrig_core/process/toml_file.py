@@ -7,8 +7,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
+from armrig_core.process.bounded import read_text
 
 _MAX_KEY_PARTS, _MAX_LEVELS = 16, 64
 # The reader's time grows with the square of the depth, and a deeply nested result cannot be

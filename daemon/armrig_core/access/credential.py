@@ -18,9 +18,9 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, Literal
 
-from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
 from armrig_core.errors import FileError, InputError
-from armrig_core.printable import printable
+from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_bounded
+from armrig_core.process.printable import printable
 
 Purpose = Literal["rig", "client", "router", "rig at a router"]
 """Purpose of a certificate: to listen as a rig or router, or to connect as a client or rig."""

@@ -7,7 +7,7 @@ from math import radians
 import msgspec
 
 from armrig_core.errors import InputError
-from armrig_core.volts import U_MAX_V
+from armrig_core.rig.volts import U_MAX_V
 
 _MAX_ZERO_COUNTS = 655_360  # ten times the range of the converter
 _MIN_RAD_PER_COUNT, _MAX_RAD_PER_COUNT = 1e-8, 0.1  # 0.04° and 1000 turns for the full range

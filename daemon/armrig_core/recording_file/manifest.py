@@ -7,10 +7,10 @@ from typing import Any
 
 import msgspec
 
-from armrig_core.codes import OutcomeCode
-from armrig_core.emulated import is_emulated
+from armrig_core.commands.codes import OutcomeCode
+from armrig_core.commands.predicted_motion import Rehearsal
 from armrig_core.errors import InputError
-from armrig_core.predicted_motion import Rehearsal
+from armrig_core.rig.emulated import is_emulated
 
 RUN = "armrig.run"
 """Name of the metadata record that is written before the first sample."""

@@ -13,8 +13,8 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
-from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
-from armrig_core.emulated import SOCKET_PREFIX
+from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_bounded
+from armrig_core.rig.emulated import SOCKET_PREFIX
 
 _MODE = 0o640  # the group of a service may read which process serves a rig
 

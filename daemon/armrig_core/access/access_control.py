@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from armrig_core.access_list import AccessList
-from armrig_core.calibration_file import RAW_LIMIT
-from armrig_core.commands import MOST_REMOTE_BYTES, REQUESTS, Calibrate, Run, Status
-from armrig_core.credential import RIG_PREFIX, ROUTER
-from armrig_core.topics import (
+from armrig_core.access.access_list import AccessList
+from armrig_core.access.credential import RIG_PREFIX, ROUTER
+from armrig_core.commands.commands import MOST_REMOTE_BYTES, REQUESTS, Calibrate, Run, Status
+from armrig_core.rig.calibration_file import RAW_LIMIT
+from armrig_core.telemetry.topics import (
     EVERY_RIG,
     STREAMS,
     alive_key,

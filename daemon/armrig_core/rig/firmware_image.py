@@ -11,8 +11,8 @@ from importlib.resources import files
 from pathlib import Path
 from zlib import crc32
 
-from armrig_core.bounded import read_bounded
 from armrig_core.errors import FileError, InputError
+from armrig_core.process.bounded import read_bounded
 
 UNO = "armrig-uno.hex"
 _MAX_FILE_B = 1 << 20  # 256 KiB of flash, the largest AVR, are 0.7 MiB of text
@@ -42,7 +42,7 @@ def shipped_image() -> Path:
     wheel = Path(str(files("armrig_core"))) / "firmware" / UNO
     if wheel.is_file():
         return wheel
-    return Path(__file__).parents[2] / "firmware_protocol" / "firmware" / UNO
+    return Path(__file__).parents[3] / "firmware_protocol" / "firmware" / UNO
 
 
 def read_image(path: Path) -> FirmwareImage:

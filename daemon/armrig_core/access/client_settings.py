@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from armrig_core.bounded import CONFIGURATION_LIMIT
-from armrig_core.endpoint import anchored
+from armrig_core.access.endpoint import anchored
 from armrig_core.errors import FileError, InputError
-from armrig_core.toml_file import read_toml
+from armrig_core.process.bounded import CONFIGURATION_LIMIT
+from armrig_core.process.toml_file import read_toml
 
 _PREFIX = "ARMRIG_CLIENT_"
 

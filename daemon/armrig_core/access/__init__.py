@@ -1,0 +1,1 @@
+"""The way to a daemon: endpoints, identities, permissions and locks."""

@@ -1,0 +1,1 @@
+"""The running program: files and texts from outside, calls, signals, sockets and waits."""
