@@ -20,7 +20,7 @@ from armrig_core.access.endpoint import endpoint, require_trusted, socket_direct
 from armrig_core.errors import InputError, OperationError
 from armrig_core.process.printable import brief, printable
 from armrig_core.process.signal_pipe import held_back
-from armrig_core.rig.emulator_stall import held_up
+from armrig_core.rig.emulated import held_up
 from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, cast
@@ -16,7 +17,6 @@ from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.manifest import OUTCOME, RUN, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE, COPY
-from armrig_core.recording_file.reserve import Reserve
 from armrig_core.recording_file.rewriting import compact, sync_directory
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.topics import RECORDED, topic
@@ -323,3 +323,26 @@ class _Pending:
         self._before += self.size
         self._parts, self.size = [], 0
         return self._before
+
+
+class Reserve:
+    """Space reserved in a directory; the system frees it if the process dies."""
+
+    def __init__(self, directory: Path) -> None:
+        """Reserve no space yet."""
+        # The file has no name, so nobody finds it, and the system frees it when the process dies.
+        self._file = tempfile.TemporaryFile(dir=directory)  # noqa: SIM115 - open until released
+        self._size = 0
+
+    def hold(self, size: int) -> None:
+        """Reserve `size` B until `release`; raise OSError if there is no space."""
+        has_room = hasattr(os, "posix_fallocate")  # not every system has it
+        if size > self._size and has_room and not self._file.closed:
+            os.posix_fallocate(self._file.fileno(), 0, size)
+            self._size = size
+
+    def release(self) -> bool:
+        """Release the space; return whether space was reserved."""
+        held, self._size = self._size, 0
+        self._file.close()
+        return held > 0

@@ -11,6 +11,7 @@ from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
     FULL_SCALE_MV,
     SCHEMA_HASH,
+    SETPOINTS_PER_FRAME,
     TYPES,
     VERSION,
     Arm,
@@ -39,7 +40,6 @@ from armrig_daemon.emulator import transitions
 from armrig_daemon.emulator.cal import cal
 from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Firmware, PendingSample
-from armrig_daemon.emulator.setpoints import setpoints
 
 _RUN, _NONE = State.RUN, Cause.NONE
 NO_IMAGE = 0  # an emulator has no image and thus no CRC
@@ -147,6 +147,20 @@ def _ping(fw: Firmware, now_ns: int, m: Ping) -> list[Message]:
 
 
 def _keepalive(fw: Firmware, now_ns: int, m: Keepalive) -> list[Message]:
+    return []
+
+
+def setpoints(fw: Firmware, now_ns: int, m: Setpoints) -> list[Message]:
+    """Put the setpoints into the queue; do not answer valid setpoints, even if they are dropped."""
+    if fw.queue is None:
+        return [fw.answer(TYPES[Setpoints], m.seq, Code.WRONG_STATE)]
+    if not 1 <= m.n <= SETPOINTS_PER_FRAME or m.zero:
+        return [fw.answer(TYPES[Setpoints], m.seq, Code.BAD_VALUE)]
+    cause, code = fw.queue.violation(m)
+    if cause is not Cause.NONE:
+        return [fw.enter(now_ns, State.FAULT, cause, detail=code)]
+    if not fw.queue.add(m):
+        return [fw.answer(TYPES[Setpoints], m.seq, Code.BAD_VALUE)]
     return []
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from armrig_protocol.messages import (
     TYPES,
+    WATCHDOG_MAX_MS,
+    WATCHDOG_MIN_MS,
     Arm,
     Cause,
     ClearFault,
@@ -16,13 +18,16 @@ from armrig_protocol.messages import (
     Start,
     State,
     Stop,
+    Underrun,
 )
 
-from armrig_daemon.emulator.configuration import HEADER_FIELDS, NONE_IN_FORCE, check_config
 from armrig_daemon.emulator.firmware import UNNUMBERED, Firmware
 from armrig_daemon.emulator.guards import NOTHING_SEEN
 from armrig_daemon.emulator.queue import SetpointQueue
 from armrig_daemon.emulator.timer import Timer
+
+HEADER_FIELDS = 2
+NONE_IN_FORCE = (0,) * (len(Config._fields) - HEADER_FIELDS)
 
 
 def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
@@ -116,3 +121,25 @@ def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Mes
     """Return ACK(OK) and the EVENT, in the order in which they are sent."""
     event = fw.enter(now_ns, state, Cause.REQUEST)
     return [fw.answer(TYPES[type(m)], m.seq, Code.OK), event]
+
+
+def check_config(config: Config, *, ts_min_us: int, skew_us: int) -> Code:
+    """Return OK, or the code with which this device refuses `config`.
+
+    Parameters
+    ----------
+    ts_min_us, skew_us : int
+        Values of HELLO_R.
+    """
+    pairs_more = config.oversampling - 1
+    allowed = (
+        config.ts_us >= ts_min_us + 2 * pairs_more * skew_us
+        and config.u_min <= config.u_max
+        # The device has an enable line, so u_rest may differ from 0.
+        and (config.u_rest == 0 or config.u_min <= config.u_rest <= config.u_max)
+        and WATCHDOG_MIN_MS <= config.watchdog_ms <= WATCHDOG_MAX_MS
+        and config.mode in set(Mode)
+        and config.underrun in set(Underrun)
+        and config.oversampling >= 1
+    )
+    return Code.OK if allowed else Code.BAD_VALUE

@@ -6,6 +6,8 @@ device, the clock and the pipes through its `Ports`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from armrig_protocol.messages import Flag
 
 from armrig_daemon.decisions import step
@@ -27,7 +29,6 @@ from armrig_daemon.decisions.state import (
 from armrig_daemon.decisions.trace import VERSION, Chunk, Trace
 from armrig_daemon.loop.meter import Meter, clock_record
 from armrig_daemon.loop.outbox import Outbox
-from armrig_daemon.loop.pacing import Pace, change
 from armrig_daemon.loop.ports import Ports
 from armrig_daemon.pipe import RunEnded, RunStarted
 from armrig_daemon.pipe import Trace as TraceRecord
@@ -146,8 +147,38 @@ class Loop:
                     self.ports.tidy()
             case SetPeriod():
                 self._k = action.k
-                self._pace = change(self._pace, self._k, action.period_us * 1000, now_ns)
+                self._pace = changed_pace(self._pace, self._k, action.period_us * 1000, now_ns)
                 self._meter.forget_device()
             case Exit():
                 self.ended = True
         return None
+
+
+class Pace(NamedTuple):
+    """Tick `k` is due at `origin_ns + (k - k_origin) · period_ns`."""
+
+    period_ns: int
+    origin_ns: int
+    k_origin: int
+
+    def due_ns(self, k: int) -> int:
+        """Return the time at which tick `k` is due."""
+        return self.origin_ns + (k - self.k_origin) * self.period_ns
+
+    def current(self, k: int, now_ns: int) -> int:
+        """Return the tick to perform now: the newest due tick, or `k` if no tick is due.
+
+        Missed ticks are skipped. Catching up in a burst would sample at the wrong times.
+        """
+        late = now_ns - self.due_ns(k)
+        return k + max(0, late // self.period_ns)
+
+
+def changed_pace(pace: Pace, k: int, period_ns: int, now_ns: int) -> Pace:
+    """Return a pace whose next tick is `k`; with an unchanged period the phase stays the same.
+
+    With another period, tick `k` is one period from now.
+    """
+    if period_ns == pace.period_ns:
+        return Pace(period_ns, now_ns + (pace.origin_ns - now_ns) % period_ns, k)
+    return Pace(period_ns, now_ns + period_ns, k)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_daemon.emulator import device, reception, requests, transitions, transmission
+from armrig_daemon.emulator import device, reception, requests, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol import cobs, decoder
 from armrig_protocol.crc import crc32
@@ -46,15 +46,15 @@ def _stale_echo(patch: Patch) -> None:
 
 
 def _skips_a_seq(patch: Patch) -> None:
-    send = transmission.Transmission.send
+    send = device.Transmission.send
 
     def skipping(
-        self: transmission.Transmission, fw: Firmware, t_ns: int, messages: list[Message]
+        self: device.Transmission, fw: Firmware, t_ns: int, messages: list[Message]
     ) -> None:
         send(self, fw, t_ns, messages)
         self._seq = (self._seq + any(isinstance(m, HelloReply) for m in messages)) & 0xFFFF
 
-    patch.setattr(transmission.Transmission, "send", skipping)
+    patch.setattr(device.Transmission, "send", skipping)
 
 
 def _stop_moves_back(patch: Patch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_daemon.emulator import configuration, converter, device, guards, sampling, transitions
+from armrig_daemon.emulator import converter, device, guards, sampling, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol.messages import Exchange, Sample, State
 
@@ -40,7 +40,7 @@ def _m_means_nothing(patch: Patch) -> None:
 
 
 def _ts_min_of_one(patch: Patch) -> None:
-    check = configuration.check_config
+    check = transitions.check_config
     patch.setattr(
         transitions,
         "check_config",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from armrig_daemon.emulator import configuration, device, reception, requests, transitions
+from armrig_daemon.emulator import device, reception, requests, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol import decoder
 from armrig_protocol.frame import Spoilt
@@ -26,7 +26,7 @@ from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, any_value, ot
 
 def _accepts(patch: Patch, **fields: int) -> None:
     """Check a CONFIG as if it had these fields."""
-    check = configuration.check_config
+    check = transitions.check_config
     patch.setattr(
         transitions,
         "check_config",

@@ -6,7 +6,7 @@ from dataclasses import replace as dataclass_replace
 from functools import partial
 from typing import Any
 
-from armrig_daemon.emulator import queue, setpoints, timer, transitions
+from armrig_daemon.emulator import queue, requests, timer, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.queue import SetpointQueue
 from armrig_protocol.messages import Cause, Config, Message, Setpoints
@@ -89,7 +89,7 @@ def _half_the_setpoint_frames(patch: Patch) -> None:
 
 
 def _n_of_25(patch: Patch) -> None:
-    patch.setattr(setpoints, "SETPOINTS_PER_FRAME", 300)
+    patch.setattr(requests, "SETPOINTS_PER_FRAME", 300)
 
 
 def _setpoints_feed(patch: Patch) -> None:

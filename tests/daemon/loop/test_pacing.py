@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_daemon.loop.pacing import Pace, change
+from armrig_daemon.loop.loop import Pace, changed_pace
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,14 +28,14 @@ def test_the_newest_due_tick_is_executed(k: int, late_ns: int) -> None:
 
 
 def test_a_changed_period_begins_one_period_from_now() -> None:
-    pace = change(PACE, k=7, period_ns=300, now_ns=20_000)
+    pace = changed_pace(PACE, k=7, period_ns=300, now_ns=20_000)
 
     assert [pace.due_ns(k) for k in (7, 8)] == [20_300, 20_600]
 
 
 @given(st.integers(0, 10**6))
 def test_renumbered_tick_keeps_the_phase(now_ns: int) -> None:
-    pace = change(PACE, k=70, period_ns=1000, now_ns=now_ns)
+    pace = changed_pace(PACE, k=70, period_ns=1000, now_ns=now_ns)
 
     ahead_ns = pace.due_ns(70) - now_ns
     assert 0 <= ahead_ns < 1000
