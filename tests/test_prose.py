@@ -59,7 +59,7 @@ ALLOWED = {
     ("clients/armrig/lab/host.py", r"^flags\s*:.*\bhypervisor\b"): _OTHERS,
     ("daemon/armrig_core/access/owned_session.py", r"os error (\d+)"): _OTHERS,
     ("daemon/armrig_daemon/config.py", r"(?:{}) \(at line (\d+)"): _OTHERS,
-    ("daemon/armrig_daemon/tables.py", "unknown field `(.+?)`"): _OTHERS,
+    ("daemon/armrig_core/process/toml_file.py", "unknown field `(.+?)`"): _OTHERS,
 }
 """File and text, and why the file may look for it."""
 

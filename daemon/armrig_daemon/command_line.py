@@ -380,7 +380,7 @@ def conformance(
 
     The exit code is 0 only if no rule is broken. After the test, the device is at 0 V.
     """
-    from armrig_daemon.conformance import report
+    from armrig_daemon.conformance import suite
     from armrig_daemon.conformance.conversation import Broken
     from armrig_daemon.conformance.host import Host
     from armrig_daemon.conformance.rule import Result
@@ -397,7 +397,7 @@ def conformance(
 
     def print_result(result: Result) -> None:
         if not json:
-            typer.echo(report.line_of(result, columns))
+            typer.echo(suite.line_of(result, columns))
 
     try:
         with ExitStack() as stack:
@@ -413,8 +413,8 @@ def conformance(
         _refuse(f"conformance: {where if device is not None else err}")
     except KeyboardInterrupt:
         _refuse("conformance: interrupted; a stop was sent to the device", 130)
-    broken = report.json_of(host.facts, results)
-    typer.echo(msgspec.json.encode(broken).decode() if json else report.sum_of(results))
+    broken = suite.json_of(host.facts, results)
+    typer.echo(msgspec.json.encode(broken).decode() if json else suite.sum_of(results))
     raise typer.Exit(1 if broken["broken"] else 0)
 
 
@@ -422,10 +422,10 @@ def _line_and_rules(
     device: str | None, image: Path | None, baud: int, stack: ExitStack
 ) -> tuple[Line, Sequence[Rule]]:
     """Return the line to a device and the rules to test over it; `stack` closes the line."""
+    from armrig_daemon.conformance.line import VirtualLine
     from armrig_daemon.conformance.pin_rules import pin_rules
     from armrig_daemon.conformance.serial_line import SerialLine
     from armrig_daemon.conformance.suite import RULES
-    from armrig_daemon.conformance.virtual_line import VirtualLine
     from armrig_daemon.emulator.settings import EmulatorSettings
 
     if device is not None:

@@ -21,7 +21,7 @@ from armrig_core.access.endpoint import anchored, check_listen, network_address
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.process.printable import printable
-from armrig_core.process.toml_file import toml_tables
+from armrig_core.process.toml_file import convert, toml_tables
 from armrig_core.recording_file.recording_directory import SYSTEM, directory_of, installed, of_rig
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import tables_of
@@ -39,7 +39,6 @@ from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Rules
 from armrig_daemon.emulator.firmware_files import VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.tables import convert
 
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters

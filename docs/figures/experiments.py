@@ -17,10 +17,9 @@ from armrig.excitation.named_signals import realisations
 from armrig.plots.layout import save
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.recording_file.manifest import CALIBRATION, Manifest
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.rig.volts import code_of
-from armrig_core.telemetry.telemetry import decode_sample
+from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Arm, Run, RunStarted

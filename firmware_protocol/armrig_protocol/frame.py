@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from struct import Struct
 from typing import Any, NamedTuple
+from zlib import crc32
 
 from armrig_protocol import cobs
-from armrig_protocol.crc import crc32
 from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, TYPES, Config, Message
 
-_CRC = Struct("<I")
+_CRC = Struct("<I")  # CRC-32/ISO-HDLC, which zlib computes
 _RESIDUE = 0x2144DF1C  # CRC-32 of every text that ends in its own CRC-32, such as a valid frame
 _HEADER = Struct("<BBH")
 _TEXTS = {number: Struct("<B" + layout) for number, layout in LAYOUTS.items()}

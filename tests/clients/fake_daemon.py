@@ -12,8 +12,7 @@ import zenoh
 from armrig.rig.collection import Plan
 from armrig_core.commands import commands
 from armrig_core.commands.codes import TRY_AGAIN, OutcomeCode
-from armrig_core.commands.commands import LastRun, StatusReport
-from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.commands import LastRun, Rehearsal, StatusReport
 from armrig_core.telemetry import topics
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from armrig.excitation import telegraph
 from armrig.recordings.calibration_readings import Readings
-from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.commands import Rehearsal
 from armrig_core.recording_file.manifest import Manifest, Outcome
 from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.rig.calibration import Calibration, Driver, Made, Potentiometer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 
-from armrig_core.process.group_socket import group_may_open
+from armrig_core.access.owned_session import group_may_open
 
 
 def _mask() -> int:

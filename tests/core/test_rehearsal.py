@@ -7,7 +7,7 @@ from math import ceil, degrees, inf, pi, tau
 
 import numpy as np
 import pytest
-from armrig_core.commands.predicted_motion import sentence
+from armrig_core.commands.commands import rehearsal_sentence
 from armrig_core.commands.rehearsal import rehearse
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
@@ -80,7 +80,7 @@ def test_the_predicted_rotation_counts_from_the_present_angle() -> None:
     assert from_2.theta_1_rad == pytest.approx(2.0 + from_2.turned_rad)
     assert rehearse(u, 0.01, theta_1_rad=0.0).theta_1_rad == from_2.turned_rad
     assert rehearse(u, 0.01).theta_1_rad is None
-    words = sentence(from_2)
+    words = rehearsal_sentence(from_2)
     assert f"{from_2.revolutions:.1f} times" in words
     assert f"ends {degrees(from_2.turned_rad):.0f}° from its start" in words
     assert f"up to {degrees(from_2.alpha_rad):.1f}°" in words

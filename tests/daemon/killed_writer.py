@@ -18,10 +18,9 @@ from typing import NamedTuple, NoReturn
 
 import armrig
 from armrig_core.recording_file.manifest import CONFIG, INPUT, Manifest
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.unfinished import unfinished
-from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_daemon.service.startup_recovery import StartupRecovery
 
 TS_NS = 1_000_000

@@ -15,9 +15,9 @@ from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
 from armrig_daemon.service import client_watchdog, pressure, readings, token_bucket
 from armrig_daemon.service.access import Network
-from armrig_daemon.service.history import History
 from armrig_daemon.service.played_input import checked, one_a_line
 from armrig_daemon.service.protobuf_out import outgoing
+from armrig_daemon.service.publish import History
 from armrig_daemon.service.runs import part_limits
 from armrig_daemon.service.sentences import (
     endpoint_error,

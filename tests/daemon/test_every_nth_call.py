@@ -21,9 +21,8 @@ import pytest
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.manifest import Manifest
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording, RecordingError
-from armrig_core.telemetry.telemetry import Sample, decode_sample, encode_sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample, decode_sample, encode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Answer, Arm, Gap, Log, Run, RunEnded, RunStarted
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
-from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.settings import EmulatorSettings
 
 from tests.daemon.conformance.spoilt_devices import AT_A_RAIL

@@ -6,6 +6,7 @@ import ctypes
 import json
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 from armrig_core.rig.volts import duty
@@ -13,7 +14,6 @@ from armrig_daemon.emulator.board import reported
 from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import cobs, decoder, frame
-from armrig_protocol.crc import crc32
 from armrig_protocol.decoder import MAX_STUFFED
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import MAX_DECODED

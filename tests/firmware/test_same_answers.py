@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from typing import Any
+from zlib import crc32
 
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.cobs import stuff
-from armrig_protocol.crc import crc32
 from armrig_protocol.messages import (
     SCHEMA_HASH,
     VERSION,

@@ -9,9 +9,9 @@ from contextlib import closing
 
 import pytest
 from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
-from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 

@@ -16,9 +16,9 @@ from armrig.recordings.recording import Recording
 from armrig_core.errors import FileError
 from armrig_core.recording_file import file_records
 from armrig_core.recording_file.manifest import CONFIG, INPUT, Manifest, Outcome
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.telemetry import telemetry
+from armrig_core.telemetry.telemetry import Outgoing
 
 from tests.fuzz.files import in_memory, in_one_line
 

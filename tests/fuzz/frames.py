@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from random import Random
 from struct import Struct, pack
+from zlib import crc32
 
 from armrig_protocol import cobs
-from armrig_protocol.crc import crc32
 from armrig_protocol.decoder import MAX_STUFFED, feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import LAYOUTS, MESSAGES

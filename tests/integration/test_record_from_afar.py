@@ -22,8 +22,7 @@ from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import open_session
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.telemetry import protobuf
-from armrig_daemon.service.history import History
-from armrig_daemon.service.publish import Session
+from armrig_daemon.service.publish import History, Session
 
 from tests.integration.fleet_lab import Publisher, publish, recorded_k
 from tests.integration.processes import Bench, newest, wait_for

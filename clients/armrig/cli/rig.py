@@ -114,8 +114,9 @@ def _motor_after_stop(rig: Rig) -> str:
 
 def _stop_without_daemon(rig: str, err: NoReplyError) -> str:
     """Stop the device of a dead daemon, and return the state of the motor; raise if that fails."""
+    from armrig_core.access.daemon_lock import daemon_at
+
     from armrig.rig.session import NoReplyError
-    from armrig.rig.silent_daemon import daemon_at
 
     facts = daemon_at(err.endpoint)
     if facts is None:

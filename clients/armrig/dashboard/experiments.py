@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from armrig_core.commands.commands import StatusReport
-from armrig_core.commands.predicted_motion import sentence
+from armrig_core.commands.commands import StatusReport, rehearsal_sentence
 from armrig_core.commands.rehearsal import rehearse
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
@@ -159,7 +158,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
         Ts=Ts,
         t=t,
         u=shown,
-        rehearsal=sentence(found),
+        rehearsal=rehearsal_sentence(found),
         revolutions=found.revolutions,
         alpha_deg=degrees(found.alpha_rad),
         deviations=_deviations(u, Ts, alone=alone),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import msgspec
 import zenoh
+from armrig_core.access.daemon_lock import living_daemon
 from armrig_core.access.endpoint import network_address
 from armrig_core.commands import commands
 from armrig_core.errors import InputError, MalformedReplyError
@@ -40,7 +41,6 @@ from armrig.rig.session import (
     open_connection,
     service_has_stopped,
 )
-from armrig.rig.silent_daemon import living_daemon
 
 if TYPE_CHECKING:  # a stop waits for all imports of this module
     import numpy as np

@@ -12,8 +12,13 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from armrig_core.commands.commands import MOST_SAMPLES, LastRun, RunAccepted
-from armrig_core.commands.predicted_motion import Rehearsal, sentence
+from armrig_core.commands.commands import (
+    MOST_SAMPLES,
+    LastRun,
+    Rehearsal,
+    RunAccepted,
+    rehearsal_sentence,
+)
 from armrig_core.errors import ParameterError
 from armrig_core.recording_file.part_names import part_paths
 from armrig_protocol.messages import Flag
@@ -278,7 +283,7 @@ def _played(
         nonlocal rehearsal, run_id
         rehearsal, run_id = run.rehearsal, run.run_id
         if rehearsal is not None:
-            tell(sentence(rehearsal))
+            tell(rehearsal_sentence(rehearsal))
 
     with shown(rig, plan.experiment, u.size) as progress:
 

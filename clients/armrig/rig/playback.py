@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import zenoh
-from armrig_core.access.owned_session import owned_session
+from armrig_core.access.owned_session import group_may_open, owned_session
 from armrig_core.errors import FileError
-from armrig_core.process.group_socket import group_may_open
 from armrig_core.recording_file.manifest import Manifest
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample, encode_sample

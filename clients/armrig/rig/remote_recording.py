@@ -19,11 +19,10 @@ import zenoh
 from armrig_core.commands.codes import CONTINUED, Ending, GapCode, OutcomeCode
 from armrig_core.errors import InputError
 from armrig_core.recording_file.manifest import Manifest, check_whole_numbers
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE
 from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.telemetry import protobuf
-from armrig_core.telemetry.telemetry import Sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample
 from google.protobuf.message import DecodeError
 
 from armrig.recordings.grid import MISSING_LIMIT, TS_LEAST_S, TS_LIMIT_S

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import zenoh
+from armrig_core.access import daemon_lock
 from armrig_core.access.client_settings import ClientSettings, client_settings
 from armrig_core.access.credential import Credential, read_credential, utc
 from armrig_core.access.endpoint import (
@@ -28,8 +29,6 @@ from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.printable import printable
 from armrig_core.recording_file.recording_directory import installed, of_rig
 from armrig_core.telemetry.topics import PLAYED, check_rig_id, is_rig_id
-
-from armrig.rig import silent_daemon
 
 UNIT = Path("/etc/systemd/system/armrigd@.service")
 """Path of the systemd unit of the rigs' services; the file exists if a service is installed."""
@@ -193,7 +192,7 @@ def open_connection(
         except zenoh.ZError:
             continue
     # A dead daemon of this user must not hide a living service.
-    alive = [way for way in ways if silent_daemon.living_daemon(way.endpoint)]
+    alive = [way for way in ways if daemon_lock.living_daemon(way.endpoint)]
     way = [*alive, *ways][0]
     is_local = not (where or rig.startswith(PLAYED) or alive)
     if is_local and way.endpoint == default_endpoint(rig):
@@ -286,7 +285,7 @@ def _local_ways(rig: str) -> list[_Way]:
     ways = []
     for directory, above, owners in (
         (own, None, {os.getuid()}),
-        (services / check_rig_id(rig), services, silent_daemon.service_owners()),
+        (services / check_rig_id(rig), services, daemon_lock.service_owners()),
     ):
         where = endpoint(rig, PurePosixPath(directory))
         if directory.is_symlink() or directory.exists():
@@ -297,7 +296,7 @@ def _local_ways(rig: str) -> list[_Way]:
                     f"{directory}: only the group {SERVICE_USER} may operate rig {rig}: "
                     f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in again"
                 )
-            if silent_daemon.has_socket(where):
+            if daemon_lock.has_socket(where):
                 ways.append(_Way(where))
     return ways or [_Way(_service_endpoint(rig) if is_served(rig) else default_endpoint(rig))]
 
@@ -345,7 +344,7 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
             f"no reply from {rig} at {where}: a played recording takes no commands; "
             f"start it with `armrig play F`, watch it with `armrig watch --rig {rig}`"
         )
-    if pid := silent_daemon.living_daemon(where):
+    if pid := daemon_lock.living_daemon(where):
         unit = f"`sudo systemctl stop armrigd@{rig}`"
         return NoReplyError(
             f"rig {rig} at {where}: its daemon (process {pid}) runs, but does not answer: "

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any, Final
 
 from armrig_core.commands.commands import Stop
 from armrig_core.telemetry.topics import EVERY_RIG, command_key, history_key, schema_key
 
+_MASK: Final = 0o007  # to connect, a client needs permission to write
+_LOCK: Final = Lock()
 _OS_ERROR = re.compile(r"os error (\d+)")
 
 
@@ -160,3 +166,23 @@ def os_error_number(err: Exception) -> int | None:
     """Return the errno in the text of an error of zenoh; None if the text contains no errno."""
     found = _OS_ERROR.search(str(err))
     return int(found[1]) if found else None
+
+
+@contextmanager
+def group_may_open() -> Iterator[None]:
+    """Permit the owner's group to open the sockets that the block creates.
+
+    All threads of a process share the mask of file modes. Only one thread at a time changes the
+    mask, so that each block restores the original mask.
+
+    Examples
+    --------
+    >>> with group_may_open():
+    ...     pass
+    """
+    with _LOCK:
+        before = os.umask(_MASK)
+        try:
+            yield
+        finally:
+            os.umask(before)

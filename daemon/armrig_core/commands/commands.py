@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from math import degrees
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import msgspec
 from msgspec import Meta
 
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
-from armrig_core.commands.predicted_motion import Rehearsal
 from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
 from armrig_core.rig.calibration import Calibration
@@ -30,6 +30,28 @@ MOST_SAMPLES = 4_000_000
 """Longest run, in samples: more than an hour at 1 kHz."""
 MOST_NOTE_LENGTH = 500
 """Longest note, in characters."""
+
+
+class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
+    """Response of the model to an input, from standstill."""
+
+    revolutions: float
+    """Largest rotation of the chassis from its start, in either direction, in turns."""
+    alpha_rad: float
+    """Largest deflection of the arm, in either direction, in rad."""
+    turned_rad: float
+    """Rotation of the chassis at the end, from its start, in rad."""
+    theta_1_rad: float | None = None
+    """Angle of the chassis at the end, turns included, in rad; None if the start is unknown."""
+
+
+def rehearsal_sentence(rehearsal: Rehearsal) -> str:
+    """Return the result as a line for a person."""
+    return (
+        f"rehearsed on the model: the chassis turns {rehearsal.revolutions:.1f} times and ends "
+        f"{degrees(rehearsal.turned_rad):.0f}° from its start; "
+        f"the arm deflects by up to {degrees(rehearsal.alpha_rad):.1f}°"
+    )
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,13 +1,15 @@
-"""Tables of a TOML file from an untrusted source."""
+"""Tables of a TOML file from an untrusted source, and their conversion to checked values."""
 
 from __future__ import annotations
 
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from armrig_core.errors import FileError
+import msgspec
+
+from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_text
 
 _MAX_KEY_PARTS, _MAX_LEVELS = 16, 64
@@ -15,6 +17,8 @@ _MAX_KEY_PARTS, _MAX_LEVELS = 16, 64
 # printed.
 _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
 _DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*\.[ \t]*){{{_MAX_KEY_PARTS}}}{_PART}")
+T = TypeVar("T", bound=msgspec.Struct)
+Table = dict[str, Any]
 
 
 def read_toml(path: Path, most: int) -> dict[str, Any]:
@@ -59,3 +63,50 @@ def _check_depth(tables: dict[str, Any]) -> None:
         if not level:
             return
     raise FileError(f"nested too deeply: at most {_MAX_LEVELS} levels are read")
+
+
+def convert(table: Table, kind: type[T]) -> T:
+    """Return the table as a value of the type `kind`, with each key checked.
+
+    Raises
+    ------
+    InputError
+        A key is unknown, or a value has a wrong type or is out of its range.
+    """
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as err:
+        raise InputError(_explain(str(err), table, kind)) from err
+
+
+def _explain(message: str, table: Table, kind: type[msgspec.Struct]) -> str:
+    text, _, place = message.partition(" - at `$")
+    keys = [key for key in place.strip("`.").split(".") if key and key != "[...]"]
+    came, owner = _at(table, keys), _kind_at(kind, keys)
+    unknown = re.search(r"unknown field `(.+?)`", text)
+    if unknown:
+        name = ".".join([*keys, unknown[1]])
+        value = came.get(unknown[1]) if isinstance(came, dict) else None
+        allowed = f"; allowed are {', '.join(owner.__struct_fields__)}" if owner else ""
+        return f"{name} = {value!r}: no such key{allowed}"
+    if keys and owner is not None and not isinstance(came, dict):
+        name = ".".join(keys)
+        return f"{name} = {came!r}: must be a table, [{name}]"
+    if not keys or owner is not None:  # the message of a check of a table names the key
+        return f"{'.'.join(keys)}: {text}" if keys else text
+    return f"{'.'.join(keys)} = {came!r}: {text[0].lower()}{text[1:]}"
+
+
+def _at(table: Any, keys: list[str]) -> Any:
+    for key in keys:
+        table = table.get(key) if isinstance(table, dict) else None
+    return table
+
+
+def _kind_at(kind: type[msgspec.Struct], keys: list[str]) -> type[msgspec.Struct] | None:
+    at: Any = kind
+    for key in keys:
+        if not (isinstance(at, type) and issubclass(at, msgspec.Struct)):
+            return None
+        at = next((f.type for f in msgspec.structs.fields(at) if f.name == key), None)
+    return at if isinstance(at, type) and issubclass(at, msgspec.Struct) else None

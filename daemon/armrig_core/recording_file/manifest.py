@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from armrig_core.commands.codes import OutcomeCode
-from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.commands import Rehearsal
 from armrig_core.errors import InputError
 from armrig_core.rig.emulated import is_emulated
 

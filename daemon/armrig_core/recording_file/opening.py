@@ -1,4 +1,4 @@
-"""Opening of untrusted files."""
+"""Opening of untrusted files, and the lock on a recording that is being written."""
 
 from __future__ import annotations
 
@@ -12,6 +12,13 @@ from typing import IO
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC
+
+try:
+    import fcntl
+except ImportError:  # Windows also recovers recordings, and records virtual rigs
+    _HAS_LOCKS = False
+else:
+    _HAS_LOCKS = True
 
 _ROOT_UID = 0
 
@@ -83,3 +90,13 @@ def opened(path: str, flags: int) -> int:
     # O_BINARY; without this flag, Windows changes line ends.
     more = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY")
     return os.open(path, flags | sum(getattr(os, name, 0) for name in more))
+
+
+def lock(file: IO[bytes]) -> None:
+    """Lock a file; raise BlockingIOError if another process holds the lock.
+
+    The lock shows that the daemon of a recording is running. On a system without such locks
+    (Windows), no file appears locked, and no process is excluded.
+    """
+    if _HAS_LOCKS:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -13,12 +13,12 @@ from typing import IO, cast
 from mcap.writer import CompressionType, Writer
 
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.manifest import OUTCOME, RUN, Manifest, Outcome
-from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 from armrig_core.recording_file.rewriting import compact, sync_directory
 from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Outgoing
 from armrig_core.telemetry.topics import RECORDED, topic
 
 PROFILE = "armrig"

@@ -19,7 +19,6 @@ import msgspec
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
-from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
 from armrig_core.recording_file.manifest import (
     OUTCOME,
@@ -33,6 +32,7 @@ from armrig_core.recording_file.manifest import (
     outcome_of,
     recovered_of,
 )
+from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 from armrig_core.recording_file.rewriting import Rewriter, all_records, sync_directory
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held

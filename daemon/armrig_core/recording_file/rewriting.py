@@ -21,7 +21,6 @@ from mcap.writer import CompressionType, Writer
 from armrig_core.recording_file.budget import Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
-from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import (
     MESSAGE_HEAD,
     UNREADABLE,
@@ -30,7 +29,7 @@ from armrig_core.recording_file.file_records import (
     check_attachment,
     file_records,
 )
-from armrig_core.recording_file.opening import byte_source
+from armrig_core.recording_file.opening import byte_source, lock
 
 CHUNK_BYTES = 1 << 20
 CHUNK_NS = 10_000_000_000

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from armrig_core.errors import ArmrigError
-from armrig_core.recording_file.file_lock import lock
-from armrig_core.recording_file.opening import no_link
+from armrig_core.recording_file.opening import lock, no_link
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 
 

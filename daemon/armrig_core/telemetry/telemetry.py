@@ -119,3 +119,15 @@ def decode_sample(data: bytes) -> Sample | None:
         return None
     values = _LAYOUT.unpack(data)
     return Sample._make(values[1::2]) if values[::2] == _TAGS else None
+
+
+class Outgoing(NamedTuple):
+    """One message on its way to the subscribers and the file."""
+
+    stream: str
+    t_host_ns: int
+    """Monotonic time of the content, in ns."""
+    t_sched_ns: int
+    """Monotonic time at which the content was due, in ns."""
+    sequence: int
+    data: bytes

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from zlib import crc32
+
 from armrig_protocol import cobs, frame
-from armrig_protocol.crc import crc32
 from armrig_protocol.messages import TYPES, Hello, Keepalive, Message, Ping, Pong, Status
 
 from armrig_daemon.conformance.conversation import Broken

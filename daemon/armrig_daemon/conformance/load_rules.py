@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from zlib import crc32
+
 from armrig_core.rig.volts import applied_code
 from armrig_protocol import frame
-from armrig_protocol.crc import crc32
 from armrig_protocol.messages import (
     SETPOINTS_PER_FRAME,
     Event,

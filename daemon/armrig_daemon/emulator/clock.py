@@ -1,4 +1,4 @@
-"""The device's clock: it starts at reset and has the error of its oscillator."""
+"""The device's clock, with the error of its oscillator, and the timer of scheduled mode."""
 
 from __future__ import annotations
 
@@ -43,3 +43,33 @@ def started(settings: EmulatorSettings, now_ns: int) -> Clock:
 def microseconds(device_ns: int) -> int:
     """Return device time in µs as it is on the wire, where it wraps at 2^32."""
     return device_ns // 1000 & U32
+
+
+@dataclass(slots=True, kw_only=True)
+class Timer:
+    """Ticks at device times t_0 + k Ts, each computed from k, so that no errors accumulate."""
+
+    first_ns: int
+    """Time t_0 at which the conversion of theta_1 in sample 0 is triggered."""
+    period_ns: int
+    """Sampling time Ts."""
+    lead_ns: int
+    """Time from a sample's first trigger to the trigger of its last conversion of theta_1."""
+    hold_ns: int
+    """Time from theta_1's trigger to the latch of u."""
+    k_stop: int
+    """Number of samples to take; 0 for a run without an end."""
+    k: int = 0
+    """Index of the next sample; it does not wrap."""
+
+    @property
+    def ends(self) -> bool:
+        """True if all samples were taken, so that the end of the run is due next."""
+        return 0 < self.k_stop <= self.k
+
+    @property
+    def due_ns(self) -> int:
+        """Time of the first conversion of sample k, or of the end of the run."""
+        tick_ns = self.first_ns + self.k * self.period_ns
+        # The run ends at the time of the next latch, so that the last input is held for a whole Ts.
+        return tick_ns + self.hold_ns if self.ends else tick_ns - self.lead_ns

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from armrig_protocol.messages import Message
 
-from armrig_daemon.emulator.cal import answer
 from armrig_daemon.emulator.clock import microseconds
 from armrig_daemon.emulator.firmware import NEVER, Firmware
+from armrig_daemon.emulator.requests import cal_answer
 from armrig_daemon.emulator.sampling import latch, sample
 from armrig_daemon.emulator.sensors import mean
 
@@ -67,7 +67,7 @@ class Converter:
         end_ns = self._trigger_ns + self._conversions * conversion_ns
         self._conversions, self.due_ns, self.end_ns = 0, NEVER, NEVER
         if fw.cal is not None:
-            return [answer(fw, alpha or theta_1)]
+            return [cal_answer(fw, alpha or theta_1)]
         t_us = microseconds(end_ns - conversion_ns)
         late = self._trigger_ns > fw.pending[0].due_ns
         messages = sample(fw, t_ns, t_us, mean(theta_1), mean(alpha), late=late)

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 from armrig_protocol import frame
-from armrig_protocol.messages import Ack, Cause, Exchange, Message, Pong, Sample, State
+from armrig_protocol.messages import Ack, Cause, Exchange, Sample, State
 
 from armrig_daemon.emulator import clock
 from armrig_daemon.emulator.board import Board, Witness
 from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.converter import Converter
 from armrig_daemon.emulator.firmware import NEVER, U16, Firmware, Hardware
-from armrig_daemon.emulator.reception import Reception
 from armrig_daemon.emulator.requests import handle, makes_sample
 from armrig_daemon.emulator.sensors import CODE_BITS
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.emulator.uart import departure_ns, wire_ns
+from armrig_daemon.emulator.uart import Reception, Transmission, wire_ns
 
 HOLD_NS = 12_000  # ATmega328P data sheet, table 24-1: sample and hold after 1.5 clocks of 125 kHz
 LEAD_NS = 80_000  # twice the time to compute an answer, so that the answer is ready when it is due
@@ -28,7 +27,6 @@ SUPPLY_NS = 100_000_000
 MOST_PENDING = 2
 _BOOT = State.BOOT
 POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
-RING_BYTES = 256
 
 
 class Device:
@@ -244,42 +242,3 @@ class Device:
             if answers:  # the answer to an EXCHANGE is its sample
                 self._tx.send(fw, t_ns, answers)
             self._converter.wake()
-
-
-class Transmission:
-    """A ring buffer of bytes, and the wire to which its bytes are sent."""
-
-    def __init__(self, now_ns: int, baud: int) -> None:
-        """Create an idle wire; with baud 0, bytes take no time."""
-        self._baud = baud
-        self._ring_ns = wire_ns(RING_BYTES, baud)
-        self._free_ns = now_ns
-        self._seq = 0
-        self.sent: list[tuple[int, bytes]] = []
-        """Frames sent since the last `pop_sent`, each with the time of its last byte."""
-
-    def begin(self, t_ns: int) -> None:
-        """Send a 00, as each sender does when it starts."""
-        self._free_ns = departure_ns(self._free_ns, t_ns, 1, self._baud)
-        self.sent.append((self._free_ns, b"\0"))
-
-    def send(self, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
-        """Put numbered frames on the wire; drop frames for which the ring has no room."""
-        for message in messages:
-            if isinstance(message, Pong):
-                message = message._replace(tx_us=fw.device_us(max(t_ns, self._free_ns)))
-            # Like `_replace(seq=...)`, but three times as fast: this runs for each frame.
-            numbered = tuple.__new__(type(message), (message[0], self._seq, *message[2:]))
-            wire = frame.encode(numbered)
-            self._seq = (self._seq + 1) & U16  # a dropped frame leaves a break in seq
-            end_ns = departure_ns(self._free_ns, t_ns, len(wire), self._baud)
-            if end_ns - t_ns > self._ring_ns:
-                fw.count_dropped()
-            else:
-                self._free_ns = end_ns
-                self.sent.append((end_ns, wire))
-
-    def pop_sent(self) -> list[tuple[int, bytes]]:
-        """Return the frames sent since the last call, each with the time of its last byte."""
-        sent, self.sent = self.sent, []
-        return sent

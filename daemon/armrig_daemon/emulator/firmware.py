@@ -18,10 +18,9 @@ from armrig_protocol.messages import Ack, Cause, Code, Config, Event, Flag, Mess
 from msgspec.structs import replace
 
 from armrig_daemon.emulator.board import Board
-from armrig_daemon.emulator.clock import U32, Clock, microseconds
+from armrig_daemon.emulator.clock import U32, Clock, Timer, microseconds
 from armrig_daemon.emulator.guards import NOTHING_SEEN, Guards
 from armrig_daemon.emulator.queue import SetpointQueue
-from armrig_daemon.emulator.timer import Timer
 
 NEVER: Final = 1 << 62
 """Time of an event that never occurs, in ns."""

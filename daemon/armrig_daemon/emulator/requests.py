@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_protocol.decoder import Received
@@ -16,6 +16,7 @@ from armrig_protocol.messages import (
     VERSION,
     Arm,
     Cal,
+    CalReply,
     Capability,
     Cause,
     ClearFault,
@@ -37,15 +38,22 @@ from armrig_protocol.messages import (
 )
 
 from armrig_daemon.emulator import transitions
-from armrig_daemon.emulator.cal import cal
 from armrig_daemon.emulator.clock import U32
-from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Firmware, PendingSample
+from armrig_daemon.emulator.firmware import (
+    MOTOR_MAY_TURN,
+    U16,
+    UNNUMBERED,
+    Firmware,
+    PendingCal,
+    PendingSample,
+)
 
 _RUN, _NONE = State.RUN, Cause.NONE
 NO_IMAGE = 0  # an emulator has no image and thus no CRC
 CAPABILITIES = int(
     Capability.EXCHANGE | Capability.SCHEDULED | Capability.CAL | Capability.ENABLE_LINE
 )
+MOST_READINGS = 1024
 
 
 def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
@@ -162,6 +170,47 @@ def setpoints(fw: Firmware, now_ns: int, m: Setpoints) -> list[Message]:
     if not fw.queue.add(m):
         return [fw.answer(TYPES[Setpoints], m.seq, Code.BAD_VALUE)]
     return []
+
+
+class Statistics(NamedTuple):
+    """Statistics of the readings, as in CAL_R."""
+
+    mean_256: int
+    variance_256: int
+    least: int
+    greatest: int
+
+
+def statistics(codes: list[int]) -> Statistics:
+    """Return mean and variance in units of 1/256, ties rounded up; with one reading, variance 0."""
+    n, total = len(codes), sum(codes)
+    pairs = n * (n - 1)
+    spread = n * sum(code * code for code in codes) - total * total
+    return Statistics(
+        mean_256=(256 * total + n // 2) // n,
+        variance_256=min((256 * spread + pairs // 2) // pairs, U32) if pairs else 0,
+        least=min(codes),
+        greatest=max(codes),
+    )
+
+
+def cal(fw: Firmware, now_ns: int, m: Cal) -> list[Message]:
+    """Request the conversions of CAL; the answer follows after the last conversion."""
+    taken = fw.cal is not None or fw.pending
+    if fw.state not in (State.IDLE, State.READY) or taken:
+        return [fw.answer(TYPES[Cal], m.seq, Code.WRONG_STATE)]
+    if m.channel > 1 or m.zero or not 1 <= m.n <= MOST_READINGS:
+        return [fw.answer(TYPES[Cal], m.seq, Code.BAD_VALUE)]
+    fw.cal = PendingCal(fw.clock.device_ns(now_ns), m.channel, m.n)
+    return []
+
+
+def cal_answer(fw: Firmware, codes: list[int]) -> Message:
+    """Return CAL_R, and release the converter for samples."""
+    if fw.cal is None:
+        raise RuntimeError("no CAL is in progress")
+    channel, fw.cal = fw.cal.channel, None
+    return CalReply(fw.state, UNNUMBERED, channel, 0, len(codes), *statistics(codes))
 
 
 _HANDLERS: dict[type[Message], Callable[[Firmware, int, Any], list[Message]]] = {

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 import msgspec
 from armrig_core.errors import InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT
-from armrig_core.process.toml_file import read_toml
+from armrig_core.process.toml_file import convert, read_toml
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
-
-from armrig_daemon.tables import convert
 
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters

@@ -21,10 +21,10 @@ from armrig_protocol.messages import (
     Underrun,
 )
 
+from armrig_daemon.emulator.clock import Timer
 from armrig_daemon.emulator.firmware import UNNUMBERED, Firmware
 from armrig_daemon.emulator.guards import NOTHING_SEEN
 from armrig_daemon.emulator.queue import SetpointQueue
-from armrig_daemon.emulator.timer import Timer
 
 HEADER_FIELDS = 2
 NONE_IN_FORCE = (0,) * (len(Config._fields) - HEADER_FIELDS)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import secrets
 import time
+import unicodedata
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, assert_never
@@ -16,6 +17,7 @@ from armrig_core.commands import commands
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import CommandRefusedError
 from armrig_core.errors import InputError
+from armrig_core.process.printable import printable
 from armrig_core.rig.volts import code_of
 from msgspec.structs import replace
 
@@ -28,7 +30,6 @@ from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.child import LoopChild
 from armrig_daemon.service.client_watchdog import not_newer
-from armrig_daemon.service.identity import signed
 from armrig_daemon.service.listener import Command
 from armrig_daemon.service.played_input import checked
 from armrig_daemon.service.publish import TOO_MANY, Kind, Session
@@ -48,6 +49,8 @@ _MAX_COMMANDS = 16  # commands of a kind in a row; then the loop and the run's c
 _MAX_PENDING = 16  # unanswered orders; at this number, arm, reset and calibrate are refused
 _NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients; a flood must fill neither recording nor log
 _MAX_UNANSWERED = 64  # orders of all clients; more would delay the orders of the service itself
+_MAX_NAME_CHARACTERS = 80
+_SQUARE = str.maketrans("()", "[]")
 
 
 class _Waiting(NamedTuple):
@@ -316,3 +319,33 @@ class Commands:
         until = time.monotonic() + ANSWER_S
         self._waiting[self._numbers] = _Waiting(command, until, order, body, who)
         self._loop.order(order)
+
+
+def signed(said: str, by: str) -> str:
+    """Return a client's name for people; the daemon has checked the part in round brackets.
+
+    Programs read the checked identity from `owner_checked` in the status, the log and the manifest.
+
+    Parameters
+    ----------
+    said : str
+        Name that the client gives; round brackets in it become square brackets.
+    by : str
+        Checked identity, such as `certificate alice`; "" on the Unix socket, where the daemon
+        trusts every client that may open the socket.
+    """
+    begin = said.strip()[:_MAX_NAME_CHARACTERS]  # the rest of a very long name would delay a stop
+    name = "".join(map(_square, printable(begin).strip()[:_MAX_NAME_CHARACTERS]))
+    if not by:
+        return name
+    return f"{name} ({by})" if name else by
+
+
+def _square(character: str) -> str:
+    """Return a square bracket for a round bracket and for characters that look like a bracket."""
+    plain = unicodedata.normalize("NFKC", character)
+    if "(" in plain or ")" in plain:
+        return plain.translate(_SQUARE)
+    if character in "[]{}":
+        return character
+    return {"Ps": "[", "Pe": "]"}.get(unicodedata.category(character), character)

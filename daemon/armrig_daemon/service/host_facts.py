@@ -1,12 +1,19 @@
-"""Facts that the recording machine contributes to a run: the run's name, the time, the host."""
+"""Facts of the recording machine for a run: name, time, host, and space on the disk."""
 
 from __future__ import annotations
 
+import os
 import platform
+import pwd
 import secrets
+import shutil
 from collections.abc import Callable
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, NamedTuple
+
+from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import Refused, refused
 
 
 class HostFacts(NamedTuple):
@@ -31,3 +38,32 @@ def of_this_host() -> HostFacts:
             "python": platform.python_version(),
         },
     )
+
+
+def check_directory(directory: Path, needed: int) -> Refused | None:
+    """Return the refusal if `directory` cannot store a recording of `needed` B, or None."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        room = shutil.disk_usage(directory).free
+    except OSError as err:
+        return _no_room(f"{directory}: {err.strerror}; {_way_out(directory)}")
+    if not os.access(directory, os.W_OK | os.X_OK):
+        return _no_room(f"{directory}: not writable; {_way_out(directory)}")
+    if room < needed:
+        free_mb, needed_mb = room / 1e6, needed / 1e6
+        text = f"{directory}: {free_mb:.0f} MB free, {needed_mb:.0f} MB needed; free disk space"
+        return _no_room(text)
+    return None
+
+
+def _no_room(text: str) -> Refused:
+    return refused(RefusalCode.NO_ROOM, text)
+
+
+def _way_out(directory: Path) -> str:
+    try:
+        user = pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # the user's id has no name
+        user = str(os.getuid())
+    made = f"`install -d -o {user} {directory}`"
+    return f"{made} and restart the daemon, or set [recording] directory"

@@ -19,6 +19,7 @@ from armrig_core.access import access_control
 from armrig_core.access.owned_session import (
     LANES,
     NOT_FOUND,
+    group_may_open,
     listening,
     owned_session,
     strangers,
@@ -26,7 +27,6 @@ from armrig_core.access.owned_session import (
 )
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import REQUESTS, Refused, Renew, Stop, json_schema, refused
-from armrig_core.process.group_socket import group_may_open
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.history import HistoryRequest
 from armrig_core.telemetry.topics import (

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import msgspec
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.telemetry import Outgoing
 
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
 

@@ -15,10 +15,10 @@ import zenoh
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import Calibrate, Renew, Status, Stop, refused
 from armrig_core.errors import OperationError
+from armrig_core.telemetry.history import REPLY_LIMIT, encode_past
 
 from armrig_daemon.service import admission
 from armrig_daemon.service.access import Network
-from armrig_daemon.service.history import History
 from armrig_daemon.service.listener import Command, Listener
 from armrig_daemon.service.sentences import endpoint_error
 from armrig_daemon.service.uplink import Uplink
@@ -28,6 +28,8 @@ TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try aga
 MAX_DELETED = 8
 """Largest number of deleted sockets whose sessions stay open for the connected clients."""
 MAX_WAITING = 64  # most unread commands of one kind; further commands are refused
+MOST_HISTORY_BYTES = 2 << 20
+"""Largest size of the kept messages, in B: 24 105 samples of 87 B, 24 s at 1 kHz."""
 
 
 class NetworkError(OperationError):
@@ -183,3 +185,45 @@ class Session:
         except queue.Full:
             command.refuse(TOO_MANY)
         self._wake()
+
+
+class History:
+    """Recent messages by number; one thread may add messages while another thread reads.
+
+    zenoh's own cache (its advanced publisher) is not used: see
+    docs/decisions/missed-messages-are-requested-from-the-daemon.md.
+    """
+
+    def __init__(self, life: bytes, most_bytes: int = MOST_HISTORY_BYTES) -> None:
+        """Create an empty history.
+
+        Parameters
+        ----------
+        life : bytes
+            16 B that identify this start of a daemon.
+        """
+        self._life, self._most = life, most_bytes
+        self._kept: dict[int, tuple[str, bytes]] = {}
+        self._first = self._end = self._size = 0
+
+    def add(self, stream: str, data: bytes) -> None:
+        """Keep a message, and drop the oldest messages beyond the limit."""
+        self._kept[self._end] = (stream, data)
+        self._end += 1
+        self._size += len(data)
+        while self._size > self._most:
+            _, oldest = self._kept.pop(self._first)
+            self._first += 1
+            self._size -= len(oldest)
+
+    def reply(self, first: int, clock_offset_ns: int) -> bytes:
+        """Return an answer with the messages from number `first` on, as many as fit into it."""
+        number = first = min(max(first, self._first), self._end)
+        messages: list[tuple[str, bytes]] = []
+        size = 0
+        # Another thread may drop the oldest message at this moment, in `add`.
+        while size < REPLY_LIMIT and (message := self._kept.get(number)) is not None:
+            messages.append(message)
+            size += len(message[1])
+            number += 1
+        return encode_past(self._life, first, clock_offset_ns, messages)

@@ -16,12 +16,12 @@ from armrig_core.commands.commands import (
     CommandRefusedError,
     LastRun,
     Refused,
+    Rehearsal,
     Renew,
     Run,
     RunAccepted,
     refused,
 )
-from armrig_core.commands.predicted_motion import Rehearsal
 from armrig_core.commands.rehearsal import rehearse
 from armrig_core.recording_file.manifest import (
     CALIBRATION,
@@ -30,11 +30,11 @@ from armrig_core.recording_file.manifest import (
     INPUT,
     Manifest,
 )
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import raw_samples
 from armrig_core.rig.volts import codes_of
+from armrig_core.telemetry.telemetry import Outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
 from armrig_daemon import pipe
@@ -42,8 +42,7 @@ from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
-from armrig_daemon.service.directory import check_directory
-from armrig_daemon.service.host_facts import HostFacts, of_this_host
+from armrig_daemon.service.host_facts import HostFacts, check_directory, of_this_host
 from armrig_daemon.service.played_input import checked, one_a_line
 
 _BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed

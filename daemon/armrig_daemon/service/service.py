@@ -25,10 +25,9 @@ from armrig_core.errors import InputError
 from armrig_core.process import open_files
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.standstill import Standstill
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.rig.emulated import held_up
-from armrig_core.telemetry.telemetry import Sample, decode_sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample, decode_sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import EX_CONFIG, Config

@@ -17,9 +17,8 @@ import msgspec
 from armrig_core.commands.codes import Ending
 from armrig_core.commands.commands import Run
 from armrig_core.errors import InputError, OperationError
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.rig.emulated import VIRTUAL_PORT
-from armrig_core.telemetry.telemetry import decode_sample
+from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from msgspec.structs import replace
 
 from armrig_daemon import pipe

@@ -17,7 +17,7 @@ from armrig.cli import main
 from armrig.excitation.named_signals import realisations
 from armrig.rig.collection import Collected, Plan
 from armrig_core.commands import commands
-from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.commands import Rehearsal
 from armrig_core.telemetry import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon

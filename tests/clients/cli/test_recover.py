@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.opening import lock
 
 from tests.clients.made_recordings import manifest, recorded, sample, written
 

@@ -12,7 +12,7 @@ import pytest
 from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.rig.session import NoReplyError
 from armrig_core.commands import commands
-from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.commands import Rehearsal
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan
 

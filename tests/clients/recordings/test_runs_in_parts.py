@@ -15,8 +15,8 @@ from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import FileError
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.manifest import RUN, Outcome, manifest_of
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
+from armrig_core.telemetry.telemetry import Outgoing
 from mcap.reader import make_reader
 
 from tests.clients.made_recordings import gap, manifest, recorded, sample, written

@@ -34,7 +34,7 @@ from armrig.recordings.usability import (
     doubts_of_pair,
     early_ends,
 )
-from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.commands import Rehearsal
 from armrig_core.recording_file.manifest import Outcome
 from armrig_core.rig.calibration import Calibration, Driver
 from armrig_protocol.messages import Flag

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 import pytest
-from armrig.rig import session, silent_daemon
+from armrig.rig import session
+from armrig_core.access import daemon_lock
 
 SERVICE_UID = 4711
 
@@ -24,7 +25,7 @@ def services(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         monkeypatch.setenv("XDG_RUNTIME_DIR", login)
         services = Path(temporary) / "armrig"
         monkeypatch.setattr(session, "SERVICES", PurePosixPath(services))
-        monkeypatch.setattr(silent_daemon, "service_owners", lambda: {0, SERVICE_UID, os.getuid()})
+        monkeypatch.setattr(daemon_lock, "service_owners", lambda: {0, SERVICE_UID, os.getuid()})
         services.mkdir()
         services.chmod(0o755)
         (services / "1").mkdir()

@@ -20,7 +20,7 @@ from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import stream
 from armrig_core.commands import commands
-from armrig_core.commands.predicted_motion import Rehearsal
+from armrig_core.commands.commands import Rehearsal
 from armrig_core.telemetry import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon

@@ -14,15 +14,21 @@ from typing import Any
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.rig import client, remote_recording, session, silent_daemon
+from armrig.rig import client, remote_recording, session
 from armrig.rig.client import Rig
 from armrig.rig.collection import collect
 from armrig.rig.remote_recording import RemoteRecorder, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError, default_endpoint
-from armrig.rig.silent_daemon import daemon_at, living_daemon
-from armrig_core.access.daemon_lock import DaemonFacts, lock_path, write_facts
+from armrig_core.access import daemon_lock
+from armrig_core.access.daemon_lock import (
+    DaemonFacts,
+    daemon_at,
+    living_daemon,
+    lock_path,
+    write_facts,
+)
 from armrig_core.access.endpoint import endpoint
 from armrig_core.commands.commands import StatusReport
 from armrig_core.telemetry.history import Past
@@ -243,7 +249,7 @@ def test_a_client_waits_for_a_deleted_socket_of_a_living_daemon(
             lock_path(socket).unlink()  # the daemon does so, too
             opened.append(FakeDaemon(default_endpoint("1")).__enter__())
 
-    monkeypatch.setattr(silent_daemon, "time", SimpleNamespace(monotonic=lambda: 0.0, sleep=slept))
+    monkeypatch.setattr(daemon_lock, "time", SimpleNamespace(monotonic=lambda: 0.0, sleep=slept))
 
     with Rig("1") as rig:
         rig.stop()

@@ -20,11 +20,10 @@ from armrig.rig.session import RigError
 from armrig.rig.telemetry_stream import decoded
 from armrig_core.commands.codes import COMPLETE, GapCode
 from armrig_core.recording_file import recording_part
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.history import Past
-from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from mcap.reader import make_reader
 
 from tests.integration.processes import wait_for

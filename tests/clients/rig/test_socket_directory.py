@@ -11,10 +11,11 @@ from pathlib import Path, PurePosixPath
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.rig import session, silent_daemon
+from armrig.rig import session
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 from armrig.rig.status import live_rigs
+from armrig_core.access import daemon_lock
 from armrig_core.access.endpoint import endpoint
 from armrig_core.telemetry.topics import PLAYED
 
@@ -163,10 +164,10 @@ def test_a_service_folder_writable_by_another_user_is_refused(
 def test_a_service_folder_may_belong_to_root_or_the_service_user(
     user: str, uids: set[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert silent_daemon.SERVICE_USER == "armrig"
-    monkeypatch.setattr(silent_daemon, "SERVICE_USER", user)
+    assert daemon_lock.SERVICE_USER == "armrig"
+    monkeypatch.setattr(daemon_lock, "SERVICE_USER", user)
 
-    assert silent_daemon.service_owners() == {0} | uids
+    assert daemon_lock.service_owners() == {0} | uids
 
 
 def test_a_user_outside_the_group_gets_the_reason(

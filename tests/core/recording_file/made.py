@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.commands.codes import COMPLETE, Ending
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording
-from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from msgspec.structs import replace
 
 from tests.clients.made_recordings import manifest

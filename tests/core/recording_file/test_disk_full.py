@@ -16,9 +16,9 @@ import pytest
 from armrig.recordings.verification import verify
 from armrig_core.commands.codes import Ending, OutcomeCode
 from armrig_core.recording_file import recording_part
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.recovery import Recovery
+from armrig_core.telemetry.telemetry import Outgoing
 
 from tests.core.recording_file.made import Setter, begun, finished, sample, until
 from tests.daemon.failing_disk import Disk

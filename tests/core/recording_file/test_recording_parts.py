@@ -13,11 +13,11 @@ import pytest
 from armrig.recordings.verification import verify
 from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.recording_file.manifest import CONFIG, INPUT
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
+from armrig_core.telemetry.telemetry import Outgoing
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader

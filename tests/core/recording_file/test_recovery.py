@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from armrig.recordings.verification import verify
 from armrig_core.recording_file import unfinished
-from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import MAGIC, RECORD_LIMIT
 from armrig_core.recording_file.manifest import INPUT, OUTCOME, RECOVERED, RUN, Outcome
+from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.recovery import (
     CUT_OFF,
     MOST_CUT_OFF,

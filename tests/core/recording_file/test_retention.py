@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.manifest import Outcome
+from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.retention import DAY_S, GB, Retention
 
 from tests.clients.made_recordings import manifest, recorded, sample, written

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.rewriting import CHUNK_BYTES, Rewriter, compact
 from mcap.reader import make_reader
 from mcap.records import (

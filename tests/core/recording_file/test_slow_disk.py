@@ -11,7 +11,7 @@ import armrig
 import pytest
 from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.recording_file import recording_part
-from armrig_core.recording_file.syncing import Syncer
+from armrig_core.recording_file.recorder import Syncer
 from mcap.reader import make_reader
 
 from tests.core.recording_file.made import Setter, begun, finished, sample, until

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import pytest
-from armrig_daemon.emulator import device, requests
+from armrig_daemon.emulator import requests, uart
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol.messages import Message
 
@@ -38,12 +38,10 @@ def any_value(patch: Patch, *, of: Sequence[type[Message]], name: str) -> None:
 
 def changed_answers(patch: Patch, change: Callable[[Message], Message | None]) -> None:
     """Let each frame to the host be another one, or none."""
-    send = device.Transmission.send
+    send = uart.Transmission.send
 
-    def changed(
-        self: device.Transmission, fw: Firmware, t_ns: int, messages: list[Message]
-    ) -> None:
+    def changed(self: uart.Transmission, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
         kept = [new for m in messages if (new := change(m)) is not None]
         send(self, fw, t_ns, kept)
 
-    patch.setattr(device.Transmission, "send", changed)
+    patch.setattr(uart.Transmission, "send", changed)

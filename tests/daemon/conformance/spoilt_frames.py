@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from typing import Any
+from zlib import crc32
 
-from armrig_daemon.emulator import device, reception, requests, transitions
+from armrig_daemon.emulator import device, requests, transitions, uart
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol import cobs, decoder
-from armrig_protocol.crc import crc32
 from armrig_protocol.frame import Spoilt
 from armrig_protocol.messages import Cause, Hello, HelloReply, Message, Pong, Sample, State, Stop
 
@@ -23,16 +23,16 @@ def _half_a_crc(patch: Patch) -> None:
             return decode(cobs.stuff(text[:-4] + crc32(text[:-4]).to_bytes(4, "little")))
         return decode(stuffed)
 
-    patch.setattr(reception.decoder, "decode", lenient)
+    patch.setattr(uart.decoder, "decode", lenient)
 
 
 def _loses_bytes(patch: Patch) -> None:
-    put = reception.Reception.put
+    put = uart.Reception.put
 
-    def losing(self: reception.Reception, now_ns: int, data: bytes) -> None:
+    def losing(self: uart.Reception, now_ns: int, data: bytes) -> None:
         put(self, now_ns, data[:1000])
 
-    patch.setattr(reception.Reception, "put", losing)
+    patch.setattr(uart.Reception, "put", losing)
 
 
 def _stale_is_taken(patch: Patch) -> None:
@@ -46,15 +46,13 @@ def _stale_echo(patch: Patch) -> None:
 
 
 def _skips_a_seq(patch: Patch) -> None:
-    send = device.Transmission.send
+    send = uart.Transmission.send
 
-    def skipping(
-        self: device.Transmission, fw: Firmware, t_ns: int, messages: list[Message]
-    ) -> None:
+    def skipping(self: uart.Transmission, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
         send(self, fw, t_ns, messages)
         self._seq = (self._seq + any(isinstance(m, HelloReply) for m in messages)) & 0xFFFF
 
-    patch.setattr(device.Transmission, "send", skipping)
+    patch.setattr(uart.Transmission, "send", skipping)
 
 
 def _stop_moves_back(patch: Patch) -> None:

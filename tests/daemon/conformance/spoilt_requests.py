@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from armrig_daemon.emulator import device, reception, requests, transitions
+from armrig_daemon.emulator import device, requests, transitions, uart
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol import decoder
 from armrig_protocol.frame import Spoilt
@@ -106,7 +106,7 @@ def _empty_is_spoilt(patch: Patch) -> None:
             return b"", [Spoilt("length")]
         return feed(pending, data)
 
-    patch.setattr(reception.decoder, "feed", counting)
+    patch.setattr(uart.decoder, "feed", counting)
 
 
 _VALUES = "A CONFIG with a wrong value"

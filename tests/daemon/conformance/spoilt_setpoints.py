@@ -6,7 +6,7 @@ from dataclasses import replace as dataclass_replace
 from functools import partial
 from typing import Any
 
-from armrig_daemon.emulator import queue, requests, timer, transitions
+from armrig_daemon.emulator import clock, queue, requests, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.queue import SetpointQueue
 from armrig_protocol.messages import Cause, Config, Message, Setpoints
@@ -15,8 +15,8 @@ from tests.daemon.conformance.spoiling import Patch, SpoiltDevice
 
 
 def _one_shifted(patch: Patch, by_ns: int) -> None:
-    due = timer.Timer.due_ns.fget
-    patch.setattr(timer.Timer, "due_ns", property(lambda self: due(self) + by_ns * (self.k == 17)))
+    due = clock.Timer.due_ns.fget
+    patch.setattr(clock.Timer, "due_ns", property(lambda self: due(self) + by_ns * (self.k == 17)))
 
 
 def _starts_at_once(patch: Patch) -> None:

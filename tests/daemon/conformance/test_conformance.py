@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from armrig_daemon.conformance.conversation import Broken, Conversation, EndlessError
 from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.conformance.pin_rules import pin_rules
 from armrig_daemon.conformance.rule import Result, Rule
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, run
-from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator import converter, sampling
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.firmware import Firmware

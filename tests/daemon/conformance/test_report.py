@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
-from armrig_daemon.conformance.report import json_of, line_of, sum_of
 from armrig_daemon.conformance.rule import Result, shown
-from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, json_of, line_of, sum_of
 from armrig_protocol.messages import (
     Ack,
     Cause,

@@ -8,9 +8,9 @@ from armrig_daemon.emulator.board import Board
 from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.device import LEAD_NS, Device
 from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSample
-from armrig_daemon.emulator.reception import Reception
 from armrig_daemon.emulator.sampling import latch
 from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uart import Reception
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     SCHEMA_HASH,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_daemon.conformance.host import BOOT_MS, Host
-from armrig_daemon.conformance.virtual_line import VirtualLine
+from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import (

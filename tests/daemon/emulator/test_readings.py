@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from armrig_daemon.emulator.cal import statistics
+from armrig_daemon.emulator.requests import statistics
 from armrig_daemon.emulator.sensors import mean
 from armrig_protocol.messages import (
     Cal,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig_daemon.loop.timing import Histogram
+from armrig_daemon.loop.meter import Histogram
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -14,11 +14,10 @@ import pytest
 from armrig.recordings.container import read
 from armrig_core.commands.commands import Run
 from armrig_core.recording_file.manifest import CALIBRATION, CONFIG, INPUT, OUTCOME, RECOVERED, RUN
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
-from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_core.telemetry.topics import RECORDED
 from armrig_daemon.config import Config
 from armrig_daemon.service import runs

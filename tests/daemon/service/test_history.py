@@ -11,8 +11,7 @@ import pytest
 import zenoh
 from armrig.rig.session import open_session
 from armrig_core.telemetry.history import REPLY_LIMIT, decode_past
-from armrig_daemon.service.history import History
-from armrig_daemon.service.publish import Session
+from armrig_daemon.service.publish import History, Session
 
 LIFE = bytes(range(16))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon.service.identity import signed
+from armrig_daemon.service.commands import signed
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,8 @@ import pytest
 from armrig_core.commands.codes import COMPLETE, GapCode, OutcomeCode
 from armrig_core.commands.commands import Run
 from armrig_core.recording_file.manifest import OUTCOME, RUN, manifest_of, outcome_of
-from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recording_part import EndsHereError, Part
-from armrig_core.telemetry.telemetry import Sample, encode_sample
+from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_daemon.config import Config, Recording
 from armrig_daemon.pipe import Gap, Log, RunStarted, State
 from armrig_daemon.service.host_facts import HostFacts

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.manifest import Outcome
+from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.rewriting import Rewriter
 from armrig_daemon.config import Recording
 from armrig_daemon.service.startup_recovery import StartupRecovery

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 from armrig_core.errors import OperationError
-from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.opening import lock
 
 from armrig.report.batch.tasks import Item, Row
 
