@@ -11,9 +11,10 @@ The calls (`same_numbers_calls.py`) and the walk over their results have two use
   tests/clients/test_same_numbers.py compares with it to 7 figures, and
   `make stored` writes it again after a change that is meant.
 
-A number in the file is a line. Few values are all listed; of many there are the shape, the first,
-last, least, greatest, mean, effective value, a fixed projection, and how many are not finite.
-Texts are left out: words change.
+A quantity in the file is a line, sorted by name within its call. Few values are all listed; of many
+there are the shape, the first, last, least, greatest, mean, effective value, a fixed projection,
+and how many are not finite. Texts are left out: words change. The first result of each class in a
+call has all its members, with the methods; later ones those of the table `BRIEF`.
 """
 
 from __future__ import annotations
@@ -117,11 +118,22 @@ def numbers(call: str) -> Iterator[Quantity]:
     """Give the name and the values of each quantity that the variants of a call lead to."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
+        shown: set[str] = set()
         for variant, result in table.CALLS[call]():
-            name = f"{call} {variant}"
-            for of, values in found_in(result, name):
+            name, kind = f"{call} {variant}", _kind(result)
+            again = kind in table.BRIEF and (
+                call in table.PARTS or (kind in shown and call not in table.WHOLE)
+            )
+            shown.add(kind)
+            for of, values in found_in(result, name, depth=int(again)):
                 if not any(fnmatch(of, pattern) for pattern in table.LEFT_OUT):
                     yield of, values
+
+
+def _kind(result: Any) -> str:
+    """Return the class of a result, or that of the first of several."""
+    several = isinstance(result, list | tuple) and len(result) > 0
+    return type(result[0] if several else result).__name__
 
 
 def found_in(value: Any, name: str, depth: int = 0) -> Iterator[Quantity]:
@@ -132,6 +144,8 @@ def found_in(value: Any, name: str, depth: int = 0) -> Iterator[Quantity]:
     elif isinstance(value, np.ndarray) and value.dtype.names:
         for field in value.dtype.names:
             yield from found_in(value[field], f"{name}.{field}", depth)
+    elif isinstance(value, Mapping) and value and all(isinstance(key, int) for key in value):
+        yield from found_in(sorted(value.items()), name, depth)
     elif isinstance(value, Mapping):
         for key, item in value.items():
             yield from found_in(item, f"{name}[{key}]", depth)
@@ -141,8 +155,6 @@ def found_in(value: Any, name: str, depth: int = 0) -> Iterator[Quantity]:
         if value:
             yield f"{name}.len", np.array(float(len(value)))
         yield from _rows(value, name, depth)
-    elif _is_figure(value):
-        yield from _drawn(value, name)
     elif type(value).__module__.startswith("armrig") and not isinstance(value, type | enum.Enum):
         if depth < _DEEPEST and not inspect.isroutine(value):
             yield from _members(value, name, depth + 1)
@@ -231,24 +243,6 @@ def _arguments(
     yield "", {p: table.ARGUMENTS[p](value) for p in required}
 
 
-def _is_figure(value: Any) -> bool:
-    return type(value).__module__.startswith("matplotlib.figure")
-
-
-def _drawn(figure: Any, name: str) -> Iterator[Quantity]:
-    """Give the coordinates of all lines and areas of a figure."""
-    for i, ax in enumerate(figure.axes):
-        shapes = [line.get_xydata() for line in ax.lines]
-        shapes += [path.vertices for c in ax.collections for path in c.get_paths()]
-        shapes += [p.get_path().transformed(p.get_patch_transform()).vertices for p in ax.patches]
-        if shapes:
-            every = np.concatenate(
-                [np.ma.filled(np.asarray(s, np.float64), np.nan) for s in shapes]
-            )
-            for axis, column in zip("xy", every.T, strict=True):
-                yield f"{name}[{i}].{axis}", column
-
-
 # The stored file.
 
 
@@ -256,7 +250,7 @@ def stored_numbers(calls: Any) -> Iterator[tuple[str, str]]:
     """Give the lines of calls, without repetitions within a call."""
     for call in calls:
         known: set[str] = set()
-        for name, text in lines(call):
+        for name, text in sorted(lines(call)):
             if len(text) < 8 or text not in known:
                 yield name, text
             known.add(text)

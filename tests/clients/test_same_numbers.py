@@ -15,17 +15,7 @@ from tests import same_numbers, same_numbers_calls
 from tests.sampling import without_slow
 
 BEFORE = same_numbers.read_stored()
-SLOW = {
-    "structure_hints",
-    "bj",
-    "oe",
-    "MultivariableFit",
-    "report",
-    "plots",
-    "compare",
-    "search",
-    "summary",
-}
+SLOW = {"structure_hints", "bj", "oe", "MultivariableFit", "report", "compare", "search", "summary"}
 
 
 @pytest.mark.parametrize("call", without_slow(same_numbers_calls.CALLS, lambda call: call in SLOW))
