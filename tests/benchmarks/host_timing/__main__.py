@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import sys
+import sysconfig
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -48,6 +50,8 @@ def machine(seconds: float, root: Path = Path("/")) -> Iterator[str]:
     governor = ", ".join(governors(root)) or "none: the kernel scales no frequency"
     yield f"kernel      {text(root / 'proc/sys/kernel/osrelease')}, preemption {preemption(root)}"
     yield f"processor   {model[1] if model else 'unknown'}, {cpus}; governor {governor}"
+    built = f"{platform.python_compiler()}, {sysconfig.get_config_var('OPT')}"
+    yield f"python      {platform.python_version()} of {platform.python_build()[1]}, {built}"
     yield f"SCHED_FIFO  {'allowed' if granted()[0] else 'NOT allowed'}"
     yield f"load        {load(root):g} before the measurement"
     yield f"rounds      {ROUNDS}, together {seconds:g} s for each program and rate"

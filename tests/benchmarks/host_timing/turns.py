@@ -31,7 +31,7 @@ from armrig_core.errors import InputError, OperationError
 from numpy.typing import NDArray
 
 from tests.benchmarks.host_timing import targets
-from tests.benchmarks.host_timing.contestants import RIG
+from tests.benchmarks.host_timing.contestants import RIG, SPIN_NS
 from tests.benchmarks.host_timing.targets import Rate
 from tests.integration.driving import bring_to_rest
 from tests.integration.processes import Bench
@@ -72,6 +72,7 @@ def measure(ticks_of: dict[int, int], say: Callable[[str], None]) -> list[Rate]:
             ticks = ticks_of[rate.rate_hz]
             cyclictest(rate, ticks)
             bare_loop(rate, ticks)
+            c_loop(rate, ticks)
             bare_put(rate, ticks)
             # Another value at each sample: a sample with its neighbour's index is seen.
             u = np.random.default_rng(n).uniform(0.5, 4.5, ticks)
@@ -80,6 +81,12 @@ def measure(ticks_of: dict[int, int], say: Callable[[str], None]) -> list[Rate]:
                     with subscribers(bench.rig().endpoint):
                         exchange(rate, bench, u)
                 scheduled(rate, bench, u)
+            if rate.rate_hz <= MAX_EXCHANGE_HZ:
+                unspun = Rate(rate_hz=rate.rate_hz)
+                with served(spin_us=0) as bench, subscribers(bench.rig().endpoint):
+                    exchange(unspun, bench, u)
+                for cpu_us in unspun.times_us[targets.DAEMON_CPU]:
+                    rate.add(targets.DAEMON_CPU + targets.UNSPUN, cpu_us)
     return rates
 
 
@@ -167,6 +174,23 @@ def bare_loop(rate: Rate, ticks: int) -> None:
     rate.add(targets.BARE_CPU, np.array(cpu_ns) / 1e3)
 
 
+def c_loop(rate: Rate, ticks: int) -> None:
+    """Add processor time of a loop in C with the same system calls, if a compiler is installed."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        rate.remarks.append("no C compiler is installed: no loop in C")
+        return
+    with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
+        loop = f"{directory}/c_loop"
+        source = Path(__file__).with_name("c_loop.c")
+        subprocess.run([compiler, "-O2", "-o", loop, str(source)], check=True)
+        for spin, spin_ns in (("", SPIN_NS), (targets.UNSPUN, 0)):
+            sizes = [str(10**9 // rate.rate_hz), str(ticks), str(spin_ns)]
+            with program(loop, *sizes) as process:
+                cpu_ns = json.loads(output(process, _within_s(rate, ticks)))
+            rate.add(targets.C_CPU + spin, np.array(cpu_ns) / 1e3)
+
+
 def bare_put(rate: Rate, ticks: int) -> None:
     """Add the time from a bare zenoh put to the callbacks."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
@@ -202,11 +226,11 @@ def heard(processes: list[Popen]) -> list[NDArray[np.int64]]:
 
 
 @contextmanager
-def served(*, terminal: bool = False) -> Iterator[Bench]:
+def served(*, terminal: bool = False, spin_us: int = SPIN_NS // 1000) -> Iterator[Bench]:
     """Run the daemon with an emulated rig at a Unix socket, or at a pseudo-terminal."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
         bench = Bench(Path(directory), terminal=terminal)
-        bench.configure(watchdog_ms=100)
+        bench.configure(watchdog_ms=100, more=f"[timing]\nspin_us = {spin_us}")
         try:
             bench.emulate()
             bench.serve()
