@@ -31,9 +31,9 @@ _TYPST = "mathematics of Typst, and no sentence"
 _USAGE = "clients/armrig/cli/usage_errors.py"
 ALLOWED = {
     ("clients/armrig/cli/demo_rig.py", ": try again"): _SHOWN,
-    ("clients/armrig/cli/first_look.py", "open loop: "): _SHOWN,
-    ("clients/armrig/cli/lab.py", "next: "): _SHOWN,
-    ("clients/armrig/cli/lab.py", "in a browser: "): _SHOWN,
+    ("clients/armrig/cli/validate.py", "open loop: "): _SHOWN,
+    ("clients/armrig/cli/rig.py", "next: "): _SHOWN,
+    ("clients/armrig/cli/rig.py", "in a browser: "): _SHOWN,
     (_USAGE, "Example: "): _SHOWN,
     (_USAGE, r"\S+: '(.+?)' is not one of (.+)$"): _OTHERS,
     (_USAGE, "Did you mean"): _OTHERS,

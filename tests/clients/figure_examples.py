@@ -14,7 +14,7 @@ import control
 import numpy as np
 import pytest
 from armrig import Dataset, plots
-from armrig.cli.recording_info import TIMING_HEIGHT, timing_figures
+from armrig.cli.recordings import TIMING_HEIGHT, timing_figures
 from armrig.cli.results import write_plot
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph

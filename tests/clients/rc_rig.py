@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig.cli.collect import InputChoice, chosen_inputs
+from armrig.cli.runs import InputChoice, chosen_inputs
 from armrig.excitation import step
 from armrig.recordings.recording_summary import VALIDATION_OF
 from armrig_core.commands.commands import Run

@@ -44,8 +44,8 @@ def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
 @pytest.mark.usefixtures("wheel")
 def test_an_installed_armrig_finds_its_glossary_and_its_firmware(unpacked: Path) -> None:
     program = (
-        "from armrig.cli import glossary; from armrig_core.rig import firmware_image; "
-        "print(glossary._page(), firmware_image.shipped_image())"
+        "from armrig.cli.administration import _page; "
+        "from armrig_core.rig.firmware_image import shipped_image; print(_page(), shipped_image())"
     )
     found = subprocess.run(
         [sys.executable, "-c", program],

@@ -28,23 +28,22 @@ _HELP_INDENT = 6
 """Number of columns around the name of a command in the help."""
 
 _HEADINGS = {
-    "Rig": "lab.lab rig.status rig.watch rig.stop rig.reset "
-    "rig.note lab.dashboard calibrate.calibrate",
-    "Runs": "collect.collect record.record record.play host.demo",
-    "Recordings": "listing.ls recording_info.info first_look.plot evidence.verify "
-    "evidence.export evidence.recover recording_info.replay",
-    "Identify": "first_look.sampling first_look.hints identification.identify batch.batch",
-    "Validate": "validation.validate validation.compare first_look.check first_look.linearity "
-    "reporting.report",
-    "Physics": "equations.model physics.simulate physics.greybox physics.split equations.integrate",
-    "Administration": "host.doctor glossary.glossary host.flash host.conformance "
-    "administration.service administration.pki administration.router",
+    "Rig": {"rig": "lab status watch stop reset note dashboard", "calibration": "calibrate"},
+    "Runs": {"runs": "collect record play demo"},
+    "Recordings": {"recordings": "ls info plot verify export recover replay"},
+    "Identify": {"identify": "sampling hints identify batch"},
+    "Validate": {"validate": "validate compare check linearity report"},
+    "Physics": {"physics": "model simulate greybox split integrate"},
+    "Administration": {
+        "administration": "doctor glossary flash conformance service pki router",
+    },
 }
-"""Commands under each heading of `armrig --help`, as MODULE.COMMAND."""
+"""Commands under each heading of `armrig --help`, by module."""
 _MODULES = {
     name: module
-    for places in _HEADINGS.values()
-    for module, name in (place.split(".") for place in places.split())
+    for modules in _HEADINGS.values()
+    for module, names in modules.items()
+    for name in names.split()
 }
 _EXAMPLES = {
     "note": '"the arm was touched"',
@@ -89,8 +88,8 @@ class _UnderHeadings(typer.core.TyperGroup):
         """Write the commands under their headings; all names have the same width."""
         width = max(map(len, self.commands))
         limit = formatter.width - width - _HELP_INDENT
-        for heading, places in _HEADINGS.items():
-            names = [place.partition(".")[2] for place in places.split()]
+        for heading, modules in _HEADINGS.items():
+            names = " ".join(modules.values()).split()
             rows = [(x, self.commands[x].get_short_help_str(limit)) for x in names]
             with formatter.section(heading):
                 formatter.write_dl([(f"{name:{width}}", text) for name, text in rows])
@@ -102,7 +101,7 @@ _DEBUG = "--debug"
 # Address space, in MiB, and open files of the commands that open a session: 0.7 to 0.9 GiB and
 # 18 to 26 files were measured. With less, zenoh aborts or blocks. `lab` passes its limits to a
 # daemon.
-_OF_RIG = [place.partition(".")[2] for place in _HEADINGS["Rig"].split()]
+_OF_RIG = " ".join(_HEADINGS["Rig"].values()).split()
 _NEEDS = dict.fromkeys([*_OF_RIG, "collect", "record", "router"], (1024, 32))
 _NEEDS |= dict.fromkeys(["dashboard", "lab"], (2048, 64))
 _SIGPIPE = 13  # the module `signal` of Windows does not define this name

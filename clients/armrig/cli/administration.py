@@ -1,24 +1,281 @@
-"""The commands for the administrator of a lab: service, pki, router."""
+"""The commands for the administrator of a lab, and on this host and its devices."""
 
 from __future__ import annotations
 
 import os
+import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from shlex import join, quote
 from typing import TYPE_CHECKING, Annotated, Any
 
-from armrig_core.errors import OperationError
+import typer
+from armrig_core.errors import InputError, OperationError
 from armrig_core.process.signal_pipe import until_signal
 
-from armrig.cli.options import Commands, Json, argument, chosen, group, option
-from armrig.cli.printing import agree, echo, inform, print_json
+from armrig.cli.next_step import say_next
+from armrig.cli.options import Commands, Json, RigId, Verbose, argument, chosen, group, option
+from armrig.cli.printing import agree, echo, inform, print_json, say, say_answer, say_more
+from armrig.cli.spinner import spinner
 from armrig.lab import installation
 
 if TYPE_CHECKING:
+    from armrig_core.rig.firmware_image import FirmwareImage
+
+    from armrig.lab.avrdude import Board
     from armrig.lab.installation import Part, Plan
     from armrig.lab.pki import Issued
+
+Socket = Annotated[
+    str | None,
+    option(
+        "--connect ENDPOINT",
+        "Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are refused.",
+        "[client] connect, or the daemon on this machine",
+    ),
+]
+BROWN_OUT = (
+    "The brown-out fuse is not known: Optiboot does not read fuses. A new board has "
+    "a brown-out level of 2.7 V, too low for 16 MHz; docs/hardware.md explains how to read and set "
+    "it."
+)
+MOTOR = (
+    "While a board is written, its pins are inputs: D9 and D7 float, and D13 blinks. Only the "
+    "pull-downs of the wiring hold the motor at 0 V (docs/hardware.md). A partly written program "
+    "may do anything, so unplug the motor."
+)
+_BAUD = 500_000  # of the firmware that is shipped
+
+
+def doctor(
+    rig: RigId = "1", connect: Socket = None, json: Json = False, verbose: Verbose = False
+) -> None:
+    """Show what degrades the timing here, and how to correct it.
+
+    If a daemon answers on this machine, the command checks the rights of the daemon, otherwise the
+    rights of this user. The exit code is 1 if a check fails.
+
+    A note is a fact that cannot be checked or corrected here; it does not change the exit code.
+    """
+    from armrig.lab.doctor import brief, is_well
+    from armrig.lab.doctor import doctor as examine_this_host
+
+    checks = examine_this_host(rig, connect)
+    if json:
+        print_json(checks)
+    else:
+        say_answer("\n".join(map(str, checks)) if verbose else brief(checks))
+        if not verbose:
+            say_more("the result of each check")
+    if not is_well(checks):
+        raise typer.Exit(1)
+
+
+def flash(
+    port: str | None = chosen(
+        None, "--port DEVICE", "Serial port of the board.", "the only Uno plugged in"
+    ),
+    image: Path | None = chosen(None, "--hex FILE", "Firmware file to write.", "armrig's own"),
+    baud: int = chosen(
+        _BAUD, "--baud", "Speed of the firmware's serial line, in bit/s ([device] baud)."
+    ),
+    dry_run: bool = chosen(False, "--dry-run", "Show the plan only, without opening the port."),
+    yes: bool = chosen(False, "--yes", "Confirm that the motor is unplugged; do not ask."),
+    fuse: str | None = chosen(
+        None,
+        "--fuse PROGRAMMER",
+        "Read only the brown-out fuse, with this ISP programmer, such as usbasp.",
+    ),
+    json: Json = False,
+) -> None:
+    """Write the firmware to an Uno, and check what the board runs.
+
+    The command uses avrdude and the board's boot loader, Optiboot, and verifies the written
+    firmware. It refuses a port that a daemon uses, and a board with another boot loader.
+    """
+    from armrig_core.rig.firmware_image import read_image, shipped_image
+
+    from armrig.lab import avrdude
+
+    if fuse is not None:
+        _say_fuse(fuse, port, json=json)
+        return
+
+    def show(text: str, how: Callable[[str], None] = say) -> None:
+        if not json:
+            how(text)
+
+    firmware = read_image(shipped_image() if image is None else image)
+    _check_size(firmware)
+    program = _program()
+    board = avrdude.chosen(port, avrdude.plugged_in())
+    call = avrdude.command(program, port=board.port, image=firmware.path)
+    about = {"path": str(firmware.path), "bytes": len(firmware.data), "crc": f"{firmware.crc:08x}"}
+    about["sha256"] = firmware.sha256
+    facts = {"port": board.port, "board": board.name, "firmware": about, "command": call}
+    plan = (
+        f"board     {board.name} at {board.port}\n"
+        f"firmware  {firmware.path}\n"
+        f"          {len(firmware.data)} B, CRC-32 {firmware.crc:08x}, sha256 {firmware.sha256}\n"
+        f"command   {join(call)}"
+    )
+    show(plan, echo)
+    if not dry_run:
+        with avrdude.held(board):
+            show(MOTOR)
+            agree("Is the motor unplugged? Write the board?", yes=yes)
+            with spinner("asking the boot loader"):
+                facts["loader"] = f"Optiboot {avrdude.loader(program, board.port)}"
+            show(f"loader    {facts['loader']}", echo)
+            show(BROWN_OUT)
+            with spinner("flash:") as moved:
+                avrdude.write(call, moved)
+            show("written; the board returned the same bytes", echo)
+            facts["device"], found = _device(board, firmware, baud)
+            show(found)
+    if json:
+        print_json(facts)
+    elif not dry_run:
+        say_next("flash", port=quote(board.port))
+
+
+def _program() -> str:
+    from armrig.lab import avrdude
+
+    program = avrdude.find()
+    if program is None:
+        raise OperationError(avrdude.INSTALL)
+    return program
+
+
+def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
+    """Print the brown-out level, and how to correct it."""
+    from armrig.lab import avrdude
+
+    value = avrdude.fuse(_program(), programmer, port)
+    level = avrdude.BROWN_OUT.get(value & 7, "reserved")
+    if json:
+        print_json({"efuse": f"{value:02x}", "brown_out": level})
+        return
+    echo(f"brown-out  {level} (extended fuse 0x{value:02x})")
+    if value & 7 != avrdude.WANTED_FUSE & 7:
+        at = "" if port is None else f" -P {quote(port)}"
+        say(
+            "16 MHz needs at least 3.8 V, so the level must be 4.3 V; set it with "
+            f"avrdude -p {avrdude.CHIP.lower()} -c {quote(programmer)}{at} "
+            f"-U efuse:w:0x{avrdude.WANTED_FUSE:02x}:m"
+        )
+
+
+def _check_size(firmware: FirmwareImage) -> None:
+    from armrig.lab.avrdude import CHIP, FLASH_BYTES
+
+    size = len(firmware.data)
+    if size > FLASH_BYTES:
+        raise InputError(f"{firmware.path}: {size} B, but an {CHIP} has room for {FLASH_BYTES}")
+
+
+def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str, Any], str]:
+    """Return the identity that the board reports, as JSON fields and as a line."""
+    from armrig_protocol.messages import State
+
+    from armrig.lab.avrdude import greeting
+
+    with spinner("waiting for the board"):
+        device = greeting(board.port, baud)
+    if device is None:
+        raise OperationError(
+            f"{board.port}: the firmware was written, but does not answer at {baud} baud; was it "
+            "built for another speed (--baud), or is this another board?"
+        )
+    if device.firmware != firmware.crc:
+        raise OperationError(
+            f"the board reports the firmware {device.firmware:08x}, but {firmware.crc:08x} was "
+            "written; flash the board again"
+        )
+    facts = {"firmware": f"{device.firmware:08x}", "version": device.version}
+    facts |= {"uid": f"{device.uid:x}", "state": State(device.state).name}
+    volts = "it drives the motor" if device.state == State.RUN else "0 V"
+    return facts, (
+        f"the board reports: firmware {device.firmware:08x}, protocol {device.version}, "
+        f"uid {device.uid:x}, {State(device.state).name}, {volts}"
+    )
+
+
+def conformance(
+    device: Annotated[str, option("--device DEVICE", "Serial port of the device.")],
+    baud: int = chosen(_BAUD, "--baud", "Speed of the line, in bit/s."),
+    motor_unplugged: bool = chosen(
+        False, "--motor-unplugged", "Confirm that the motor is unplugged; do not ask."
+    ),
+    json: Json = False,
+) -> None:
+    """Test a device against PROTOCOL.md, with the motor unplugged.
+
+    The test takes a minute and prints a line for each rule of PROTOCOL.md. The exit code is 0 only
+    if no rule is broken.
+
+    At the end, the device is at 0 V.
+    """
+    program = [sys.executable, "-m", "armrig_daemon", "conformance", "--device", device]
+    program += ["--baud", str(baud), *["--motor-unplugged"] * motor_unplugged, *["--json"] * json]
+    # In place of this process: a signal must reach the process that holds the device.
+    os.execv(program[0], program)
+
+
+Term = Annotated[str | None, argument("TERM", "Term to explain.", "a list of all terms")]
+_ENTRY = re.compile(r"^- \*\*(?P<term>[^*]+)\*\*(?: \((?P<long>[^)]+)\))?: (?P<text>.+)$", re.M)
+_MAX_OFFERED = 3
+"""Largest number of similar terms in the message about an unknown term."""
+
+
+def glossary(term: Term = None, json: Json = False) -> None:
+    """Explain a term of armrig in one sentence, or list all terms."""
+    terms = read_terms(_page().read_text(encoding="utf-8"))
+    shown = {term: terms[term] for term in ([_found(term, terms)] if term else terms)}
+    if json:
+        print_json(shown)
+    elif term:
+        echo("\n".join(f"{name}: {text}" for name, text in shown.items()))
+    else:
+        echo("\n".join(terms))
+
+
+def read_terms(page: str) -> dict[str, str]:
+    """Return the terms of the page with their sentences."""
+    return {
+        entry["term"]: (f"{entry['long']}. " if entry["long"] else "") + entry["text"]
+        for entry in _ENTRY.finditer(page)
+    }
+
+
+def _page() -> Path:
+    """Return the path of the page, in the wheel or in the checkout."""
+    packaged = Path(__file__).parents[1] / "glossary.md"
+    return packaged if packaged.is_file() else Path(__file__).parents[3] / "docs" / "glossary.md"
+
+
+def _found(term: str, terms: dict[str, str]) -> str:
+    """Return the term that a text means, regardless of case, blanks, hyphens and underscores."""
+    from difflib import get_close_matches
+
+    names = {_plain(name): name for name in terms}
+    wanted = _plain(term)
+    if wanted in names:
+        return names[wanted]
+    containing = [name for name in names if wanted and wanted in name]
+    near = list(dict.fromkeys([*containing, *get_close_matches(wanted, names)]))[:_MAX_OFFERED]
+    offered = ", ".join(names[name] for name in near)
+    way_out = f"nearest: {offered}" if near else "`armrig glossary` lists all terms"
+    raise InputError(f"{term}: not in the glossary; {way_out}")
+
+
+def _plain(term: str) -> str:
+    return " ".join(re.split(r"[\s_-]+", term.strip().casefold()))
+
 
 service = Commands("Install, remove or show the systemd service of the rigs.", no_args_is_help=True)
 Root = Annotated[
@@ -228,7 +485,7 @@ def observer(
 
 def _issue(issue: Callable[..., Issued], issuing: _Issuing, *whom: Any) -> None:
     issued = issue(issuing.directory, *whom, days=issuing.days, force=issuing.force)
-    _say(issued, json=issuing.json)
+    _say_issued(issued, json=issuing.json)
 
 
 @pki.add("pki renew rig-1")
@@ -244,7 +501,7 @@ def renew(
     """Renew the key and the certificate of a rig, a router or a person."""
     from armrig.lab.pki import renew as renewed
 
-    _say(renewed(issuing.directory, name, days=issuing.days), json=issuing.json)
+    _say_issued(renewed(issuing.directory, name, days=issuing.days), json=issuing.json)
 
 
 @pki.add("pki revoke anna")
@@ -284,7 +541,7 @@ def list_issued(directory: Directory = _PKI, json: Json = False) -> None:
         echo(f"{directory}: no certificates yet")
 
 
-def _say(issued: Issued, *, json: bool) -> None:
+def _say_issued(issued: Issued, *, json: bool) -> None:
     if json:
         print_json({**issued._asdict(), "path": str(issued.path)})
         return

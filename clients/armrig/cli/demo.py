@@ -23,7 +23,6 @@ from armrig.excitation import step, telegraph
 if TYPE_CHECKING:
     from armrig.report.study import Assessed, Study
 
-
 RIG = "demo"
 Ts = 0.01
 LOW, HIGH, SWITCH = 0.5, 4.5, 0.05

@@ -11,13 +11,7 @@ import numpy as np
 from armrig.cli.printing import fields_of
 from armrig.cli.recorded_data import source_facts
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.models.equation import (
-    form,
-    heading,
-    outputs_and_poles,
-    signals,
-    whiteness_sentence,
-)
+from armrig.models.equation import form, heading, outputs_and_poles, signals, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import NBSP, listed, near_one, p_relation, places, with_std
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL

@@ -1,25 +1,37 @@
-"""The commands that compare a recording with the physics: greybox, split, simulate."""
+"""The commands on the rig's equations: model, simulate, greybox, split, integrate."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry.telemetry import THETA_1, ChannelName
+from armrig_core.telemetry.telemetry import ALPHA, THETA_1, ChannelName
 
-from armrig.cli.columns import chosen_outputs
-from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import argument, chosen, group, option
-from armrig.cli.parameters import PARAMETERS, Given, cases, parameters, physics_beside
+from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
+from armrig.cli.options import File, argument, chosen, group, option, recording_path
+from armrig.cli.parameters import (
+    AMPLITUDE_V,
+    OMEGA,
+    PARAMETERS,
+    Amplitude,
+    Given,
+    Omega,
+    cases,
+    changes,
+    parameters,
+    physics_beside,
+)
 from armrig.cli.printing import echo, fields_of, say, say_answer, say_more
-from armrig.cli.reading_options import File, recording_path
-from armrig.cli.recorded_data import Part
-from armrig.cli.results import Output, Shown
+from armrig.cli.recorded_data import Part, chosen_outputs
+from armrig.cli.results import Draw, Output, Shown
 from armrig.cli.spinner import spinner
-from armrig.cli.validation import print_comparison, row_facts
+from armrig.cli.validate import print_comparison, row_facts
 
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters
@@ -28,6 +40,8 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
+    from armrig.physics.integrators.accuracy import Recommendation, Sinusoid
+    from armrig.physics.step_response import Characteristics
     from armrig.recordings.recording import Recording
 
 Rig = Literal["chassis", "arm"]
@@ -266,3 +280,301 @@ def _cuts(text: str) -> tuple[int, ...]:
         raise typer.BadParameter(
             f"--parts {text!r}: give whole numbers with commas, such as 1,2,4"
         ) from err
+
+
+_SECONDS = 2.0  # the speed is then steady to five digits
+_STEPS = 200_000
+_SLOPE_S = 1e-8  # so short that the slope keeps all shown digits
+_STATES = (THETA_1, ALPHA, f"{THETA_1}'", f"{ALPHA}'")
+_PRIME = "'"
+_TOGETHER = {"both": "both changes", "all": "all changes"}
+"""Possible headings of the column in which several parameters are changed at once."""
+_TIMES = {
+    "rise_time": "63 % time [s]",
+    "equivalent_time": "equivalent [s]",
+    "slowest_time": "slowest pole [s]",
+}
+_MAX_STEPS = 2_000_000
+_STATE = 2  # the speed, which stays bounded while the angle grows
+
+
+def model(
+    given: Given = None, *, out: Annotated[Output, group(Output, ("verbose", "plot", "json"))]
+) -> None:
+    """Show what the physical model predicts (handout 2.1 to 2.3).
+
+    The command prints A, B, poles, zeros, steady speed and initial slope. With --set, it compares
+    the handout's parameters, each change alone and, if there are several changes, all changes
+    together.
+    """
+    out.check()
+    found = {name: _answer(p) for name, p in cases(given).items()}
+    out.show(
+        facts=lambda: {"models": {name: _model_facts(answer) for name, answer in found.items()}},
+        say=lambda: _say_model(found, given, verbose=out.verbose),
+        figures=lambda: _model_figures({name: answer.parameters for name, answer in found.items()}),
+        say_next=lambda: say_next("model --set" if given else "model"),
+    )
+
+
+def _say_model(found: dict[str, _Answer], given: list[str] | None, *, verbose: bool) -> None:
+    last = [*found.values()][-1]
+    changed = changes(given)
+    say(f"A and B with {changed or 'the parameters of the handout'}:")
+    echo(f"{_state_space(last.parameters)}\n\n{_model_table(found)}\n")
+    say(
+        f"A step of 1 V, simulated{f' with {changed}' * bool(given)}: the speed begins to rise by "
+        f"{last.slope:.2f} rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the "
+        "chassis rests, so there is no back-EMF, and the spring has no tension: the torque "
+        "accelerates J_1."
+    )
+    _say_later_rises(found, given)
+    if verbose:
+        say(f"\n{last.predicted.explain()}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Answer:
+    """Predictions for a set of parameters, and results of the simulated step."""
+
+    predicted: Characteristics
+    slope: float
+    """Slope of the simulated speed at t = 0, in rad/s²."""
+    speed: float
+    """Simulated speed at the end, in rad/s."""
+
+    @property
+    def parameters(self) -> ArmParameters:
+        return self.predicted.parameters
+
+
+def _answer(p: ArmParameters) -> _Answer:
+    import numpy as np
+
+    from armrig.physics.step_response import characteristics, step_response
+
+    speed = step_response(p, np.linspace(0.0, _SECONDS, _STEPS + 1))
+    slope = float(step_response(p, [0.0, _SLOPE_S])[-1]) / _SLOPE_S
+    return _Answer(predicted=characteristics(p), slope=slope, speed=float(speed[-1]))
+
+
+def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
+    """Print the models whose speed crosses 63 % of its steady value only after the first rise."""
+    import numpy as np
+
+    from armrig.physics.step_response import step_response
+
+    for name, answer in found.items():
+        crossed = answer.predicted.rise_time
+        t = np.linspace(0.0, crossed if isfinite(crossed) else 0.0, 1001)
+        if np.diff(step_response(answer.parameters, t)).min() < 0:
+            of = changes(given) if name in _TOGETHER else name
+            rises = "the first rise of the speed ends below 63 %, a later rise crosses 63 %"
+            say(f"63 % time of {of}: {rises}.")
+
+
+def _state_space(p: ArmParameters) -> str:
+    """Return x' = A x + B u, with a line for each state."""
+    from armrig_core.rig.arm import arm_matrices
+
+    A, B, _ = arm_matrices(p)
+    lines = [f"x' = A x + B u  {''.join(f'{name:>10}' for name in _STATES)}       u [V]"]
+    for name, row, (b,) in zip(_STATES, A + 0.0, B + 0.0, strict=True):
+        by = "".join(f"{a:10.4g}" for a in row)
+        lines.append(f"{name + _PRIME:>13} = {by}{b:12.4g}")
+    return "\n".join(lines)
+
+
+def _model_table(found: dict[str, _Answer]) -> str:
+    """Return a table with a column for each model; five columns fit into 80 characters."""
+    columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
+    columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
+    for name, answer in found.items():
+        p = answer.predicted
+        poles = _root_texts(p.poles)
+        poles += [""] * (3 - len(poles))
+        times = [f"{getattr(p, time):.4f}" for time in _TIMES]
+        figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *times, *poles]
+        columns.append([_TOGETHER.get(name, name), *figures, *_root_texts(p.zeros)])
+    widths = [max(map(len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
+    return "\n".join(
+        " ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def _root_texts(roots: Any) -> list[str]:
+    """Return roots as texts; a pair is one text."""
+    texts = []
+    for z in roots.tolist():
+        real = f"{z.real:.2f}" if z.real else "0"
+        if z.imag > 0:
+            texts.append(f"{real} ± {z.imag:.2f}i" if z.real else f"±{z.imag:.2f}i")
+        elif z.imag == 0:
+            texts.append(real)
+    return texts
+
+
+def _model_facts(answer: _Answer) -> dict[str, Any]:
+    from armrig_core.rig.arm import arm_matrices
+
+    p = answer.predicted
+    A, B, _ = arm_matrices(p.parameters)
+    return {
+        "parameters": asdict(p.parameters),
+        "states": _STATES,
+        "A": A,
+        "B": B,
+        **fields_of(p, "steady_speed initial_slope rigid_slope poles zeros"),
+        **{time: getattr(p, time) for time in _TIMES},
+        "simulated": {"slope": answer.slope, "speed": answer.speed, "seconds": _SECONDS},
+    }
+
+
+def _model_figures(compared: dict[str, ArmParameters]) -> dict[str, Draw]:
+    from armrig.physics.figures import plot_physical_step, plot_sensitivities
+
+    return {"step": partial(plot_physical_step, compared), "sensitivities": plot_sensitivities}
+
+
+def integrate(
+    *,
+    method: list[str] | None = chosen(
+        None,
+        "--method",
+        "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
+        "all",
+    ),
+    h: list[float] | None = chosen(
+        None, "--h S", "Step size, in s; repeatable.", "a recommended step"
+    ),
+    omega: Omega = OMEGA,
+    amplitude: Amplitude = AMPLITUDE_V,
+    span: float | None = chosen(None, "--span S", "Length of the solution, in s.", "three periods"),
+    tolerance: float = chosen(1e-3, "--tolerance", "Largest relative error of a recommended step."),
+    out: Annotated[Output, group(Output, ("json", "plot", "verbose"))],
+) -> None:
+    """Solve the arm's equations numerically (handout 4).
+
+    The input is sinusoidal, u = A sin(ωt). Each solution is compared with the exact solution.
+    """
+    from armrig_core.rig.arm import ArmParameters, arm_matrices
+
+    from armrig.physics.integrators.accuracy import sinusoid
+
+    out.check()
+    A, B, _ = arm_matrices(ArmParameters())
+    problem = sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
+    rows, advice = _solved(problem, method or (), h or (), tolerance)
+
+    def say_after() -> None:
+        given = "" if omega == OMEGA else f" --omega {omega:g}"
+        given += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
+        values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
+        say_next("integrate", **values, sinusoid=given)
+
+    out.show(
+        facts=lambda: fields_of(problem, "omega amplitude span") | {"rows": rows},
+        say=lambda: _say_solutions(problem, rows, advice, verbose=out.verbose),
+        figures=lambda: _solution_figures(problem, rows, each_step=advice is None),
+        say_next=say_after,
+        height=4.0,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Row:
+    """Result of one method at one step."""
+
+    method: str
+    h: float
+    limit: float
+    """Largest step for which the method is stable, in s."""
+    stable: bool
+    error: float
+    """Largest error of a state, relative to the largest value of this state; it may be infinite."""
+
+
+def _solved(
+    problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
+) -> tuple[list[_Row], Recommendation | None]:
+    """Return the solutions of the methods, by default all, and the recommended steps if any."""
+    from armrig.physics.integrators.accuracy import all_methods, recommend_step
+    from armrig.physics.integrators.stability import stability_limit
+
+    limits = {m: stability_limit(problem.A, m) for m in all_methods(tuple(methods) or None)}
+    for h in steps:
+        _check_step(h, problem)
+    advice = None
+    with spinner("integrating"):
+        if steps:
+            steps_of = {m: list(steps) for m in limits}
+        else:
+            given = fields_of(problem, "omega amplitude span")
+            advice = recommend_step(
+                problem.A, problem.B, tolerance=tolerance, methods=tuple(limits), **given
+            )
+            steps_of = {row.method: [row.h] for row in advice.rows}
+        rows = [
+            _Row(method=m, h=h, limit=limit, stable=h < limit, error=problem.error(h, m))
+            for m, limit in limits.items()
+            for h in steps_of[m]
+        ]
+    return rows, advice
+
+
+def _check_step(h: float, problem: Sinusoid) -> None:
+    """Refuse a step that is at most 0, longer than the span, or far too short."""
+    if not (isfinite(h) and 0 < h <= problem.span):
+        raise typer.BadParameter(
+            f"--h {h:g}: a step is > 0 and at most the span, {problem.span:.4g} s"
+        )
+    if problem.span / h > _MAX_STEPS:
+        raise typer.BadParameter(
+            f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MAX_STEPS}: "
+            "give a larger step, or a shorter --span"
+        )
+
+
+def _solution_figures(
+    problem: Sinusoid, rows: Sequence[_Row], *, each_step: bool
+) -> dict[str, Draw]:
+    """Return functions that draw all solutions; with `each_step`, a function for each step."""
+    from armrig.physics.integrators.figures import plot_solution
+
+    steps = [{row.method: row.h for row in rows}]
+    if each_step:
+        given = dict.fromkeys(row.h for row in rows)
+        steps = [{row.method: row.h for row in rows if row.h == h} for h in given]
+    draw = partial(plot_solution, problem, state=_STATE, label="speed [rad/s]")
+    return {f"solution_{k}": partial(draw, h) for k, h in enumerate(steps, 1)}
+
+
+def _say_solutions(
+    problem: Sinusoid, rows: Sequence[_Row], advice: Recommendation | None, *, verbose: bool
+) -> None:
+    if advice is not None:
+        best = advice.rows[0]
+        say(f"least work for an error of {advice.tolerance:g}: {best.method}", bold=True)
+    say(
+        f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
+        f"{problem.span:.4g} s from rest. error: largest error of a state, relative to the "
+        "largest value of this state"
+    )
+    say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10}  {'at h':8} {'error':>10}")
+    for row in rows:
+        limit = f"{row.limit:10.5g}" if isfinite(row.limit) else f"{'no limit':>10}"
+        error = f"{row.error:10.3g}" if isfinite(row.error) else f"{'overflow':>10}"
+        stable = "stable" if row.stable else "UNSTABLE"
+        say(f"{row.method:14} {row.h:10.4g} {limit}  {stable:8} {error}")
+    say("The limit is the largest absolutely stable step (the handout calls it the minimum).")
+    if not verbose:
+        say_more("the meaning of the limit" + ", the reason for each step" * bool(advice))
+        return
+    say(
+        "At a larger step h, h λ is outside the method's region of stability for an eigenvalue λ "
+        "of A."
+    )
+    if advice is not None:
+        say(advice.explain())

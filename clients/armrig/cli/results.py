@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from armrig.recordings.recording import Recording
 
-
 Draw = Callable[..., Any]
 """Function that draws into its argument `ax`."""
 _EACH = "*"  # placeholder for the subject in the names of files in a folder

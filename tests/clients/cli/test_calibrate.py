@@ -9,12 +9,18 @@ from typing import Any
 
 import pytest
 from armrig.cli import main
-from armrig.cli.calibrate import _checked, _default, _measured, _Wanted
-from armrig.cli.calibration_runs import check_turns, meter_reading
+from armrig.cli.calibration import (
+    _checked,
+    _default,
+    _measured,
+    _Wanted,
+    check_turns,
+    meter_reading,
+)
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
-from armrig_core.commands import commands
 from armrig_core.commands.codes import RefusalCode
+from armrig_core.commands.commands import commands
 from armrig_core.errors import InputError
 from armrig_core.rig.calibration import Calibration, Made
 from armrig_core.rig.calibration_file import raw_path, read_calibration, toml_of

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import typer
 from armrig import Signals
-from armrig.cli import columns
+from armrig.cli import recorded_data
 from armrig_core.errors import InputError
 
 MODEL: Any = SimpleNamespace(outputs=("y1", "y2"), inputs=("a", "b", "c"))
@@ -32,10 +32,10 @@ def test_columns_are_named_for_all_signals_of_the_model_or_none(
     outputs: tuple[str, ...], inputs: tuple[str, ...], said: str
 ) -> None:
     if not said:
-        columns.require_as_many(MODEL, outputs, inputs)
+        recorded_data.require_as_many(MODEL, outputs, inputs)
         return
     with pytest.raises(REFUSED, match=said):
-        columns.require_as_many(MODEL, outputs, inputs)
+        recorded_data.require_as_many(MODEL, outputs, inputs)
 
 
 def _about(mean: float, n: int = 20) -> Any:
@@ -44,23 +44,23 @@ def _about(mean: float, n: int = 20) -> Any:
 
 
 def test_a_mean_is_far_from_zero_from_two_standard_deviations_on() -> None:
-    assert columns.far_from_zero([_about(0), _about(-2.1)])
-    assert columns.far_from_zero([_about(2.1), _about(0)])
-    assert not columns.far_from_zero([_about(1.9), _about(-1.9)])
-    assert not columns.far_from_zero([_about(9, n=18), _about(9)])
-    assert not columns.far_from_zero([_about(9), np.full(20, 9.0)])
+    assert recorded_data.far_from_zero([_about(0), _about(-2.1)])
+    assert recorded_data.far_from_zero([_about(2.1), _about(0)])
+    assert not recorded_data.far_from_zero([_about(1.9), _about(-1.9)])
+    assert not recorded_data.far_from_zero([_about(9, n=18), _about(9)])
+    assert not recorded_data.far_from_zero([_about(9), np.full(20, 9.0)])
 
 
 def test_the_option_for_the_means_is_offered_for_each_signal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    columns.hint_at_means([("y", _about(5))], [("u", _about(0)), ("v", _about(1))])
+    recorded_data.hint_at_means([("y", _about(5))], [("u", _about(0)), ("v", _about(1))])
     one = capsys.readouterr().err
-    columns.hint_at_means(
+    recorded_data.hint_at_means(
         [("y", _about(0)), ("z", _about(-4))], [("u", _about(0))], may_offset=True
     )
     two = capsys.readouterr().err
-    columns.hint_at_means([("y", _about(1))], [("u", _about(1))])
+    recorded_data.hint_at_means([("y", _about(1))], [("u", _about(1))])
 
     assert one == (
         "armrig: the mean of y is 5, the mean of u is 0, the mean of v is 1; if y is not 0 at "
@@ -72,10 +72,10 @@ def test_the_option_for_the_means_is_offered_for_each_signal(
 
 
 def test_an_output_that_is_constant_has_no_model() -> None:
-    columns.check_varies(Path("f.csv"), "y", np.array([2.0, 2.0, 2.5]))
-    columns.check_varies(Path("f.csv"), "y", np.array([2.0]))
+    recorded_data.check_varies(Path("f.csv"), "y", np.array([2.0, 2.0, 2.5]))
+    recorded_data.check_varies(Path("f.csv"), "y", np.array([2.0]))
     with pytest.raises(InputError, match=r"f\.csv: z is constant, 2.5, so it responds to no"):
-        columns.check_varies(Path("f.csv"), "z", np.full(3, 2.5))
+        recorded_data.check_varies(Path("f.csv"), "z", np.full(3, 2.5))
 
 
 def test_the_signals_of_a_table_are_listed_with_what_is_missing(
@@ -85,7 +85,7 @@ def test_the_signals_of_a_table_are_listed_with_what_is_missing(
     y[2, 1] = y[3] = np.nan
     signals = Signals(u=np.zeros((6, 1)), y=y, Ts=0.25, outputs=("p", "q"), inputs=("v",))
 
-    columns.tell_of_reading(
+    recorded_data.tell_of_reading(
         Path("f.csv"), signals, ["outputs p, q", "inputs v"], "values are missing"
     )
 

@@ -108,7 +108,7 @@ def test_each_recording_of_a_bla_has_whole_periods_and_names_them(
     given: list[str], seconds: float, samples: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Any] = []
-    monkeypatch.setattr("armrig.cli.collect.collect_each", lambda each, _: asked.extend(each))
+    monkeypatch.setattr("armrig.cli.runs.collect_each", lambda each, _: asked.extend(each))
     more = ["--realisations", "3", "--seed", "4", "--low", "1", "--high", "3"]
 
     assert main(["collect", "bla", *given, *more]) == 0

@@ -10,7 +10,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.validation import _same
+from armrig.cli.validate import _same
 from armrig.data.dataset import Signals
 from armrig.validation.answer import closest
 from armrig.validation.comparison import Comparison, ComparisonTable

@@ -11,9 +11,9 @@ import pytest
 import typer
 from armrig import Dataset, Signals
 from armrig.cli import main
-from armrig.cli.equations import _check_step
-from armrig.cli.identification import _for_outputs, _Search
+from armrig.cli.identify import _for_outputs, _Search
 from armrig.cli.model_structures import requested
+from armrig.cli.physics import _check_step
 from armrig.cli.recorded_data import SignalChoice
 from armrig.estimation.request import DEFAULTS, Request
 from armrig.models.structure_table import COUNTED

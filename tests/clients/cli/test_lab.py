@@ -15,8 +15,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig.cli import lab as of_lab
-from armrig.cli.lab import _between_words, _Lab, _lines, _page, _sentence, _show
+from armrig.cli import rig as of_lab
+from armrig.cli.rig import _between_words, _Lab, _lines, _page, _sentence, _show
 from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
@@ -200,10 +200,10 @@ def test_a_lab_prints_each_change_once(
 
     arrivals = nullcontext(lambda: [])
     rig: Any = SimpleNamespace(status=status, arrivals=lambda _: arrivals)
-    fakes: dict[str, Any] = dict.fromkeys(("_STATUS_INTERVAL_S", "_VIEW_INTERVAL_S"), 0.0)
-    fakes["next_line"] = lambda after, rig: f"{after}{rig}"
+    fakes: dict[str, Any] = dict.fromkeys(("_LAB_STATUS_INTERVAL_S", "_VIEW_INTERVAL_S"), 0.0)
     for name, fake in fakes.items():
         monkeypatch.setattr(of_lab, name, fake)
+    monkeypatch.setattr("armrig.cli.next_step.next_line", lambda after, rig: f"{after}{rig}")
     monkeypatch.setattr("armrig.rig.local_daemon.require_running", lambda *_: None)
 
     with pytest.raises(KeyboardInterrupt):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig import Signals
-from armrig.cli.next_estimation import CHECK, _better_options, after_validate, options_after
+from armrig.cli.next_step import CHECK, _better_options, after_validate, options_after
 from armrig.cli.recorded_data import SignalChoice
 from armrig.estimation.request import Request
 

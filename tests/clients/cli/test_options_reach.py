@@ -36,7 +36,7 @@ WORK = {
     "dashboard": "armrig.dashboard.serving.dashboard",
     "lab": "armrig.rig.local_daemon.running",
     "demo": "armrig.cli.demo.demo",
-    "record": "armrig.cli.record._record_one armrig.cli.record.record_many",
+    "record": "armrig.cli.runs._record_one armrig.cli.runs.record_many",
     "router": "armrig.lab.router.open_router",
     "conformance --device /dev/a": "os.execv",
     **dict.fromkeys(
@@ -188,7 +188,7 @@ def test_the_dashboard_prints_its_addresses(
         "armrig.dashboard.foxglove.foxglove": lambda **_: nullcontext("W"),
         "armrig.dashboard.share.own_address": lambda: "10.1.2.3",
         "armrig.dashboard.share.qr_code": lambda url: f"qr of {url}",
-        "armrig.cli.lab.until_signal": lambda: nullcontext(ended),
+        "armrig.cli.rig.until_signal": lambda: nullcontext(ended),
         "webbrowser.open": opened.append,
     }
     for name, fake in fakes.items():

@@ -375,7 +375,7 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
 
 
 def test_a_firmware_of_the_size_of_the_flash_is_accepted() -> None:
-    from armrig.cli.host import _check_size
+    from armrig.cli.administration import _check_size
     from armrig.lab.avrdude import FLASH_BYTES
 
     full: Any = SimpleNamespace(data=bytes(FLASH_BYTES), path="a.hex")

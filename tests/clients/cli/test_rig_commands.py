@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig.cli import main, record
+from armrig.cli import main, runs
 from armrig.cli.rig import _WATCH_HEADING, _sample_line
 from armrig.rig.replies import RefusedError
 from armrig.rig.telemetry_stream import LiveGap
@@ -252,7 +252,7 @@ def test_a_remote_recording_reports_the_reason_of_its_end(
     fakes: dict[str, Any] = {
         "rig.remote_recording.RemoteRecorder": recorder,
         "rig.remote_recording.RemoteRecording": lambda **_: recording,
-        "cli.record.typed": str,
+        "cli.runs.typed": str,
         "rig.session.open_connection": lambda *_, **__: connection,
     }
     for name, fake in fakes.items():
@@ -260,7 +260,7 @@ def test_a_remote_recording_reports_the_reason_of_its_end(
     stopped: Any = SimpleNamespace(is_set=lambda: False)
 
     def run() -> None:
-        record._record_one("E", "7", None, 2.5, stopped, json=False)
+        runs._record_one("E", "7", None, 2.5, stopped, json=False)
 
     if error is None:
         run()

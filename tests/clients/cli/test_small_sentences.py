@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import armrig
 import pytest
-from armrig.cli import main, printing, recording_info
+from armrig.cli import main, printing, recordings
 from armrig.cli.parameters import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.errors import OperationError
@@ -111,16 +111,14 @@ def test_values_of_a_table_are_aligned(
 def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
     long = "ab" * 500
 
-    assert recording_info._clipped(long) == long
-    assert recording_info._clipped(f"{long}c") == f"{long}…; --json shows all of it"
+    assert recordings._clipped(long) == long
+    assert recordings._clipped(f"{long}c") == f"{long}…; --json shows all of it"
     spread = SimpleNamespace(n=9, p50=1.26, p99=7.04, max=12.6)
-    assert recording_info._lateness(spread, "exchange").startswith("p50 1.3, p99 7.0, max 13 µs; l")
-    assert recording_info._lateness(spread, "scheduled").startswith(
-        "p50 1.3, p99 7.0, max 13 µs; a"
-    )
-    assert recording_info._jitter(spread).startswith("p50 1, p99 7, max 13 µs; spread")
+    assert recordings._lateness(spread, "exchange").startswith("p50 1.3, p99 7.0, max 13 µs; l")
+    assert recordings._lateness(spread, "scheduled").startswith("p50 1.3, p99 7.0, max 13 µs; a")
+    assert recordings._jitter(spread).startswith("p50 1, p99 7, max 13 µs; spread")
     spread.n = 0
-    assert recording_info._lateness(spread, "exchange") == "too few samples"
+    assert recordings._lateness(spread, "exchange") == "too few samples"
 
 
 @pytest.mark.parametrize(("name", "known"), [("dataset", "Dataset"), ("ARMAX", "armax")])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.model_structures import requested
-from armrig.cli.next_estimation import options_of
+from armrig.cli.next_step import options_of
 from armrig.estimation.request import OPTIONS, Request, flag, require_sensible
 from armrig.models.structure_table import OFFERED, users
 from armrig.report.batch.tasks import Identify, Verify, digest, sha256
@@ -39,12 +39,12 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
     option: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request, asked, tasks = _with(option), list[Any](), list[Any]()
-    monkeypatch.setattr("armrig.cli.batch._do", lambda task, *_, **__: tasks.append(task))
+    monkeypatch.setattr("armrig.cli.identify._process", lambda task, *_, **__: tasks.append(task))
     monkeypatch.setattr(
-        "armrig.cli.identification.requested",
+        "armrig.cli.identify.requested",
         lambda given, *shape: asked.append(requested(given, *shape)),
     )
-    monkeypatch.setattr("armrig.cli.identification._check_files", _ended)
+    monkeypatch.setattr("armrig.cli.identify._check_files", _ended)
 
     typed = shlex.split(options_of(request))
     of_one = OPTIONS[option][1].channels == 1

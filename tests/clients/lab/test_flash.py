@@ -20,7 +20,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig.cli import host as command
+from armrig.cli import administration as command
 from armrig.cli import main
 from armrig.lab import avrdude
 from armrig.lab.avrdude import Board, chosen

@@ -1,0 +1,745 @@
+"""The commands that choose and estimate models: sampling, hints, identify, batch."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from armrig_core.errors import FileError, InputError
+from armrig_core.telemetry.telemetry import THETA_1, OutputName
+from msgspec import structs
+from msgspec.structs import asdict
+
+from armrig.cli.model_structures import (
+    Given,
+    estimated,
+    estimation_options,
+    requested,
+    searched_for,
+)
+from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
+from armrig.cli.options import (
+    Commands,
+    DataFile,
+    Detrend,
+    Json,
+    ModelOrders,
+    argument,
+    chosen,
+    group,
+    option,
+    recording_path,
+)
+from armrig.cli.printing import echo, fields_of, print_json, say, say_answer, say_more, some, tell
+from armrig.cli.recorded_data import (
+    Channel,
+    SignalChoice,
+    by_channel,
+    data_group,
+    each_channel,
+    facts_by_channel,
+    from_recording,
+    require_result,
+    say_channel,
+    source_facts,
+    warn_of_estimation_data,
+)
+from armrig.cli.results import (
+    CHANNEL_WIDTH,
+    WIDTH,
+    Draw,
+    Output,
+    ShownFigure,
+    check_output,
+    of_channel,
+)
+from armrig.cli.spinner import estimating, spinner
+from armrig.estimation.request import Request
+from armrig.models.structure_table import STRUCTURES, users
+from armrig.numerics.quantities import listed
+
+if TYPE_CHECKING:
+    from armrig.data.dataset import Dataset, Signals
+    from armrig.data.finding import Finding
+    from armrig.estimation.nonparametric.sampling_time import SamplingTime
+    from armrig.estimation.nonparametric.step_analysis import StepAnalysis
+    from armrig.models.fit import Fit
+    from armrig.report.batch.batch import Batch
+    from armrig.report.batch.tasks import Task
+    from armrig.validation.comparison import ComparisonTable
+    from armrig.validation.residual_test import ResidualTest
+    from armrig.validation.search_result import SearchResult
+    from armrig.validation.structure_hints import StructureHints
+
+_NK = "1; estimated with --search of one input and one output"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Search:
+    """Range of a search."""
+
+    search: bool = chosen(
+        False, "--search", "Search several structures, or the given structure, with several orders."
+    )
+    most: int = chosen(5, "--max-order", "Highest order that --search tries.", min=1)
+    jobs: int = chosen(1, "--jobs", "Number of processes that --search uses.", min=1)
+    fixed: Given = field(default_factory=dict)
+    """Fixed arguments of the search; the search chooses all other arguments."""
+
+
+def sampling(
+    file: DataFile,
+    signals: Annotated[SignalChoice, data_group(without="hampel", several=False)],
+    out: ShownFigure,
+) -> None:
+    """Recommend a sampling time (handout 3.1).
+
+    The handout has two rules: a sampling frequency of 20 times the bandwidth, and 7 to 10 samples
+    in the transient. The command applies both rules, to a recorded step or to any other input.
+    """
+    from armrig.estimation.nonparametric.sampling_time import sampling_time
+
+    out.check(file)
+    data = signals.of_one(file)
+    integrates, taken = signals.choice(data)
+    integrator = signals.integrator if out.json else integrates  # the notes contain the reason
+    with spinner("estimating the response"):
+        choice = sampling_time(data, integrator=integrator)
+        steps = _steps(data, integrator) if choice.from_step else None
+    if steps is not None:  # print a warning that both results contain only once
+        said = set(choice.notes)
+        steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
+    analysis = {} if steps is None else {"step": steps}
+
+    def say_sampling() -> None:
+        for line in taken:
+            say(line)
+        if out.verbose:
+            say_answer("\n".join(map(repr, [choice, *analysis.values()])))
+        else:
+            say_answer(choice.brief())
+            say_more(f"aliasing, reasons{', step analysis' * len(analysis)}")
+
+    def say_after() -> None:
+        if signals.read and (again := step_again(signals.read[0])):
+            say_next("step hidden", again=again)
+        elif from_recording(data):
+            say_next("sampling", Ts=choice.Ts)
+        else:
+            say_next("sampling other", file=typed(file), given=signals.options())
+
+    out.show(
+        facts=lambda: source_facts(data) | _sampling_facts(choice) | _step_facts(steps),
+        say=say_sampling,
+        figures=lambda: {name: a.plot for name, a in (analysis | {"sampling": choice}).items()},
+        say_next=say_after,
+        height=5.0,
+    )
+
+
+def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
+    method = "step" if choice.from_step else "impulse response"
+    of = "tau omega_step omega_first omega_spectrum settling settling_std Ts_step Ts_spectrum "
+    of += "Ts_transient near_nyquist beyond notes"
+    return fields_of(choice, "Ts recorded_at output") | {"method": method} | fields_of(choice, of)
+
+
+def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
+    of = "gain gain_std tau tau_std equivalent_time equivalent_time_std settling settling_std "
+    of += "overshoot overshoot_std dead_time dead_time_interval"
+    return {} if steps is None else {"step": fields_of(steps, of)}
+
+
+def _steps(data: Dataset, integrator: bool | None) -> StepAnalysis | None:
+    """Return the analysis of the steps; None if the levels are not held long enough."""
+    from armrig.estimation.nonparametric.step_analysis import step_analysis
+
+    try:
+        return step_analysis(data, integrator=integrator)
+    except ValueError:
+        return None
+
+
+def hints(
+    file: DataFile,
+    signals: Annotated[SignalChoice, data_group(without="hampel")],
+    out: Annotated[Output, group(Output, ("plot", "json"))],
+) -> None:
+    """Suggest a model structure for the data (handout 3.2).
+
+    The command estimates the order and nk, and whether there is an integrator. It uses the impulse
+    response, the spectra and the Hankel matrix, which assume no structure. With several signals, it
+    looks at each pair of an input and an output.
+    """
+    from armrig.validation.data_advice import data_doubts
+    from armrig.validation.structure_hints import call_of_all, structure_hints
+
+    out.check(file)
+    data = signals.of(file)
+    with spinner("estimating without a structure"):
+        doubts = {name: data_doubts(one) for name, one in each_channel(data)}
+        found = by_channel(partial(structure_hints, integrator=signals.integrator), data)
+    require_result(found.values())
+    known = {name: one for name, one in found.items() if not isinstance(one, str)}
+
+    def facts() -> dict[str, Any]:
+        each = {
+            channel: _hint_facts(one) | {"doubts": [d.text for d in doubts[channel]]}
+            for channel, one in found.items()
+        }
+        return source_facts(data) | facts_by_channel(each)
+
+    def say_hints() -> None:
+        if signals.shape == (1, 1):
+            for line in signals.choice(data, known[()].integrator)[1]:
+                say(line)
+        for channel, one in found.items():
+            say_channel(channel)
+            text = f"not known: {one}" if isinstance(one, str) else repr(one)
+            say_answer("\n".join([text, *(f"! {d.about}: {d.text}" for d in doubts[channel])]))
+        if () not in found and len(known) == len(found):
+            of_set = {(output, input): one for (input, output), one in known.items()}
+            say_answer(f"all channels: {call_of_all(of_set)}")
+
+    def say_after() -> None:
+        given = signals.options()
+        if any(d.about == "feedback" for of_channel in doubts.values() for d in of_channel):
+            say_next("identify check", file=typed(file), given=given)
+            return
+        validation = validation_beside(file) if from_recording(data) else ""
+        validate = f" --validate {validation}" if validation else ""
+        options = f"{_options([*known.values()])}{given}"
+        say_next("hints", file=typed(file), options=options, validate=validate)
+
+    out.show(
+        facts=facts,
+        say=say_hints,
+        figures=lambda: _hint_figures(known, data),
+        say_next=say_after,
+        height=5.0 if () in known else 4.0,
+        columns=None if () in known else 2,
+    )
+
+
+def _options(found: Sequence[StructureHints]) -> str:
+    """Return the options of `armrig identify` that the hints of all channels suggest."""
+    nb, nf = max(one.nb for one in found), max(one.nf for one in found)
+    options = f"--structure oe --nb {nb} --nf {nf} --nk {min(one.nk for one in found)}"
+    return options + " --integrator" * any(one.integrator for one in found)
+
+
+def _hint_figures(
+    found: Mapping[Channel, StructureHints], data: Dataset | Signals
+) -> dict[str, Draw]:
+    drawn: dict[str, Draw] = {}
+    for channel, one in found.items():
+        drawn |= of_channel("impulse", one.response.plot, channel)
+        if not channel:
+            drawn["spectra"] = partial(data.plot, "spectrum")
+        drawn |= of_channel("structure", one.plot, channel)
+    return drawn
+
+
+def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
+    if isinstance(found, str):
+        return {"structure": None, "reasons": [found]}
+    of = "integrator integrator_shown low_slope low_slope_std high_slope relative_degree "
+    of += "resonances antiresonances nk_interval singular_values threshold"
+    return {
+        "structure": "oe",
+        "orders": fields_of(found, "nb nf nk"),
+        "structures": [dict(s) for s in found.structures],
+        **fields_of(found, of),
+        "reasons": [line.removeprefix("- ") for line in found.explain().splitlines()],
+    }
+
+
+def identify(
+    *,
+    file: DataFile,
+    given: Annotated[Given, estimation_options(without_nk=_NK)],
+    searching: Annotated[_Search, group(_Search, ("search", "most", "jobs"))],
+    validate: Path | None = chosen(
+        None, "--validate F2", "Recording, or other data, for validation.", parser=recording_path
+    ),
+    signals: Annotated[SignalChoice, data_group()],
+    save: Path | None = chosen(None, "--save JSON", "Model file to write."),
+    out: ShownFigure,
+) -> None:
+    """Estimate a model from data, or search for a model.
+
+    The data are a recording or a file of another program.
+
+    Each parameter is printed with its standard deviation. --signal theta_1,alpha gives one model of
+    both outputs.
+
+    The figure of -o shows the Bode diagram and the step response with 95 % bands, and the poles and
+    zeros with 95 % regions. With --search, the figure also shows the errors of the models. With
+    several signals, it shows the simulated outputs, and a Bode diagram for each pair.
+    """
+    shape = signals.shape
+    if given["structure"] in (None, *users("offset")):
+        signals = replace(signals, offset=given["offset"])
+    if signals.assume == "settling" and given["integrator"]:
+        raise typer.BadParameter("--assume settling contradicts --integrator: leave one out")
+    wanted: _Search | Request
+    if searching.search:
+        wanted = replace(searching, fixed=searched_for(given, *shape))
+    else:
+        wanted = requested(given, *shape)
+    _check_files(out, save, file, validate)
+    from armrig.recordings.usability import doubts_of_estimation
+
+    data = signals.of(file)
+    for recording in signals.read:
+        for text in doubts_of_estimation(recording):
+            tell(text)
+    # An estimation may take minutes: find errors in the validation data before it.
+    other = None if validate is None else signals.of(validate)
+    wanted = _for_outputs(wanted, data, integrator=given["integrator"])
+    taken: list[str] = []
+    integrator = signals.integrator
+    decides = signals.assume or searching.search
+    if decides and shape == (1, 1) and not (given["integrator"] or out.json):
+        integrator, taken = signals.choice(data)
+    fit, request, searched = _estimated(wanted, data, other, integrator)
+    found = Found(
+        fit=fit,
+        request=request,
+        search=searched,
+        validation=None if other is None else _validated(fit, other),
+        doubts=_doubts(fit, data, integrator) if searched is None else searched.doubts,
+        data=data,
+        file=file,
+        validate=validate,
+        save=save,
+        signals=signals,
+        taken=taken,
+    )
+    out.show(
+        facts=found.facts,
+        say=lambda: found.say(verbose=out.verbose),
+        figures=found.figures,
+        say_next=found.say_next,
+        write=None if save is None else lambda: found.fit.save(save),
+        width=WIDTH if found.fit.nu == 1 else CHANNEL_WIDTH,
+        columns=None if found.fit.nu == 1 else found.fit.nu,
+    )
+
+
+def _for_outputs(
+    wanted: _Search | Request, data: Dataset | Signals, *, integrator: bool
+) -> _Search | Request:
+    """Return what is wanted, with the integrators and the shared denominator of several outputs.
+
+    A rig's outputs share one denominator, and only theta_1 integrates. All outputs of other data
+    integrate. If the output of a rig does not integrate, a warning is printed.
+    """
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    columns, recorded = data.signals(), from_recording(data)
+    integrating = tuple(
+        name for name in columns.outputs if not recorded or name in INTEGRATING_OUTPUTS
+    )
+    if integrator and not integrating:
+        msg = f"--integrator: the rig has no pole at 1 for {listed(columns.outputs)}"
+        if columns.ny > 1:
+            raise typer.BadParameter(msg)
+        tell(f"{msg}, which does not integrate")
+    if (columns.ny, columns.nu) == (1, 1):
+        return wanted
+    if isinstance(wanted, _Search):
+        fixed = wanted.fixed | {"integrator": integrating if integrator or recorded else ()}
+        return replace(wanted, fixed=fixed)
+    if recorded and "shared" in STRUCTURES[wanted.structure].takes:
+        wanted = structs.replace(wanted, shared=True)
+    return structs.replace(wanted, integrator=integrating) if integrator else wanted
+
+
+def _check_files(out: Output, save: Path | None, *inputs: Path | None) -> None:
+    """Refuse, before the estimation, files that cannot or must not be written."""
+    out.check(*inputs)
+    if save is not None:
+        check_output(save, [path for path in inputs if path is not None])
+        if save.suffix.lower() != ".json":
+            msg = f"--save {save}: a model is written as JSON; give a name that ends in .json"
+            raise InputError(f"{msg}; to write a figure, use -o")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Validation:
+    """Results of the model on the validation data."""
+
+    data: Dataset | Signals
+    table: ComparisonTable
+    tests: ResidualTest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Model, and the results of its estimation or search."""
+
+    fit: Fit
+    request: Request
+    """Request with which the model can be estimated again."""
+    search: SearchResult | None
+    validation: _Validation | None
+    doubts: tuple[Finding, ...]
+    """Findings that make the data doubtful."""
+    data: Dataset | Signals
+    file: Path
+    validate: Path | None
+    """File of the validation data."""
+    save: Path | None
+    """File of the model."""
+    signals: SignalChoice
+    taken: list[str]
+    """Line that says how the output is taken."""
+
+    def say(self, *, verbose: bool) -> None:
+        """Print the answer, and the model."""
+        from armrig.cli import model_output
+        from armrig.validation.answer import answer
+
+        for line in self.taken:
+            say(line)
+        v = self.validation
+        table, tests = (v.table, v.tests) if v is not None else (None, None)
+        say_answer(answer(self.fit, table, tests, self.doubts))
+        for lines in self._all() if verbose else self._short():
+            say("\n".join(lines))
+        if hint := model_output.hint(self.fit):
+            tell(hint)
+
+    def _short(self) -> Iterator[Sequence[str]]:
+        """Yield the results of a search, a short form of the model, and the findings to act on."""
+        from armrig.cli import model_output
+
+        if self.search is not None:
+            yield model_output.short_search_lines(self.search)
+        yield model_output.short_model_lines(self.fit, roots=self.search is None)
+        if self.validation is not None:
+            yield from ([line] for line in model_output.pair_lines(self.validation.tests))
+        yield model_output.advice_lines(self.fit, self.doubts)
+
+    def _all(self) -> Iterator[Sequence[str]]:
+        """Yield all details of the search, the model and its validation."""
+        from armrig.cli import model_output
+        from armrig.validation.advice import advice
+
+        if self.search is not None:
+            yield model_output.search_lines(self.search)
+        yield model_output.model_lines(self.fit)
+        said = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
+        yield [*said, repr(advice(self.fit))]
+        if self.validation is not None:
+            yield [f"validation on {self.validate}", repr(self.validation.table)]
+            yield model_output.residual_lines(self.validation.tests)
+
+    def facts(self) -> dict[str, Any]:
+        """Return the model, its advice, the search and the validation as JSON fields."""
+        from armrig.cli import model_output
+
+        facts = model_output.model_facts(self.fit) | source_facts(self.data)
+        found = (*self.doubts, *model_output.advice_on(self.fit))
+        facts["advice"] = [fields_of(f, "about level text") for f in found]
+        if self.search is not None:
+            facts["search"] = _search_facts(self.search)
+        if self.validation is not None:
+            v = self.validation
+            facts["validation"] = model_output.residual_facts(v.data, v.table.rows, v.tests)
+        return facts
+
+    def figures(self) -> dict[str, Draw]:
+        """Return the diagrams of the model, and the errors of a search."""
+        from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
+        from armrig.validation.comparison import compare
+        from armrig.validation.figures import plot_search
+
+        fit = self.fit
+        drawn: dict[str, Draw] = {}
+        if self.search is not None:
+            drawn["search"] = partial(plot_search, self.search)
+        if (fit.ny, fit.nu) == (1, 1):
+            each = {"bode": plot_bode, "step": plot_step, "poles": plot_poles_zeros}
+            return drawn | {name: partial(plot, fit) for name, plot in each.items()}
+        shown = self.data if self.validation is None else self.validation.data
+        drawn["compare"] = partial(plot_compare, shown, table=compare(shown, fit))
+        for i, j, channel in fit.channels():
+            label = f"{fit.inputs[j]} to {fit.outputs[i]}"
+            drawn[f"bode_{label.replace(' ', '_')}"] = partial(plot_bode, channel, labels=[label])
+        return drawn
+
+    def say_next(self) -> None:
+        """Print the next command, which acts on the findings, saves the model or validates it."""
+        from armrig.cli.model_output import to_act_on
+
+        about = to_act_on(self.fit, self.doubts)
+        about -= {"outliers"} if self.signals.hampel else set()
+        about -= {"integrator"} if self.signals.integrator is False else set()
+        after_identify(self, about)
+
+
+def _estimated(
+    wanted: _Search | Request,
+    data: Dataset | Signals,
+    other: Dataset | Signals | None,
+    integrator: bool | None,
+) -> tuple[Fit, Request, SearchResult | None]:
+    """Return the model, the request with which to estimate it again, and the search if any."""
+    if isinstance(wanted, Request):
+        fit = estimated(data, wanted)
+        return fit, wanted.of_fit(fit), None
+    found = _searched(wanted, data, other, integrator)
+    request = found.chosen.candidate.request_for(data)
+    again = structs.replace(request, stable=False, focus=None, starts=None, replicates=None)
+    return found.fit, again.of_fit(found.fit), found
+
+
+def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple[Finding, ...]:
+    from armrig.validation.data_advice import examine_fit_of
+
+    with spinner("testing the data"):
+        return tuple(examine_fit_of(data, fit, integrator))
+
+
+def _searched(
+    wanted: _Search,
+    data: Dataset | Signals,
+    other: Dataset | Signals | None,
+    integrator: bool | None,
+) -> SearchResult:
+    from concurrent.futures import ProcessPoolExecutor
+    from contextlib import nullcontext
+
+    from armrig.validation.model_search import search
+
+    given: Given = {"integrator": integrator} | wanted.fixed
+    pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
+    with estimating("--max-order") as progress, pool as executor:
+        return search(
+            data,
+            other,
+            orders=range(1, wanted.most + 1),
+            executor=executor,
+            progress=progress,
+            **given,
+        )
+
+
+def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
+    from armrig.validation.comparison import compare
+    from armrig.validation.residuals import residuals
+
+    with estimating("the orders"):
+        table, tests = compare(other, fit), residuals(fit, other)
+    warn_of_estimation_data(table)
+    return _Validation(data=other, table=table, tests=tests)
+
+
+def _search_facts(found: SearchResult) -> dict[str, Any]:
+    rows = zip(found.ranked, found.rms, found.excess, found.excess_std, strict=True)
+    return {
+        "models": [
+            {
+                "model": j.candidate.name,
+                "parameters": j.parameters,
+                "rms_error": rms,
+                "excess": excess,
+                "excess_std": std,
+                "chosen": j is found.chosen,
+            }
+            for j, rms, excess, std in rows
+        ],
+        "failed": {j.candidate.name: j.reason for j in found.failed},
+        "reasons": found.explain().splitlines(),
+    }
+
+
+batch = Commands(
+    "Process all recordings of a folder. Write a table (Parquet) with a row for each recording.",
+    no_args_is_help=True,
+)
+Folder = Annotated[Path, argument("FOLDER", "Folder of the recordings.")]
+Table = Annotated[
+    Path, option("-o --output PARQUET", "Table to write; an existing table is continued.")
+]
+_TASKS_PER_WORKER = 2  # one runs, one waits
+_CLUSTER_TASKS = 256  # a cluster may grow
+_MAX_NAMES = 3  # recordings in a message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Selection:
+    """Options of all batches: the recordings, the processes and the form of the result."""
+
+    rig: list[str] | None = chosen(None, "--rig", "Id of a rig to include; repeatable.", "all")
+    kind: list[str] | None = chosen(
+        None, "--kind", "Kind of experiment to include; repeatable.", "all"
+    )
+    workers: int | None = chosen(
+        None, "--workers", "Number of processes on this machine.", "one for each core", min=1
+    )
+    scheduler: str | None = chosen(
+        None,
+        "--scheduler ADDRESS",
+        "Address of a Dask scheduler whose workers process the recordings.",
+    )
+    force: bool = chosen(False, "--force", "Process all recordings again and replace the table.")
+    json: Json = False
+
+
+Selection = Annotated[_Selection, group(_Selection)]
+
+
+@batch.add("batch identify weeks -o models.parquet --integrator --kind blackbox", "identify")
+def identify_each(
+    *,
+    folder: Folder,
+    output: Table,
+    given: Annotated[Given, estimation_options(structure="oe", nk=1)],
+    signal: OutputName = chosen(THETA_1, "--signal", "Output of the model."),
+    detrend: Detrend = False,
+    selection: Selection,
+) -> None:
+    """Estimate a model from each recording.
+
+    The table contains the parameters, their standard deviations, the fit and the model.
+    """
+    from armrig.report.batch.tasks import Identify
+
+    task = Identify(**asdict(requested(given)), signal=signal, detrend=detrend)
+    _process(task, folder, output, selection)
+
+
+@batch.add("batch validate weeks --model model.json -o fits.parquet", "validate")
+def validate_each(
+    *,
+    folder: Folder,
+    model: Annotated[Path, option("--model JSON", "Model file written by identify --save.")],
+    output: Table,
+    detrend: Detrend = False,
+    selection: Selection,
+) -> None:
+    """Validate one model on each recording.
+
+    The table contains the results of the simulation and of the tests of the residuals.
+    """
+    from armrig.models.model_file import load_fit
+    from armrig.models.model_writing import model_text
+    from armrig.report.batch.tasks import Validate
+
+    fit = load_fit(model)
+    if (fit.ny, fit.nu) != (1, 1):
+        raise FileError(
+            f"{model} is a model of several signals; here give a model of one output and one "
+            "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
+        )
+    task = Validate(model=model_text(fit), detrend=detrend)
+    _process(task, folder, output, selection)
+
+
+@batch.add("batch verify weeks -o checks.parquet", "verify")
+def verify_each(folder: Folder, output: Table, selection: Selection) -> None:
+    """Check the integrity of each recording. The exit code is 1 if a check fails."""
+    from armrig.report.batch.tasks import Verify
+
+    _process(Verify(), folder, output, selection)
+
+
+@batch.add("batch report weeks -o reports.parquet --kind blackbox", "report")
+def report_each(
+    *,
+    folder: Folder,
+    output: Table,
+    reports: Path = chosen(Path("reports"), "--reports FOLDER", "Folder for the PDFs."),
+    orders: ModelOrders,
+    selection: Selection,
+) -> None:
+    """Write a report on each recording, with its validation recording if there is one."""
+    from armrig.report.batch.tasks import Report
+
+    _process(Report(folder=str(reports.resolve()), **orders), folder, output, selection)
+
+
+def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> None:
+    """Run the task and print the result; exit with 1 after a problem or a failed check."""
+    from functools import partial
+
+    from armrig.report.batch.batch import batch as processed
+    from armrig.report.batch.workers import cluster, processes
+
+    if output.suffix != ".parquet":
+        raise InputError(f"-o {output}: the name of a table ends in .parquet")
+    if not output.absolute().parent.is_dir():
+        raise InputError(f"-o {output}: there is no directory {output.parent}; create it first")
+    scheduler, workers = selection.scheduler, selection.workers
+    if scheduler is not None and workers is not None:
+        raise typer.BadParameter(
+            "--workers applies to processes on this machine; a Dask cluster has its own workers"
+        )
+    many = workers or os.cpu_count() or 1
+    executor, at_once = partial(processes, many), _TASKS_PER_WORKER * many
+    if scheduler is not None:
+        executor, at_once = partial(cluster, scheduler), _CLUSTER_TASKS
+    with spinner("processing") as count:
+        done = processed(
+            folder.resolve(),
+            task,
+            output,
+            open_executor=executor,
+            at_once=at_once,
+            rigs=tuple(selection.rig or ()),
+            kinds=tuple(selection.kind or ()),
+            anew=selection.force,
+            count=count,
+        )
+    _say_batch(done, json=selection.json)
+
+
+def _say_batch(done: Batch, *, json: bool) -> None:
+    problems = done.problems
+    failed = {
+        row["recording"]: _failed_checks(row) for row in done.rows if row.get("passed") is False
+    }
+    damaged = {
+        row["recording"]: f"the result covers the undamaged part: {row['damage']}"
+        for row in done.rows
+        if row["damage"] and not row["problem"] and row["recording"] not in failed
+    }
+    without = {row["recording"]: row["problem"] for row in problems}
+    if json:
+        facts = {"table": str(done.table), "rows": len(done.rows), "done_before": done.done_before}
+        print_json(facts | {"problems": without, "damaged": damaged, "failed": failed})
+    else:
+        before = f", {done.done_before} of them processed before" if done.done_before else ""
+        echo(f"{done.table}: {len(done.rows)} recordings{before}; {len(without)} without a result")
+        _echo_first(without, "column problem contains")
+        _echo_first(damaged, "column damage contains")
+        _echo_first(failed, "columns of the checks contain")
+    if failed:
+        names = some([*failed], _MAX_NAMES)
+        tell(f"{len(failed)} failed a check: {names}; the table contains the checks")
+    if problems or failed:
+        raise typer.Exit(1)
+
+
+def _failed_checks(row: dict[str, Any]) -> str:
+    """Return the failed checks of a recording and their results."""
+    from armrig.report.batch.tasks import CHECKS
+
+    failed = (about for about in CHECKS if row[f"{about}_result"] == "failed")
+    return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)
+
+
+def _echo_first(found: dict[str, str], columns: str) -> None:
+    """Print the first findings about recordings, and the columns that contain all findings."""
+    for name, text in [*found.items()][:_MAX_NAMES]:
+        echo(f"  {name}: {text}")
+    if len(found) > _MAX_NAMES:
+        echo(f"  and {len(found) - _MAX_NAMES} more; the {columns} all reasons")

@@ -1,0 +1,614 @@
+"""The commands on recordings: ls, info, verify, export, recover, replay."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from itertools import compress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from armrig_core.commands.codes import COMPLETE
+from armrig_core.errors import InputError
+from armrig_core.process.printable import printable
+from armrig_core.telemetry.telemetry import THETA_1, ChannelName
+
+from armrig.cli.next_step import AFTER, kind_of, say_next, typed
+from armrig.cli.options import CalibrationFile, File, From, Json, To, argument, chosen, option
+from armrig.cli.printing import echo, fields_of, inform, print_json, print_table, some, tell, warned
+from armrig.cli.recorded_data import Part
+from armrig.cli.results import (
+    FIGURE_HELP,
+    Draw,
+    Shown,
+    check_plot,
+    figure_path,
+    name_runs,
+    write_plot,
+)
+from armrig.cli.spinner import spinner
+
+if TYPE_CHECKING:
+    from armrig_core.recording_file.manifest import Recovered
+    from armrig_core.recording_file.recovery import RecoveredFile
+
+    from armrig.cli.replay import Replay
+    from armrig.recordings.catalogue import Catalogue, LeftOut
+    from armrig.recordings.recording import Recording
+    from armrig.recordings.recording_names import Answering
+    from armrig.recordings.recording_summary import RecordingSummary
+
+Live = Annotated[bool, option("--live", "List the rigs that are alive.")]
+Folder = Annotated[
+    Path | None,
+    argument("FOLDER", "Folder of the recordings.", "the folder that the daemon records into"),
+]
+Connect = Annotated[
+    str | None,
+    option(
+        "--connect ENDPOINT",
+        "Only with --live: zenoh endpoint of a router or daemon.",
+        "[client] connect, or all rigs of this machine",
+    ),
+]
+Naming = Callable[["RecordingSummary"], str]
+_DEFAULT_COUNT = 20
+_MAX_NAMES = 3
+_MAX_WIDTH = 60  # characters of a column
+_HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "outcome", "validates")
+_OPTIONAL = 2  # number of optional columns, which are the last columns
+
+
+def ls(
+    where: Folder = None,
+    count: int = chosen(
+        _DEFAULT_COUNT, "--count", "Number of the newest recordings to list.", min=1
+    ),
+    every: bool = chosen(False, "--all", "List all recordings."),
+    live: Live = False,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """List the recordings, newest first, or with --live the rigs.
+
+    Other commands accept the listed names, and @last, in place of a file. If you give a FOLDER,
+    the list contains file names instead. With --connect, --live lists the rigs at the given
+    endpoint.
+    """
+    if live and (where is not None or every):
+        raise InputError(
+            "--live lists rigs: leave out the folder and --all, which are for recordings"
+        )
+    if connect and not live:
+        raise InputError(f"--connect {connect} needs --live: without --live, ls lists files")
+    if live:
+        _list_rigs(connect, json=json)
+        return
+    from armrig.recordings.catalogue import catalogue, facts_of
+    from armrig.recordings.recording_names import answering_among, recording_folder, short_name
+    from armrig.recordings.recording_summary import shown_path
+
+    folder = where or recording_folder()
+    try:
+        found = catalogue(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        if where is not None:
+            raise
+        found = None
+    whole = found.recordings if found else ()
+    shown = whole if every else whole[:count]
+    if json:
+        # `found` is false without a recording, even if it contains other files.
+        left_out, unfinished = (found.left_out, found.unfinished) if found is not None else ((), ())
+        print_json(
+            {
+                "folder": str(folder),
+                "recordings": [facts_of(s) for s in shown],
+                "left_out": [
+                    {"recording": shown_path(path), "why": why, "foreign": is_foreign}
+                    for path, why, is_foreign in left_out
+                ],
+                "unfinished": [shown_path(p) for p in unfinished],
+            }
+        )
+        return
+    answering = answering_among(whole)
+
+    def name_of(summary: RecordingSummary) -> str:
+        # A name such as @last means a recording in the default folder.
+        return str(summary.path) if where else short_name(summary, answering)
+
+    if shown:
+        rows = [_row(s, name_of, answering) for s in shown]
+        # An optional column is left out if it is empty, or if all its outcomes are complete.
+        kept = [True] * (len(_HEADINGS) - _OPTIONAL)
+        kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
+        echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))
+    inform(_the_rest(folder, found, len(shown)), dim=True)
+    if shown:
+        newest = shown[0]
+        say_next("ls", file=typed(newest.path) if where else short_name(newest, answering))
+
+
+def _list_rigs(connect: str | None, *, json: bool) -> None:
+    from armrig.rig.status import live_rigs
+
+    where, found = live_rigs(connect)
+    if json:
+        rigs = [fields_of(r, "rig endpoint status why") for r in found]
+        print_json({"where": where, "rigs": rigs})
+        return
+    if not found:
+        tell(
+            f"no rig is alive at {where}: start one with `armrig lab` or `armrigd run`; for a rig "
+            "of another machine give its router, --connect tls/HOST:PORT"
+        )
+        return
+    rows = [
+        (r.rig, s.phase, f"{s.Ts:g} s", s.owner or "nobody", s.reason or s.line)
+        if (s := r.status) is not None
+        else (r.rig, "", "", "", r.why)
+        for r in found
+    ]
+    echo(_table([("rig", "phase", "Ts", "owner", ""), *(tuple(map(printable, r)) for r in rows)]))
+
+
+def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tuple[str, ...]:
+    why = re.split("[:(]", summary.outcome)[0].strip()
+    cells = (
+        name_of(summary),
+        _short(summary.kind),
+        f"{summary.seconds:g} s",
+        f"{summary.Ts:g} s",
+        str(summary.missing),
+        summary.started[:16].replace("T", " "),
+        _short(why),
+        _validated_by(summary, name_of, answering),
+    )
+    return tuple(map(printable, cells))  # a name may have a line break in it
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _MAX_WIDTH else f"{text[: _MAX_WIDTH - 1]}…"
+
+
+def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
+    """Return the estimation recording's name; "" if the validation recording's name contains it."""
+    from armrig.recordings.recording_names import VALIDATION, short_name
+
+    if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
+        return ""
+    estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []
+    return name_of(estimations[0]) if estimations else "not known"
+
+
+def _table(rows: list[tuple[str, ...]]) -> str:
+    # A name is never cut, because a person types it; a longer name does not widen the other rows.
+    widths = [min(max(map(len, column)), _MAX_WIDTH) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
+    """Return a line about the files that are not in the table."""
+    if found is None or not (found.recordings or found.left_out or found.unfinished):
+        return f"there are no recordings in {folder}; make one with `armrig collect`"
+    parts = [f"in {folder}"]
+    if older := len(found) - shown:
+        parts.append(f"{older} older recordings: --all")
+    if damaged := [left for left in found.left_out if not left.is_foreign]:
+        parts.append(f"damaged: {_names(damaged)}; `armrig info FILE` shows the damage")
+    if foreign := [left for left in found.left_out if left.is_foreign]:
+        parts.append(f"not made by armrig: {_names(foreign)}; `armrig hints FILE` lists the topics")
+    if unfinished := len(found.unfinished):
+        parts.append(f"{unfinished} being written, or left by a dead daemon: `armrig recover`")
+    return "; ".join(parts)
+
+
+def _names(left_out: Sequence[LeftOut]) -> str:
+    from armrig.recordings.recording_summary import shown_path
+
+    return some([shown_path(Path(left.path.name)) for left in left_out], _MAX_NAMES)
+
+
+_MAX_GAPS, _MAX_NOTES = 3, 10  # lines without --verbose
+_MAX_TEXT = 1000  # characters
+TIMING_HEIGHT = 2.8  # of a figure, in inches
+
+
+def info(file: File, part: Part, out: Shown) -> None:
+    """Show what a recording contains and how well it was sampled."""
+    from armrig.recordings.loading import load
+
+    out.check(file)
+    recording = load(file, part.calibration, start=part.start, stop=part.stop)
+    name_runs(recording)
+
+    def say_next_command() -> None:
+        if recording.N:
+            say_next("info", file=typed(file))
+
+    out.show(
+        facts=lambda: _recording_facts(recording),
+        say=lambda: print_table(*_recording_rows(recording, verbose=out.verbose), verdict=True),
+        figures=lambda: timing_figures(recording),
+        say_next=say_next_command,
+        height=TIMING_HEIGHT,
+    )
+
+
+def _recording_facts(rec: Recording) -> dict[str, Any]:
+    from armrig.recordings.jitter import disturbances, sampling_statistics
+    from armrig.recordings.usability import data_verdict, doubts_of_calibration
+
+    return {
+        **fields_of(rec, "sha256 manifest"),
+        "emulated": rec.manifest.emulated,
+        **fields_of(rec, "outcome recovered"),
+        "samples": int(rec.samples.size),
+        "missing": rec.missing,
+        "invalid": rec.hidden,
+        **fields_of(rec, "truncated damage"),
+        "sampling": sampling_statistics(rec),
+        "causes": disturbances(rec),
+        "calibration": rec.calibration,
+        "remarks": doubts_of_calibration(rec.calibration, rec.manifest),
+        "verdict": data_verdict(rec).facts(),
+        **fields_of(rec, "gaps events notes"),
+    }
+
+
+def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
+    from armrig.recordings.daemon_reports import gap_lines
+    from armrig.recordings.jitter import disturbances, sampling_statistics
+    from armrig.recordings.usability import calibration_date, data_verdict, doubts_of_calibration
+
+    manifest, timing = rec.manifest, sampling_statistics(rec)
+    details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
+    verdict = data_verdict(rec)
+    yield "verdict", verdict.summary
+    yield "recording", str(rec.path)
+    if verbose:
+        yield "sha256", rec.sha256
+    rig = f"rig {manifest.rig}{', emulated' if manifest.emulated else ''}"
+    yield "run", f"{manifest.run_id} of {rig}, {manifest.started}"
+    if manifest.owner:
+        yield "owner", _clipped(manifest.owner)
+    yield (
+        "experiment",
+        _clipped(f"{manifest.experiment}: {details}" if details else manifest.experiment),
+    )
+    yield "samples", _sample_count(rec)
+    yield "outcome", _outcome(rec)
+    if rec.recovered is not None:
+        yield "recovered", _recovered(rec.recovered)
+    yield "calibrated", calibration_date(rec.calibration)
+    for text in doubts_of_calibration(rec.calibration, manifest):
+        yield "remark", text
+    yield "jitter", _jitter(timing.jitter)
+    if verbose:
+        yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"
+        yield "host's lateness", _lateness(timing.lateness, manifest.pacing)
+    if verbose and (found := disturbances(rec).texts()):
+        yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
+    gaps = gap_lines(rec.gaps)
+    for text in gaps if verbose else gaps[:_MAX_GAPS]:
+        yield "gap", text
+    if len(gaps) > _MAX_GAPS and not verbose:
+        yield "gap", f"{len(gaps) - _MAX_GAPS} more lines; --verbose shows them"
+    for note in rec.notes if verbose else rec.notes[:_MAX_NOTES]:
+        yield "note", _clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}")
+    if len(rec.notes) > _MAX_NOTES and not verbose:
+        yield "note", f"{len(rec.notes) - _MAX_NOTES} more; --verbose shows them"
+    if rec.truncated:
+        yield "damage", rec.damage
+    for finding in verdict.findings if verbose else ():
+        yield finding.about, finding.text
+
+
+def _clipped(text: str) -> str:
+    return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
+
+
+def _sample_count(rec: Recording) -> str:
+    """Return the numbers of samples as text; for a truncated file, also the time of its end."""
+    text = (
+        f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
+        "an angle (dead band, and the sample after)"
+    )
+    if rec.truncated:
+        text += f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
+    return text
+
+
+def _recovered(how: Recovered) -> str:
+    cut_off = f", the last {how.cut_off_bytes} B were cut off" if how.cut_off_bytes else ""
+    cut_off += f"; {how.damage}" if how.damage else ""
+    when = how.when[:19].replace("T", " ")
+    return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were kept{cut_off}"
+
+
+def _outcome(rec: Recording) -> str:
+    """Return the outcome of the run as text, with a remark if the file is cut off or damaged."""
+    if not rec.truncated:
+        return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
+    what = "is cut off" if rec.cut_off else "is damaged"
+    writing = ", or is still being written" if rec.path.suffix == ".active" else ""
+    if rec.outcome:
+        return f"of the run: {rec.outcome.outcome}; but the file {what}"
+    return f"not known: the file {what} before the outcome{writing}"
+
+
+def _microseconds(spread: Any, decimals: int) -> str:
+    if spread.n == 0:
+        return "too few samples"
+    p50, p99 = f"{spread.p50:.{decimals}f}", f"{spread.p99:.{decimals}f}"
+    return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs"
+
+
+def _jitter(spread: Any) -> str:
+    text = _microseconds(spread, 0)
+    return f"{text}; spread of the sampling interval, by the device's clock" if spread.n else text
+
+
+def _lateness(spread: Any, pacing: str) -> str:
+    text = _microseconds(spread, 1)
+    if spread.n == 0:
+        return text
+    if pacing == "scheduled":
+        return f"{text}; arrival of the samples at the host, which does not affect them"
+    return f"{text}; lateness of the host's request for each sample"
+
+
+def timing_figures(recording: Recording) -> dict[str, Draw]:
+    """Return the functions that draw the jitter and the lateness of a recording."""
+    from armrig.recordings.figures import plot_timing
+
+    draw = partial(plot_timing, recording)
+    return {"jitter": draw, "lateness": partial(draw, quantity="lateness")}
+
+
+def replay(file: File, json: Json = False) -> None:
+    """Repeat the decisions of the daemon's core for a recorded run.
+
+    The exit code is 1 if a decision differs from the recording.
+    """
+    from armrig.cli.replay import replay as decided_again
+
+    found = decided_again(file)
+    if json:
+        print_json(found)
+    else:
+        print_table(
+            ("replayed", f"{found.steps} steps of the core over {found.seconds:.3f} s"),
+            ("frames", f"{found.frames} to the device, as recorded"),
+            ("samples", f"{found.samples} as recorded"),
+            *((s.level, f"{s.t:.3f} s: {s.message}") for s in found.said),
+            ("verdict", _replay_verdict(found)),
+        )
+    if found.difference:
+        raise typer.Exit(1)
+
+
+def _replay_verdict(found: Replay) -> str:
+    if found.difference:
+        return f"DIFFERS: {found.difference}"
+    same = "replay made the same decisions, to the last bit"
+    if found.until:
+        return f"{same}, up to the end of the file: {found.until}"
+    return same
+
+
+Out = Annotated[Path, argument("OUT", "File to write.")]
+Parquet = Annotated[bool, option("--parquet", "Write Parquet, for pandas, polars and others.")]
+
+Where = Annotated[
+    list[Path] | None,
+    argument(
+        "FILE|FOLDER…",
+        "Unfinished recordings (*.mcap.active), or folders that contain them.",
+        "the folder that the daemon records into",
+    ),
+]
+
+
+def plot(
+    file: File,
+    part: Part,
+    figure: Path = chosen(Path("plot.png"), "-o --plot FIGURE", FIGURE_HELP, parser=figure_path),
+    json: Json = False,
+) -> None:
+    """Plot a recording, and report its faults (handout 3.1.4).
+
+    The figure shows u, theta_1, its rate and alpha. Missing samples and the dead band are shaded,
+    and outliers are ringed. A drift is reported in the text.
+    """
+    from armrig.recordings.overview import overview
+
+    check_plot(figure, [file])
+    [recording] = part.recordings(file)
+    with spinner("looking for outliers and drift"):
+        found = overview(recording)
+    [written] = write_plot(figure, signals=found.plot, height=7.0)
+    if json:
+        print_json(found.facts() | {"figure": str(written)})
+        return
+    print_table(*found.rows())
+    after = f"plot {kind_of(file)}"
+    say_next(after if after in AFTER else "plot", file=typed(file))
+
+
+def verify(file: File, json: Json = False) -> None:
+    """Check the integrity of a recording.
+
+    The checks cover samples and gap records, voltages, input, times, hashes and clocks. The exit
+    code is 1 if a check fails; the readable data can still be loaded and exported.
+    """
+    from armrig.recordings.findings import TOO_FEW
+    from armrig.recordings.verification import rows
+    from armrig.recordings.verification import verify as verified
+
+    with spinner("checking"):
+        found = verified(file)
+    if json:
+        checks = [fields_of(c, "about result text") for c in found.checks]
+        facts = {"recording": str(found.path), "sha256": found.sha256}
+        print_json(facts | {"passed": found.passed, "checks": checks})
+    else:
+        print_table(*rows(found), verdict=True)
+    if not found.passed:
+        failed = ", ".join(c.about for c in found.checks if c.result == "failed")
+        n = found.samples
+        use = f"its {n} samples can be used, with care" if n else "it has no usable sample"
+        if 0 < n < TOO_FEW:
+            use = f"{n} samples are left, at least {TOO_FEW} are needed"
+        tell(f"{found.path}: failed: {failed}; {use}")
+        raise typer.Exit(1)
+
+
+def export(
+    file: File,
+    out: Out,
+    csv: bool = chosen(False, "--csv", "Write CSV, for any program."),
+    mat: bool = chosen(
+        False, "--mat", "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."
+    ),
+    parquet: Parquet = False,
+    transforms: bool = chosen(
+        False,
+        "--transforms",
+        "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
+    ),
+    raw: bool = chosen(False, "--raw", "Include the readings and times as recorded."),
+    signal: ChannelName = chosen(THETA_1, "--signal", "Signal that becomes y in the MAT-file."),
+    start: From = None,
+    stop: To = None,
+    calibration: CalibrationFile = None,
+    json: Json = False,
+) -> None:
+    """Write the data of a recording for another program.
+
+    The suffix of OUT (.csv, .mat, .parquet) or an option chooses the format.
+
+    In MATLAB: `s = load('data.mat'); z = iddata(s.y, s.u, s.Ts)`. Missing samples have rows, too.
+    A missing y is NaN.
+    """
+    from armrig.cli.results import check_output
+    from armrig.recordings.export import write_csv, write_mat, write_parquet, write_transforms
+    from armrig.recordings.loading import load
+
+    asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
+    kind = _format(out, asked)
+    writers: dict[str, Callable[..., Any]] = {
+        "csv": partial(write_csv, raw=raw),
+        "mat": partial(write_mat, output=signal, raw=raw),
+        "parquet": partial(write_parquet, raw=raw),
+        "transforms": write_transforms,
+    }
+    check_output(out, [file])
+    with spinner("reading"):
+        recording = load(file, calibration, start=start, stop=stop)
+    warned(recording)
+    with spinner("writing"), _whole(out):
+        writers[kind](recording, out)
+    if json:
+        print_json({"file": str(out), "samples": recording.N, "recording": recording.sha256})
+    else:
+        echo(f"{out}: {recording.N} samples, {recording.missing} of them missing")
+
+
+@contextmanager
+def _whole(out: Path) -> Iterator[None]:
+    """Delete the output file if an error interrupts its writing."""
+    try:
+        yield
+    except BaseException as err:
+        if out.is_file():
+            with suppress(OSError):
+                out.unlink()
+        if isinstance(err, OSError) and not err.filename:  # the error of a write names no file
+            raise OSError(err.errno, err.strerror or str(err), str(out)) from err
+        raise
+
+
+def _format(out: Path, asked: dict[str, bool]) -> str:
+    kinds = [kind for kind, wanted in asked.items() if wanted]
+    if len(kinds) > 1:
+        raise typer.BadParameter(f"--{kinds[0]} and --{kinds[1]}: a file has one format")
+    ending = out.suffix.lower().removeprefix(".")
+    if kinds or ending in asked:
+        return kinds[0] if kinds else ending
+    raise typer.BadParameter(
+        f"{out}: give --csv, --mat, --parquet or --transforms, or a name that ends in "
+        ".csv, .mat or .parquet"
+    )
+
+
+def recover(where: Where = None, json: Json = False) -> None:
+    """Finish recordings that a daemon left unfinished when it died.
+
+    A daemon completes its own recordings when it starts again; this command is for copied files. It
+    refuses a file that a daemon is still writing. Each file keeps its undamaged part and gets a
+    name that ends in .mcap. If a file cannot be recovered, it stays unchanged, and the exit code is
+    1.
+    """
+    from armrig_core.recording_file.recovery import sentence
+    from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
+
+    from armrig.recordings.recording_names import recording_folder
+
+    paths = list(_files(where or [recording_folder()]))
+    done: list[RecoveredFile] = []
+    left: list[tuple[Path, str]] = []
+    failed = False
+    recovery = _recovery()
+    for path, is_named in paths:
+        try:
+            done.append(recovery.recover(path))
+        except RecoveryError as err:
+            left.append((path, str(err)))
+            failed |= is_named or not isinstance(err, NotOursError)
+            tell(str(err))
+        else:
+            if not json:
+                echo(sentence(done[-1]))
+    if json:
+        unfinished = [{"recording": str(path), "why": why} for path, why in left]
+        print_json({"recovered": [_recovered_facts(file) for file in done], "left": unfinished})
+    elif not paths:
+        inform(f"nothing to recover in {', '.join(map(str, where or [recording_folder()]))}")
+    if failed:
+        raise typer.Exit(1)
+
+
+def _files(where: list[Path]) -> Iterator[tuple[Path, bool]]:
+    """Yield each unfinished file, and True if the user named the file and not its folder."""
+    from armrig_core.recording_file.unfinished import unfinished
+
+    for path in where:
+        if path.is_dir():
+            yield from ((file, False) for file in unfinished(path))
+        else:
+            yield path, True
+
+
+def _recovery() -> Any:
+    from datetime import UTC, datetime
+    from importlib.metadata import version
+
+    from armrig_core.recording_file.recovery import Recovery
+
+    return Recovery(
+        armrig=version("armrig"),
+        now=lambda: datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+    )
+
+
+def _recovered_facts(file: RecoveredFile) -> dict[str, Any]:
+    outcome = fields_of(file.outcome, "samples missing outcome")
+    return {"recording": str(file.path)} | outcome | {"recovered": file.recovered}

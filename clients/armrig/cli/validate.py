@@ -1,0 +1,754 @@
+"""The commands that test data and models: validate, compare, check, linearity, report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from armrig_core.errors import InputError
+from armrig_core.process.printable import printable
+from armrig_core.telemetry.telemetry import OutputName
+
+from armrig.cli.next_step import (
+    REASONS,
+    after_validate,
+    chassis,
+    for_the_report,
+    free_name,
+    kind_of,
+    opener,
+    say_next,
+    typed,
+)
+from armrig.cli.options import (
+    CalibrationFile,
+    DataFile,
+    File,
+    Json,
+    ModelOrders,
+    OtherFile,
+    argument,
+    chosen,
+    noted,
+    option,
+    recording_path,
+)
+from armrig.cli.parameters import (
+    AMPLITUDE_V,
+    OF_AMPLITUDE,
+    OF_CHANGES,
+    OF_OMEGA,
+    OMEGA,
+    Given,
+    cases,
+    physics_beside,
+)
+from armrig.cli.printing import echo, fields_of, inform, print_json, say, say_answer, say_more, tell
+from armrig.cli.recorded_data import (
+    Part,
+    SignalChoice,
+    by_channel,
+    chosen_outputs,
+    data_group,
+    facts_by_channel,
+    from_recording,
+    require_result,
+    say_channel,
+    source_facts,
+    spectral_beside,
+    warn_of_estimation_data,
+)
+from armrig.cli.results import HEIGHT, WIDTH, Draw, Shown, ShownFigure, check_output, of_channel
+from armrig.cli.spinner import estimating, spinner
+from armrig.data.finding import OWN_DATA
+from armrig.numerics.quantities import listed, plural
+
+if TYPE_CHECKING:
+    from armrig.data.dataset import Dataset, Signals
+    from armrig.models.fit import Fit
+    from armrig.recordings.recording import Recording
+    from armrig.validation.comparison import Comparison, ComparisonTable
+    from armrig.validation.feedback_and_delay.delay_result import Delay
+    from armrig.validation.feedback_and_delay.open_loop import OpenLoop
+    from armrig.validation.linearity import Linearity
+
+ModelFile = Annotated[Path, option("--model JSON", "Model file written by identify --save.")]
+_HORIZONS = (1, 10)
+_SAME_RTOL = 1e-6
+_MAX_DIFFERENCES = 4
+"""Largest number of differences without --verbose."""
+
+
+def validate(
+    *,
+    file: DataFile,
+    model: ModelFile,
+    signals: Annotated[SignalChoice, data_group(without="assume")],
+    horizon: list[int] | None = chosen(
+        None, "--horizon", "Prediction horizon, in samples; repeatable.", "1 and 10", min=1
+    ),
+    lags: int | None = chosen(
+        None, "--lags", "Number of lags in the tests of the residuals.", "25", min=1
+    ),
+    out: ShownFigure,
+) -> None:
+    """Validate a model on a recording or other data.
+
+    The command simulates the model, predicts the output, and tests the residuals.
+    """
+    from armrig.cli.model_output import (
+        error_facts,
+        lags_outside,
+        pair_lines,
+        residual_facts,
+        residual_lines,
+    )
+    from armrig.models.equation import input_and_output
+    from armrig.models.model_file import load_fit
+    from armrig.plots.captions import signature
+    from armrig.validation.answer import simulation, tests_sentence
+    from armrig.validation.comparison import compare as compared
+    from armrig.validation.figures import COLUMN_WIDTH, ROW_HEIGHT, plot_residual_test
+    from armrig.validation.linearity import in_open_loop
+    from armrig.validation.residuals import residuals
+
+    out.check(file, model)
+    fit = load_fit(model)
+    data = signals.of(file, fit)
+    with estimating("the orders"):
+        simulated = compared(data, fit)
+        predicted = [compared(data, fit, horizon=h) for h in horizon or _HORIZONS]
+        tests = residuals(fit, data, lags)
+    warn_of_estimation_data(simulated)
+
+    def facts() -> dict[str, Any]:
+        errors = "fit_percent rms_error"
+        ahead = [{"horizon": t.horizon} | error_facts(t.rows, errors) for t in predicted]
+        of = {"model": str(model), "identified_from": fit.source}
+        return of | residual_facts(data, simulated.rows, tests) | {"ahead": ahead}
+
+    def say_validation() -> None:
+        first = f"Simulated, {fit.heading} fits {simulation(simulated.rows)}."
+        say_answer(f"{first}\n{tests_sentence(tests)}.")
+        for found in in_open_loop(data):
+            if not found.linear:
+                say(f"Linearity of {found.input} to {found.output}: NONLINEAR: {found.line}.")
+        _say_predictions(simulated, predicted)
+        counts = [str(q.N) for q in fit.quality]
+        known = [str(n) for n in data.signals().valid.sum(axis=0)]
+        say(
+            f"{input_and_output(fit)}; estimated from {listed([*dict.fromkeys(counts)])} samples, "
+            f"validated on {listed([*dict.fromkeys(known)])} samples of {typed(file)} "
+            f"({signature(data.source)}); {simulated.note}",
+            dim=True,
+        )
+        if lines := residual_lines(tests) if out.verbose else pair_lines(tests):
+            say("\n".join(lines))
+        if (out.verbose or out.plot is not None) and (why := lags_outside(tests)):
+            say(why)
+
+    def figures() -> dict[str, Draw]:
+        from armrig.plots import plot_compare
+
+        return {
+            "compare": partial(plot_compare, data, fit, table=simulated),
+            "residuals": partial(plot_residual_test, tests),
+            **_responses(data, [fit], [fit.label]),
+        }
+
+    out.show(
+        facts=facts,
+        say=say_validation,
+        figures=figures,
+        say_next=lambda: after_validate(fit, tests, data, file, model, signals),
+        width=max(WIDTH, COLUMN_WIDTH * (1 + fit.nu)),
+        height=max(HEIGHT, ROW_HEIGHT * fit.ny),
+    )
+
+
+def _say_predictions(simulated: ComparisonTable, predicted: Sequence[ComparisonTable]) -> None:
+    """Print the predictions; those equal to the simulation are in one sentence."""
+    import numpy as np
+
+    from armrig.cli.model_output import RTOL, equally_well
+
+    rms = [row.rms_error for row in simulated]
+    same = [t.horizon for t in predicted if np.allclose([row.rms_error for row in t], rms, RTOL, 0)]
+    if same:
+        say(equally_well(same))
+    for one in predicted:
+        if one.horizon not in same:
+            say("\n".join(_ahead_lines(one)))
+
+
+def _ahead_lines(table: ComparisonTable) -> Iterator[str]:
+    """Yield a line with the errors of each output; several outputs are named."""
+    from armrig.validation.comparison import row_line
+
+    ahead = f"{table.horizon} ahead"
+    width = max(len(name) for name in table.outputs) if len(table.outputs) > 1 else 0
+    for row in table:
+        yield row_line(f"{ahead:9}" + (f" {row.output:{width}}" if width else ""), row)
+        ahead = ""
+
+
+def _responses(
+    data: Dataset | Signals, fits: Sequence[Fit], names: Sequence[str], **more: Draw
+) -> dict[str, Draw]:
+    """Return the Bode diagram of models of one channel, `more` diagrams, and the poles.
+
+    For models of several signals, the result is empty.
+    """
+    from armrig.plots import plot_bode, plot_poles_zeros
+
+    if any((fit.ny, fit.nu) != (1, 1) for fit in fits):
+        return {}
+    beside = spectral_beside(data.signals().dataset())
+    labels = [*names, *("spectral analysis, 95 %" for _ in beside)]
+    bode = partial(plot_bode, *fits, *beside, labels=labels)
+    return {"bode": bode, **more, "poles": partial(plot_poles_zeros, *fits, labels=names)}
+
+
+def compare(
+    *,
+    file: File,
+    other: OtherFile = None,
+    orders: ModelOrders,
+    model: list[Path] | None = chosen(
+        None, "--model JSON", "Model file written by identify --save; repeatable."
+    ),
+    horizon: int | None = chosen(
+        None,
+        "--horizon",
+        "Prediction horizon, in samples.",
+        "none: the models are simulated",
+        min=1,
+    ),
+    given: Given = None,
+    part: Part,
+    out: ShownFigure,
+) -> None:
+    """Compare models on data that they were not estimated from.
+
+    With F2, the command estimates an ARX and an OE model from F. On F2, it compares these two
+    models, the physical model and the models of --model. Without F2, it compares the models of
+    --model on F. --set adds a physical model with the given parameters.
+    """
+    from armrig.models.model_file import load_fit
+    from armrig.physics.systems import physical_model
+    from armrig.recordings.usability import emulation
+    from armrig.validation.comparison import compare as comparison_of
+
+    changed = physics_beside(given) if given else {}
+    if other is None and not model:
+        raise typer.BadParameter(
+            "give a second recording to validate with, or the models to compare, --model FILE "
+            "(from `armrig identify --save FILE`)"
+        )
+    files = [file] if other is None else [file, other]
+    out.check(*files, *(model or []))
+    saved = [(path.stem, load_fit(path)) for path in model or []]
+    _check_signals(saved, alone=other is None and not given)
+    if other is None:
+        models, data, where = saved, part.recorded(file, saved[0][1]), typed(file)
+        recordings = part.read
+    else:
+        from armrig.physics.systems import HANDOUT
+
+        recordings = part.recordings(*files)
+        models, data, where = _studied(recordings, saved, orders)
+        changed.pop(HANDOUT, None)  # the handout's model is in the comparison already
+    if changed:
+        of_one = data.signals().dataset()
+        models = [*models, *((name, physical_model(p, of_one)) for name, p in changed.items())]
+    names, fits = [name for name, _ in models], [fit for _, fit in models]
+    table = comparison_of(data, *fits, horizon=horizon, labels=names)
+    warn_of_estimation_data(table)
+
+    def say_comparison() -> None:
+        print_comparison(table, f"on {where}", verbose=out.verbose)
+        for text in emulation(recordings):
+            say(text, dim=True)
+
+    def figures() -> dict[str, Draw]:
+        from armrig.plots import plot_compare, plot_step
+
+        drawn = {"compare": partial(plot_compare, data, *fits, labels=names, table=table)}
+        step = partial(plot_step, *fits, labels=names)
+        return drawn | _responses(data, fits, names, step=step)
+
+    def say_after() -> None:
+        columns = data.signals()
+        channel = part.of_channel(columns.outputs[0], columns.inputs[0], data)
+        say_next("compare", file=typed(file), given=channel.options(data))
+
+    out.show(
+        facts=lambda: {"validation": data.source, "models": [*map(row_facts, table.models)]},
+        say=say_comparison,
+        figures=figures,
+        say_next=say_after,
+        height=4.2,
+    )
+
+
+def _check_signals(saved: Sequence[tuple[str, Fit]], *, alone: bool) -> None:
+    """Refuse models of several signals with models of other signals; `alone`: only saved models."""
+    shapes = {(fit.outputs, fit.inputs) for _, fit in saved}
+    several = any((fit.ny, fit.nu) != (1, 1) for _, fit in saved)
+    if several and (len(shapes) > 1 or not alone):
+        raise typer.BadParameter(
+            "--model: models of several signals are compared with models of the same signals only, "
+            "on one recording F"
+        )
+
+
+def _studied(
+    recordings: list[Recording], saved: list[tuple[str, Fit]], orders: dict[str, Any]
+) -> tuple[list[tuple[str, Fit]], Dataset | Signals, str]:
+    """Estimate ARX and OE models; return all models, the validation data and their name."""
+    from armrig.report.study import Orders, study
+
+    with estimating("na, nb and nf"):
+        done = study(recordings, orders=Orders(**orders))
+    where = typed(done.recording_of(done.validation.source).path)
+    if done.halves:
+        where += ", its second half (the models are estimated from its first half)"
+    models = [(assessed.name, assessed.model) for assessed in done.models]
+    more = []
+    for name, fit in saved:
+        same = next((n for n, m in models if _same(m, fit)), None)
+        if same is None:
+            more.append((name, fit))
+        else:
+            inform(f"the model {name} equals the {same} model estimated here; it is shown once")
+    return models + more, done.validation, where
+
+
+def _same(a: Fit, b: Fit) -> bool:
+    """Return True if two models have the same polynomials, within 1e-6."""
+    import numpy as np
+
+    pairs = [(getattr(a, letter), getattr(b, letter)) for letter in "ABCDF"]
+    return a.Ts == b.Ts and all(
+        x.size == y.size and np.allclose(x, y, rtol=_SAME_RTOL, atol=0) for x, y in pairs
+    )
+
+
+def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> None:
+    """Print the closest model, the fit of each model, and the differences between the models.
+
+    For several signals, print the best model of each output, and the fits.
+
+    With `verbose`, also print the characteristics of the models, and the causes of the differences.
+    """
+    if any((row.model.ny, row.model.nu) != (1, 1) for row in table):
+        from armrig.validation.answer import closest
+
+        say(closest(table), bold=True)
+        say(repr(table))
+        return
+    best, *differences = table.explain(brief=not verbose).splitlines()
+    say(best, bold=True)
+    how = "simulated" if table.horizon is None else f"predicted {table.horizon} samples ahead"
+    say(f"{how} {where}", dim=True)
+    say("\n".join(repr(table).splitlines()[1:]))
+    if verbose:
+        echo(table.table())
+    left = [] if verbose else differences[_MAX_DIFFERENCES:]
+    for text in differences[: len(differences) - len(left)]:
+        say(text)
+    if verbose:
+        return
+    more = [plural(len(left), "more difference")] if left else []
+    say_more(", ".join([*more, "characteristics of the models, causes of the differences"]))
+
+
+def row_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
+    """Return the errors of a model, and its characteristic numbers, as JSON fields."""
+    from armrig.cli.model_output import error_facts
+
+    facts = {"model": rows[0].name} | error_facts(rows)
+    facts["on_estimation_data"] = rows[0].on_estimation_data
+    if (rows[0].model.ny, rows[0].model.nu) != (1, 1):
+        return facts
+    t = rows[0].characteristics
+    return facts | {
+        "of_rate": t.integrating,
+        "figures": {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()},
+        "poles": t.poles,
+    }
+
+
+_CHASSIS = (
+    "handout 3.5 and 3.6 need a complete recording of the chassis alone: remove the arm, write "
+    "chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), and end `armrig lab`"
+)
+_TESTS = {"open loop": "3.7", "delay": "3.8", "linearity": ""}
+"""Tests of `armrig check`, with their assignments in the handout."""
+
+
+def check(
+    *,
+    file: DataFile,
+    signals: Annotated[SignalChoice, data_group()],
+    level: float = chosen(0.05, "--level", "Significance level of the test for feedback."),
+    out: Shown,
+) -> None:
+    """Test the data for feedback and a delay (handout 3.7, 3.8).
+
+    With several signals, each pair of an input and an output is tested.
+    """
+    from armrig.validation.feedback_and_delay.delay import delay
+    from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
+    from armrig.validation.linearity import CHANCE_LEVEL
+    from armrig.validation.linearity import linearity as linear
+
+    out.check(file)
+    require_level(level)
+    data = signals.of(file)
+    integrator, taken = signals.integrator, list[str]()
+    if signals.shape == (1, 1):
+        integrates, taken = signals.choice(data)
+        integrator = integrator if out.json else integrates  # the remarks then contain the reason
+    with spinner("testing") as progress:
+        loops = by_channel(partial(open_loop, level=level), data)
+        delays = by_channel(partial(delay, integrator=integrator, progress=progress), data)
+    require_result([*loops.values(), *delays.values()])
+    linears = {
+        name: "u depends on y" if getattr(one, "closed", False) else one
+        for name, one in by_channel(partial(linear, level=CHANCE_LEVEL), data).items()
+    }
+    tests = {name: (loop, delays[name], linears[name]) for name, loop in loops.items()}
+
+    def facts() -> dict[str, Any]:
+        each = {
+            channel: {
+                "open_loop": _loop_facts(loop),
+                "delay": _delay_facts(late),
+                "linearity": _linearity_facts(straight, gains=False),
+            }
+            for channel, (loop, late, straight) in tests.items()
+        }
+        return source_facts(data) | facts_by_channel(each)
+
+    def say_tests() -> None:
+        for line in taken:
+            say(line)
+        for channel, found in tests.items():
+            say_channel(channel)
+            for (which, number), one in zip(_TESTS.items(), found, strict=True):
+                where = f"{which} (handout {number})" if number and from_recording(data) else which
+                if isinstance(one, str):
+                    say(f"{where}: not known: {one}")
+                    continue
+                brief = one.brief() if number else f"{'NONLINEAR: ' * (not one.linear)}{one.line}"
+                first, *more = (one.explain() if out.verbose else brief).splitlines()
+                verdict = first.removeprefix("open loop: ")
+                say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
+
+    def figures() -> dict[str, Draw]:
+        drawn: dict[str, Draw] = {}
+        for channel, found in tests.items():
+            for which, one in zip(_TESTS, found[:2], strict=False):
+                if not isinstance(one, str):
+                    drawn |= of_channel(which.replace(" ", "_"), one.plot, channel)
+        return drawn
+
+    def say_after() -> None:
+        if not from_recording(data):
+            say_next("check other", file=typed(file), given=signals.options())
+        elif kind_of(file) == "greybox":
+            say_next("check greybox")
+        elif recorded := chassis():
+            say_next("check with chassis", chassis=recorded)
+        else:
+            inform(_CHASSIS)
+            say_next("check")
+
+    columns = None if () in tests else 2
+    out.show(facts=facts, say=say_tests, figures=figures, say_next=say_after, columns=columns)
+
+
+def linearity(
+    *,
+    file: DataFile,
+    signals: Annotated[SignalChoice, data_group()],
+    level: float = chosen(0.05, "--level", "Significance level of the test."),
+    out: Shown,
+) -> None:
+    """Test whether the rig is linear; name a nonlinearity."""
+    from armrig.validation.linearity import linearity as test
+
+    out.check(file)
+    data = signals.of(file)
+    found = by_channel(partial(test, level=level), data)
+    require_result([*found.values()])
+
+    def facts() -> dict[str, Any]:
+        each = {channel: _linearity_facts(one) for channel, one in found.items()}
+        return source_facts(data) | facts_by_channel(each)
+
+    def say_test() -> None:
+        for channel, one in found.items():
+            say_channel(channel)
+            known = one if isinstance(one, str) else one.explain() if out.verbose else one.brief()
+            say_answer(known)
+
+    def figures() -> dict[str, Draw]:
+        drawn: dict[str, Draw] = {}
+        for channel, one in found.items():
+            if not isinstance(one, str):
+                drawn |= of_channel("linearity", one.plot, channel)
+        return drawn
+
+    out.show(
+        facts=facts,
+        say=say_test,
+        figures=figures,
+        say_next=lambda: say_next("check other", file=typed(file), given=signals.options()),
+    )
+
+
+def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
+    if isinstance(loop, str):
+        return {"feedback": None, "p_value": None, "level": None, "lags": None, "remarks": [loop]}
+    lags = None if loop.sims is None else loop.sims.p
+    return fields_of(loop, "feedback p_value level") | {"lags": lags, "remarks": loop.remarks}
+
+
+def _linearity_facts(found: Linearity | str, *, gains: bool = True) -> dict[str, Any]:
+    if isinstance(found, str):
+        return {"linear": None, "remarks": [found]}
+    of = "linear p level kind numbers rails gain_of levels gains remedy remarks"
+    return fields_of(found, of if gains else "linear p level kind numbers remedy remarks")
+
+
+def _delay_facts(late: Delay | str) -> dict[str, Any]:
+    if isinstance(late, str):
+        return {"nk": None, "told": False, "remarks": [late]}
+    of = "interval integrator level p_values before misfit t_q remarks"
+    return fields_of(late, "nk delay") | {"told": late.told} | fields_of(late, of)
+
+
+def report(
+    *,
+    files: Annotated[
+        list[Path] | None,
+        argument("F…", "Recordings (*.mcap) or their @names.", parser=recording_path),
+    ] = None,
+    output: Path = chosen(Path("report.pdf"), "-o --output PDF", "PDF to write."),
+    signal: list[str] | None = chosen(
+        None,
+        "--signal NAME",
+        "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
+        "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
+        "theta_1",
+    ),
+    orders: ModelOrders,
+    calibration: CalibrationFile = None,
+    force: bool = chosen(False, "--force", "Overwrite an existing PDF."),
+    handout: bool = chosen(
+        False,
+        "--handout",
+        "Write a section for each assignment, at most ten pages in total. The recordings F… "
+        "are then optional.",
+    ),
+    questions: Path | None = chosen(
+        None, "--questions TOML", "New file for the handout's questions; no report is written."
+    ),
+    answers: Path | None = chosen(
+        None, "--answers TOML", "File with names, registration numbers and reasons (--handout)."
+    ),
+    given: Annotated[list[str] | None, noted(OF_CHANGES, " (--handout)")] = None,
+    amplitude: Annotated[float, noted(OF_AMPLITUDE, " (--handout)")] = AMPLITUDE_V,
+    omega: Annotated[float, noted(OF_OMEGA, " (--handout)")] = OMEGA,
+    source: Path | None = chosen(
+        None,
+        "--source FOLDER",
+        "New folder for the Typst source and its figures; --from typesets this source.",
+    ),
+    edited: Path | None = chosen(
+        None, "--from FOLDER", "Folder with a source to typeset, in place of recordings."
+    ),
+    json: Json = False,
+) -> None:
+    """Typeset a report as a PDF.
+
+    Steps and staircases are not used for the models. Of the other recordings, the first is used for
+    estimation and the second for validation. A single other recording is cut into halves.
+
+    A report covers complete runs. Here --from is not a start time: it names a folder that --source
+    wrote.
+    """
+    files = files or []
+    if questions is not None:
+        _write_questions(questions)
+        if not json:
+            _say_next_answers(questions)
+        return
+    _check_options(
+        files,
+        handout,
+        {
+            "edited": edited,
+            "source": source,
+            "answers": answers,
+            "set": given,
+            "signal": ",".join(signal or ()),
+        },
+    )
+    check_output(output, files, suffix=".pdf")
+    if output.exists() and not force:
+        raise InputError(f"-o {output}: exists; --force overwrites it, or give another name")
+    recordings: list[Recording] = []
+    if edited is not None:
+        _typeset_source(edited, output)
+    else:
+        if handout:
+            problem: dict[str, Any] = {"amplitude": amplitude, "omega": omega, "orders": orders}
+            problem["cases"] = cases(given) if given else None
+            recordings, typeset = _handout_report(files, calibration, answers, **problem)
+        else:
+            recordings, typeset = _study_report(files, calibration, orders, chosen_outputs(signal))
+        with spinner("typesetting"):
+            typeset(output, source=source)
+    if json:
+        print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
+    else:
+        echo(str(output))
+        if source is not None:
+            say_next("report --source", source=quote(str(source)), report=free_name())
+        elif answers or edited:
+            say_next("report", opener=opener(), file=quote(str(output)))
+        else:
+            _say_next_answers(Path(REASONS))
+
+
+def _say_next_answers(path: Path) -> None:
+    """Print the next command: the file of the questions, or the report with the answers."""
+    if path.exists():
+        inform(f"fill in {path} before the next command")
+        answers = f" --answers {quote(str(path))}"
+        values = {"files": for_the_report(), "answers": answers, "report": free_name()}
+        say_next("integrate", sinusoid="", **values)
+    else:
+        say_next("report --questions", questions=quote(str(path)))
+
+
+def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:
+    edited = given["edited"]
+    if edited and (
+        files or handout or any(given[x] for x in ("source", "answers", "set", "signal"))
+    ):
+        raise typer.BadParameter(
+            f"--from {edited}: give no recordings, and no option but -o and --force; the folder "
+            f"contains all data of the report, the answers in {edited}/data.json"
+        )
+    for name in ("answers", "set"):
+        if given[name] and not handout:
+            raise typer.BadParameter(f"--{name} applies to the handout's report: add --handout")
+    if given["signal"] and handout:
+        raise typer.BadParameter(
+            f"--signal {given['signal']}: the handout's report models theta_1; leave out --handout "
+            "or --signal"
+        )
+    if not (files or handout or given["edited"]):
+        raise typer.BadParameter(
+            "give recordings to report on, such as those of `armrig collect blackbox "
+            "--validation`; --handout needs none"
+        )
+
+
+def _write_questions(path: Path) -> None:
+    from armrig.report.answers import questions_toml
+
+    text = questions_toml(printable(quote(str(path))))
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError(
+            f"--questions {path}: exists and may contain answers; give another name"
+        ) from None
+    echo(str(path))
+
+
+def _typeset_source(folder: Path, output: Path) -> None:
+    from armrig.report.document import TEMPLATE, check_length
+    from armrig.report.typesetting import compiled
+
+    sources = sorted(folder.glob("*.typ"))
+    if len(sources) != 1:
+        raise InputError(
+            f"--from {folder}: has {len(sources)} files *.typ; give a folder that `armrig report "
+            "--source FOLDER` wrote"
+        )
+    with spinner("typesetting"):
+        pdf, places = compiled(sources[0])
+    if sources[0].name == TEMPLATE:
+        check_length(places)
+    output.write_bytes(pdf)
+
+
+def _study_report(
+    files: Sequence[Path],
+    calibration: Path | None,
+    orders: dict[str, Any],
+    outputs: Sequence[OutputName],
+) -> tuple[list[Recording], Callable[..., Any]]:
+    """Return the recordings, and the function that typesets a report on them."""
+    from armrig.cli.recorded_data import loaded
+    from armrig.report.document import report as typeset
+    from armrig.report.study import Orders, study
+
+    recordings = loaded(files, calibration)
+    _report_ignored(recordings)
+    with estimating("na, nb and nf"):
+        done = study(recordings, orders=Orders(**orders), outputs=outputs)
+    remarks = []
+    if done.validation.digest == done.estimation.digest:
+        tell(OWN_DATA)
+        remarks.append(f"{OWN_DATA[0].upper()}{OWN_DATA[1:]}.")
+    return recordings, partial(typeset, done, remarks=remarks)
+
+
+def _handout_report(
+    files: Sequence[Path],
+    calibration: Path | None,
+    answers: Path | None,
+    *,
+    orders: dict[str, Any],
+    **problem: Any,
+) -> tuple[list[Recording], Callable[..., Any]]:
+    """Return the recordings, and the function that typesets the handout's report."""
+    from armrig.cli.recorded_data import loaded
+    from armrig.recordings.usability import different_calibrations
+    from armrig.report.answers import Answers, read_answers
+    from armrig.report.document import handout_report
+    from armrig.report.handout_study import handout_study
+    from armrig.report.study import Orders
+
+    said = Answers() if answers is None else read_answers(answers)
+    recordings = loaded(files, calibration, one_plant=False)
+    for text in different_calibrations(recordings):
+        tell(text.removesuffix("."))
+    with estimating("na, nb and nf"):
+        done = handout_study(recordings, orders=Orders(**orders), **problem)
+    return recordings, partial(handout_report, done, answers=said)
+
+
+def _report_ignored(recordings: Sequence[Recording]) -> None:
+    """Print the recordings that are not used for the models of the report."""
+    from armrig.recordings.usability import NO_MODEL
+
+    kinds = [r.manifest.experiment.partition("-")[0] for r in recordings]
+    excited = [r for r, kind in zip(recordings, kinds, strict=True) if kind not in NO_MODEL]
+    for r in excited[2:]:
+        tell(
+            f"{r.path.name} is only listed in the report: the models are estimated from "
+            f"{excited[0].path.name} and validated on {excited[1].path.name}"
+        )
