@@ -57,6 +57,7 @@ from armrig.cli.results import (
     ShownFigure,
     check_output,
     of_channel,
+    shown,
 )
 from armrig.cli.spinner import estimating, spinner
 from armrig.estimation.request import Request
@@ -104,7 +105,6 @@ def sampling(
     """
     from armrig.estimation.nonparametric.sampling_time import sampling_time
 
-    out.check(file)
     data = signals.of_one(file)
     integrates, taken = signals.choice(data)
     integrator = signals.integrator if out.json else integrates  # the notes contain the reason
@@ -168,7 +168,7 @@ def _steps(data: Dataset, integrator: bool | None) -> StepAnalysis | None:
 def hints(
     file: DataFile,
     signals: Annotated[SignalChoice, data_group(without="hampel")],
-    out: Annotated[Output, group(Output, ("plot", "json"))],
+    out: Annotated[Output, shown("plot", "json")],
 ) -> None:
     """Suggest a model structure for the data (handout 3.2).
 
@@ -179,7 +179,6 @@ def hints(
     from armrig.validation.data_advice import data_doubts
     from armrig.validation.structure_hints import call_of_all, structure_hints
 
-    out.check(file)
     data = signals.of(file)
     with spinner("estimating without a structure"):
         doubts = {name: data_doubts(one) for name, one in each_channel(data)}
@@ -292,7 +291,7 @@ def identify(
         wanted = replace(searching, fixed=searched_for(given, *shape))
     else:
         wanted = requested(given, *shape)
-    _check_files(out, save, file, validate)
+    _check_model_file(save, file, validate)
     from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
@@ -361,9 +360,8 @@ def _for_outputs(
     return structs.replace(wanted, integrator=integrating) if integrator else wanted
 
 
-def _check_files(out: Output, save: Path | None, *inputs: Path | None) -> None:
-    """Refuse, before the estimation, files that cannot or must not be written."""
-    out.check(*inputs)
+def _check_model_file(save: Path | None, *inputs: Path | None) -> None:
+    """Refuse, before the estimation, a model file that cannot or must not be written."""
     if save is not None:
         check_output(save, [path for path in inputs if path is not None])
         if save.suffix.lower() != ".json":

@@ -58,6 +58,8 @@ class Group(NamedTuple):
     options: Sequence[inspect.Parameter]
     made: Callable[..., Any] = dict
     """Function that makes the argument of the options."""
+    check: Callable[[Any, Sequence[Path]], None] | None = None
+    """Function that gets this argument and the files in the other options before the command."""
 
 
 def parameter(name: str, kind: Any, which: Any, default: Any = None) -> inspect.Parameter:
@@ -72,6 +74,7 @@ def group(
     made: Callable[..., Any] | None = None,
     *,
     repeatable: Sequence[str] = (),
+    check: Callable[[Any, Sequence[Path]], None] | None = None,
 ) -> Group:
     """Return the fields of the dataclass `kind` as a group of options.
 
@@ -89,7 +92,7 @@ def group(
         if name in repeatable:
             taken, which = list[str] | None, noted(which, "; repeatable")
         options.append(parameter(name, taken, which, known[name].default))
-    return Group(options, made or kind)
+    return Group(options, made or kind, check)
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -113,10 +116,11 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def taking(**values: Any) -> None:
-        made = {
-            name: of.made(**{p.name: values.pop(p.name) for p in of.options})
-            for name, of in groups.items()
-        }
+        made = {}
+        for name, of in groups.items():
+            made[name] = of.made(**{p.name: values.pop(p.name) for p in of.options})
+            if of.check is not None:
+                of.check(made[name], _files(values))
         command(**made, **values)
 
     taking.__signature__ = signature.replace(  # type: ignore[attr-defined]
@@ -124,6 +128,11 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     )
     taking.__annotations__ = {p.name: p.annotation for p in taken}
     return taking
+
+
+def _files(values: dict[str, Any]) -> list[Path]:
+    each = (value if isinstance(value, list) else [value] for value in values.values())
+    return [file for value in each for file in value if isinstance(file, Path)]
 
 
 class Commands(typer.Typer):

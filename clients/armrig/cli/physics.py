@@ -14,7 +14,7 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry.telemetry import ALPHA, THETA_1, ChannelName
 
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
-from armrig.cli.options import File, argument, chosen, group, option, recording_path
+from armrig.cli.options import File, argument, chosen, option, recording_path
 from armrig.cli.parameters import (
     AMPLITUDE_V,
     OMEGA,
@@ -29,7 +29,7 @@ from armrig.cli.parameters import (
 )
 from armrig.cli.printing import echo, fields_of, say, say_answer, say_more
 from armrig.cli.recorded_data import Part, chosen_outputs
-from armrig.cli.results import Draw, Output, Shown
+from armrig.cli.results import Draw, Output, Shown, shown
 from armrig.cli.spinner import spinner
 from armrig.cli.validate import print_comparison, row_facts
 
@@ -79,7 +79,6 @@ def greybox(
     from armrig.physics.grey_box.estimate import greybox as estimate
     from armrig.recordings.usability import emulation
 
-    out.check(file)
     fixed = parameters(given)
     [recording] = part.recordings(file)
     model, rig = _rig(recording, model)
@@ -151,7 +150,6 @@ def split(
     from armrig.physics.grey_box.estimate import greybox
     from armrig.physics.grey_box.split_study import split_study
 
-    out.check(file)
     cuts, fixed = _cuts(parts), parameters(given)
     [recording] = part.recordings(file)
     data = recording.dataset(signal)
@@ -195,7 +193,7 @@ def simulate(
     ),
     given: Given = None,
     part: Part,
-    out: Annotated[Output, group(Output, ("json", "plot", "verbose"))],
+    out: Annotated[Output, shown("json", "plot", "verbose")],
 ) -> None:
     """Simulate the physical model and saved models (handout 3.4).
 
@@ -203,7 +201,6 @@ def simulate(
     physical model to a step of 1 V (handout 2.2).
     """
     physics = physics_beside(given)
-    out.check(file, *(model or ()))
     if file is None:
         for given_option in ["--model"] * bool(model) + part.given():
             option = given_option.partition(" ")[0]
@@ -298,16 +295,13 @@ _MAX_STEPS = 2_000_000
 _STATE = 2  # the speed, which stays bounded while the angle grows
 
 
-def model(
-    given: Given = None, *, out: Annotated[Output, group(Output, ("verbose", "plot", "json"))]
-) -> None:
+def model(given: Given = None, *, out: Annotated[Output, shown("verbose", "plot", "json")]) -> None:
     """Show what the physical model predicts (handout 2.1 to 2.3).
 
     The command prints A, B, poles, zeros, steady speed and initial slope. With --set, it compares
     the handout's parameters, each change alone and, if there are several changes, all changes
     together.
     """
-    out.check()
     found = {name: _answer(p) for name, p in cases(given).items()}
     out.show(
         facts=lambda: {"models": {name: _model_facts(answer) for name, answer in found.items()}},
@@ -453,7 +447,7 @@ def integrate(
     amplitude: Amplitude = AMPLITUDE_V,
     span: float | None = chosen(None, "--span S", "Length of the solution, in s.", "three periods"),
     tolerance: float = chosen(1e-3, "--tolerance", "Largest relative error of a recommended step."),
-    out: Annotated[Output, group(Output, ("json", "plot", "verbose"))],
+    out: Annotated[Output, shown("json", "plot", "verbose")],
 ) -> None:
     """Solve the arm's equations numerically (handout 4).
 
@@ -463,7 +457,6 @@ def integrate(
 
     from armrig.physics.integrators.accuracy import sinusoid
 
-    out.check()
     A, B, _ = arm_matrices(ArmParameters())
     problem = sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
     rows, advice = _solved(problem, method or (), h or (), tolerance)

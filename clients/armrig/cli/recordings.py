@@ -225,7 +225,6 @@ def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
     from armrig.recordings.loading import load
 
-    out.check(file)
     recording = load(file, part.calibration, start=part.start, stop=part.stop)
     name_runs(recording)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.errors import InputError
 
-from armrig.cli.options import Json, Verbose, group, option
+from armrig.cli.options import Group, Json, Verbose, group, option
 from armrig.cli.printing import inform, print_json
 from armrig.cli.spinner import spinner
 
@@ -202,9 +202,9 @@ class Output:
     verbose: Verbose = False
     plot: Plot = None
 
-    def check(self, *inputs: Path | None) -> None:
+    def check(self, inputs: Sequence[Path]) -> None:
         """Refuse, before a command's work, a figure that cannot or must not be written."""
-        check_plot(self.plot, [path for path in inputs if path is not None])
+        check_plot(self.plot, inputs)
 
     def show(
         self,
@@ -237,7 +237,12 @@ class Output:
             say_next()
 
 
-Shown = Annotated[Output, group(Output)]
+def shown(*names: str) -> Group:
+    """Return options of `Output` in the order of the help; the figure is checked at the start."""
+    return group(Output, names, check=Output.check)
+
+
+Shown = Annotated[Output, shown("json", "verbose", "plot")]
 """Options --json, --verbose and -o."""
-ShownFigure = Annotated[Output, group(Output, ("plot", "json", "verbose"))]
+ShownFigure = Annotated[Output, shown("plot", "json", "verbose")]
 """The same options in another order of the help."""

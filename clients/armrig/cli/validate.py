@@ -116,7 +116,6 @@ def validate(
     from armrig.validation.linearity import in_open_loop
     from armrig.validation.residuals import residuals
 
-    out.check(file, model)
     fit = load_fit(model)
     data = signals.of(file, fit)
     with estimating("the orders"):
@@ -250,7 +249,6 @@ def compare(
             "(from `armrig identify --save FILE`)"
         )
     files = [file] if other is None else [file, other]
-    out.check(*files, *(model or []))
     saved = [(path.stem, load_fit(path)) for path in model or []]
     _check_signals(saved, alone=other is None and not given)
     if other is None:
@@ -407,7 +405,6 @@ def check(
     from armrig.validation.linearity import CHANCE_LEVEL
     from armrig.validation.linearity import linearity as linear
 
-    out.check(file)
     require_level(level)
     data = signals.of(file)
     integrator, taken = signals.integrator, list[str]()
@@ -483,7 +480,6 @@ def linearity(
     """Test whether the rig is linear; name a nonlinearity."""
     from armrig.validation.linearity import linearity as test
 
-    out.check(file)
     data = signals.of(file)
     found = by_channel(partial(test, level=level), data)
     require_result([*found.values()])
@@ -618,14 +614,14 @@ def report(
             typeset(output, source=source)
     if json:
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
+        return
+    echo(str(output))
+    if source is not None:
+        say_next("report --source", source=quote(str(source)), report=free_name())
+    elif answers or edited:
+        say_next("report", opener=opener(), file=quote(str(output)))
     else:
-        echo(str(output))
-        if source is not None:
-            say_next("report --source", source=quote(str(source)), report=free_name())
-        elif answers or edited:
-            say_next("report", opener=opener(), file=quote(str(output)))
-        else:
-            _say_next_answers(Path(REASONS))
+        _say_next_answers(Path(REASONS))
 
 
 def _say_next_answers(path: Path) -> None:

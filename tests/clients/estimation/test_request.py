@@ -44,7 +44,7 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
         "armrig.cli.identify.requested",
         lambda given, *shape: asked.append(requested(given, *shape)),
     )
-    monkeypatch.setattr("armrig.cli.identify._check_files", _ended)
+    monkeypatch.setattr("armrig.cli.identify._check_model_file", _ended)
 
     typed = shlex.split(options_of(request))
     of_one = OPTIONS[option][1].channels == 1
