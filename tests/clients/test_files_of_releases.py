@@ -10,10 +10,10 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.cli.replay import replay
 from armrig.models.model_writing import model_text
 from armrig.recordings.calibration import estimate
 from armrig.recordings.container import read
+from armrig.recordings.replay import replay
 from armrig.recordings.verification import verify
 from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.errors import FileError

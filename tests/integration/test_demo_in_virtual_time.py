@@ -11,7 +11,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.cli.replay import replay
+from armrig.recordings.replay import replay
 
 # Found by every Python below, that of `armrigd virtual` too: a system without POSIX's terminals,
 # and without those modules of ours that call Linux.

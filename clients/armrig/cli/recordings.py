@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from armrig_core.recording_file.manifest import Recovered
     from armrig_core.recording_file.recovery import RecoveredFile
 
-    from armrig.cli.replay import Replay
     from armrig.recordings.catalogue import Catalogue, LeftOut
     from armrig.recordings.recording import Recording
     from armrig.recordings.recording_names import Answering
     from armrig.recordings.recording_summary import RecordingSummary
+    from armrig.recordings.replay import Replay
 
 Live = Annotated[bool, option("--live", "List the rigs that are alive.")]
 Folder = Annotated[
@@ -377,7 +377,7 @@ def replay(file: File, json: Json = False) -> None:
 
     The exit code is 1 if a decision differs from the recording.
     """
-    from armrig.cli.replay import replay as decided_again
+    from armrig.recordings.replay import replay as decided_again
 
     found = decided_again(file)
     if json:

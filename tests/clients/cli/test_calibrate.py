@@ -19,8 +19,8 @@ from armrig.cli.calibration import (
 )
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
+from armrig_core.commands import commands
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import commands
 from armrig_core.errors import InputError
 from armrig_core.rig.calibration import Calibration, Made
 from armrig_core.rig.calibration_file import raw_path, read_calibration, toml_of

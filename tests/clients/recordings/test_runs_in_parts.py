@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.replay import replay
 from armrig.recordings.loading import load
+from armrig.recordings.replay import replay
 from armrig.recordings.verification import verify
 from armrig.rig.playback import published
 from armrig_core.commands.codes import COMPLETE

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
@@ -27,6 +26,9 @@ from armrig.recordings.loading import files_of, run_content
 from armrig.recordings.recording_summary import is_foreign
 from armrig.recordings.sample_rows import SAMPLE_DTYPE
 from armrig.recordings.verification import recorded_input
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 MAX_CHUNK_BYTES = 4096
 """Largest size of a chunk of the core's steps, in B."""
@@ -65,7 +67,7 @@ class Replay:
     """Warnings and errors of the core during the replay, including safety trips."""
 
 
-def replay(path: str | Path) -> Replay:
+def replay(path: Path) -> Replay:
     """Repeat the core's decisions for a recorded run, and compare them with the recording.
 
     `path` is a file. To replay all parts of a run, give the name of the run. The replay compares
@@ -78,7 +80,6 @@ def replay(path: str | Path) -> Replay:
     OSError
         The file cannot be read.
     """
-    path = Path(path)
     try:
         paths = files_of(path)
         content = read(path) if paths == [path] else run_content(paths, digest=False).content
