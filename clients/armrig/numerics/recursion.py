@@ -5,9 +5,8 @@ from __future__ import annotations
 from math import isqrt
 
 import numpy as np
-from scipy.signal import lfilter
 
-from armrig.numerics.polynomial import Array, impulse, lagged
+from armrig.numerics.polynomial import Array, filtered, impulse, lagged
 
 _SETTLED_SHARE = 1e-18  # share of the largest value below which an impulse response is 0
 _MAX_CONDITION = 1e5  # largest condition number of the eigenvectors for a sum over modes
@@ -100,7 +99,7 @@ def outputs(Phi: Array, C: Array, w: Array, x0: Array) -> Array:
     for k in range(len(Phi)):
         total[k : k + 1] += x0[k]
         total[k + 1 :] += w[: total.size - k - 1, k]
-    return np.asarray(lfilter([1.0], np.append(1.0, -Phi[:, 0]), total)[:, None])
+    return filtered([1.0], np.append(1.0, -Phi[:, 0]), total)[:, None]
 
 
 def free_responses(Phi: Array, C: Array, N: int) -> Array:
@@ -140,10 +139,10 @@ def responses(Phi: Array, C: Array, signals: Array) -> Array:
     """
     (N, m), (ny, n) = signals.shape, C.shape
     if in_observer_form(Phi, C):
-        filtered = lfilter([1.0], np.append(1.0, -Phi[:, 0]), signals.T)
+        each = filtered([1.0], np.append(1.0, -Phi[:, 0]), signals.T)
         found = np.zeros((m, n, 1, N))
         for k in range(min(n, N - 1)):
-            found[:, k, 0, k + 1 :] = filtered[:, : N - k - 1]
+            found[:, k, 0, k + 1 :] = each[:, : N - k - 1]
         return found
     z, V = np.linalg.eig(Phi)
     if np.linalg.cond(V) > _MAX_CONDITION:
@@ -157,7 +156,7 @@ def responses(Phi: Array, C: Array, signals: Array) -> Array:
     modes = np.empty((m, 2 * kept.size, N))  # real parts, then imaginary parts
     for k, i in enumerate(kept):
         pole = z[i] if z[i].imag else z[i].real
-        mode = lfilter([0.0, 1.0], [1.0, -pole], each)
+        mode = filtered([0.0, 1.0], [1.0, -pole], each)
         modes[:, k], modes[:, kept.size + k] = mode.real, mode.imag
     parts = (C @ V[:, kept] * twice)[:, :, None] * np.linalg.inv(V)[kept]  # (ny, modes, n)
     weights = parts.transpose(2, 0, 1).reshape(n * ny, kept.size)
