@@ -20,7 +20,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.options import recording_path
+from armrig.cli.recorded_data import recording_path
 from armrig.recordings.usability import all_doubts
 from armrig.report.document import MOST_PAGES
 

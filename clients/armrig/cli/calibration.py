@@ -18,8 +18,9 @@ from armrig_core.rig.calibration_file import raw_path
 from armrig_core.telemetry.telemetry import ALPHA
 
 from armrig.cli.next_step import naming, say_next, say_to_copy
-from armrig.cli.options import Connect, Json, RigId, SamplingTime, chosen, group, recording_path
+from armrig.cli.options import Connect, Json, RigId, SamplingTime, chosen, group
 from armrig.cli.printing import fields_of, inform, print_json, print_table, question, tell
+from armrig.cli.recorded_data import recording_path
 from armrig.cli.results import Plot, check_plot, write_plot
 from armrig.numerics.quantities import with_std
 

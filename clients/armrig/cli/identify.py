@@ -23,27 +23,18 @@ from armrig.cli.model_structures import (
     searched_for,
 )
 from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
-from armrig.cli.options import (
-    Commands,
-    DataFile,
-    Detrend,
-    Json,
-    ModelOrders,
-    argument,
-    chosen,
-    group,
-    option,
-    recording_path,
-)
+from armrig.cli.options import Commands, Detrend, Json, ModelOrders, argument, chosen, group, option
 from armrig.cli.printing import echo, fields_of, print_json, say, say_answer, say_more, some, tell
 from armrig.cli.recorded_data import (
     Channel,
+    DataFile,
     SignalChoice,
     by_channel,
     data_group,
     each_channel,
     facts_by_channel,
     from_recording,
+    recording_path,
     require_result,
     say_channel,
     source_facts,

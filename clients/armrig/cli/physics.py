@@ -14,7 +14,7 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry.telemetry import ALPHA, THETA_1, ChannelName
 
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
-from armrig.cli.options import File, argument, chosen, option, recording_path
+from armrig.cli.options import argument, chosen, option
 from armrig.cli.parameters import (
     AMPLITUDE_V,
     OMEGA,
@@ -28,7 +28,7 @@ from armrig.cli.parameters import (
     physics_beside,
 )
 from armrig.cli.printing import echo, fields_of, say, say_answer, say_more
-from armrig.cli.recorded_data import Part, chosen_outputs
+from armrig.cli.recorded_data import File, Part, chosen_outputs, recording_path
 from armrig.cli.results import Draw, Output, Shown, shown
 from armrig.cli.spinner import spinner
 from armrig.cli.validate import print_comparison, row_facts

@@ -17,9 +17,9 @@ from armrig_core.process.printable import printable
 from armrig_core.telemetry.telemetry import THETA_1, ChannelName
 
 from armrig.cli.next_step import AFTER, kind_of, say_next, typed
-from armrig.cli.options import CalibrationFile, File, From, Json, To, argument, chosen, option
+from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen, option
 from armrig.cli.printing import echo, fields_of, inform, print_json, print_table, some, tell, warned
-from armrig.cli.recorded_data import Part
+from armrig.cli.recorded_data import File, Part
 from armrig.cli.results import (
     FIGURE_HELP,
     Draw,

@@ -23,7 +23,6 @@ from armrig.cli.next_step import naming, opener, own_recordings, say_next, step_
 from armrig.cli.options import (
     Commands,
     Connect,
-    File,
     From,
     Json,
     RigId,
@@ -34,6 +33,7 @@ from armrig.cli.options import (
     option,
 )
 from armrig.cli.printing import echo, fields_of, inform, print_json, tell, tell_error
+from armrig.cli.recorded_data import File
 
 if TYPE_CHECKING:
     from armrig.rig.playback import PublishedRun

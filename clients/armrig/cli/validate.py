@@ -24,19 +24,7 @@ from armrig.cli.next_step import (
     say_next,
     typed,
 )
-from armrig.cli.options import (
-    CalibrationFile,
-    DataFile,
-    File,
-    Json,
-    ModelOrders,
-    OtherFile,
-    argument,
-    chosen,
-    noted,
-    option,
-    recording_path,
-)
+from armrig.cli.options import CalibrationFile, Json, ModelOrders, argument, chosen, noted, option
 from armrig.cli.parameters import (
     AMPLITUDE_V,
     OF_AMPLITUDE,
@@ -49,6 +37,9 @@ from armrig.cli.parameters import (
 )
 from armrig.cli.printing import echo, fields_of, inform, print_json, say, say_answer, say_more, tell
 from armrig.cli.recorded_data import (
+    DataFile,
+    File,
+    OtherFile,
     Part,
     SignalChoice,
     by_channel,
@@ -56,6 +47,7 @@ from armrig.cli.recorded_data import (
     data_group,
     facts_by_channel,
     from_recording,
+    recording_path,
     require_result,
     say_channel,
     source_facts,

@@ -40,10 +40,12 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
 ) -> None:
     request, asked, tasks = _with(option), list[Any](), list[Any]()
     monkeypatch.setattr("armrig.cli.identify._process", lambda task, *_, **__: tasks.append(task))
-    monkeypatch.setattr(
-        "armrig.cli.identify.requested",
-        lambda given, *shape: asked.append(requested(given, *shape)),
-    )
+
+    def noted(*given: Any) -> Any:
+        asked.append(requested(*given))
+        return asked[-1]
+
+    monkeypatch.setattr("armrig.cli.identify.requested", noted)
     monkeypatch.setattr("armrig.cli.identify._check_model_file", _ended)
 
     typed = shlex.split(options_of(request))
@@ -53,7 +55,7 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
     assert main(batch) == (0 if of_one else 2)  # a batch has one output and one input
     assert main(["identify", "data.csv", *typed, *columns]) == 1
 
-    assert asked == [request]
+    assert asked == [request] * (1 + of_one)
     assert tasks == [Identify(**asdict(request))] * of_one
 
 
