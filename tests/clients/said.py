@@ -3,7 +3,9 @@
 A line `$ armrig …` or `$ armrigd …` is a command, `>>> …` a line of Python. Below it are standard
 output (after two blanks), standard error (`! `), the exit code if it is not 0, and the written
 files (`+ `). Of a text the first lines are shown; of a file named whole, all. JSON is a line for
-each value. If an earlier help of the file describes an option alike, only its name is shown.
+each value, short object, or table of numbers. The first help of a file is as printed. Of
+the others a paragraph and an option are one line each, and an option that an earlier help describes
+alike is named only.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import re
 import shlex
 import sys
 from code import InteractiveInterpreter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
 from difflib import SequenceMatcher, unified_diff
 from importlib.metadata import version
@@ -31,7 +33,7 @@ WITHIN = 1e-3
 """Share by which a number may differ from the stored one; a whole number may not."""
 _TINY = 1e-9  # two numbers that are smaller are rounding
 _NUMBER = re.compile(r" *(?<![\w.])[-+−]?\d+(?:\.\d+)*(?:e[-+]?\d+)? *")
-_SHOWN, _ITEMS, _LINES = ("  ", "! ", "+ ", "exit "), 8, 40
+_SHOWN, _ITEMS, _LINES, _WIDEST = ("  ", "! ", "+ ", "exit "), 8, 40, 200
 _OTHERS = (  # of another machine, day or version
     (re.compile(rf"(?<![\w.]){re.escape(version('armrig'))}(?!\.?\w)"), "VERSION"),
     (re.compile(r"(?<![\w.])(?:[0-9a-f]{12}|(?=\w*[a-f])[0-9a-f]{13,64})(?![\w-]|\.\w)"), "HASH"),
@@ -50,7 +52,7 @@ def said_again(stored: str, folder: Path) -> str:
     for line in stored.splitlines():
         if line.startswith(("$ ", ">>> ")):
             found = _printed(line, python, folder)
-            lines += [line, *(_new_options(found, shown) if line.endswith("--help") else found)]
+            lines += [line, *(_help([*found], shown) if line.endswith("--help") else found)]
         elif not line.startswith(_SHOWN):  # a remark
             lines.append(line)
     return "\n".join(_rounded_as(stored.splitlines(), lines)) + "\n"
@@ -97,29 +99,39 @@ def _printed(line: str, python: _Python, folder: Path) -> Iterator[str]:
                         yield from ("+   " + x for x in _lines(text.decode(), folder)[:_LINES])
 
 
-def _new_options(found: Iterable[str], shown: set[str]) -> Iterator[str]:
-    """Yield the lines of a help; of options that an earlier help describes alike, the names."""
-    options: list[list[str]] = []
-    for line in found:
-        if line.startswith("    -"):
-            options.append([])
-        elif not (options and line.startswith(" " * 12)):
-            yield from _described(options, shown)
-            options.clear()
-        if options:
-            options[-1].append(line)
-        else:
-            yield line
-    yield from _described(options, shown)
+def _help(found: list[str], shown: set[str]) -> Iterator[str]:
+    """Yield the lines of a help; a later one has a line for each paragraph and each new option."""
+    entries = [*_entries(found)]
+    if not shown:
+        shown.update(text for text, is_option in entries if is_option)
+        yield from found
+        return
+    again: list[str] = []
+    for text, is_option in [*entries, ("", False)]:
+        if again and not is_option:
+            yield f"    as above: {' '.join(again)}"
+            again.clear()
+        if is_option and text in shown and (name := re.match(r" *((?:-\w, )?[-\w…|]+)", text)):
+            again.append(name[1])
+        elif text:
+            yield text
+        shown.update([text] if is_option else [])
 
 
-def _described(options: list[list[str]], shown: set[str]) -> Iterator[str]:
-    texts = {" ".join(" ".join(lines).split()): lines for lines in options}
-    yield from (line for text, lines in texts.items() if text not in shown for line in lines)
-    if again := [text for text in texts if text in shown]:
-        names = (re.match(r"(?:-\w, )?[-\w]+", text) for text in again)
-        yield f"    as above: {' '.join(name[0] for name in names if name)}"
-    shown.update(texts)
+def _entries(found: list[str]) -> Iterator[tuple[str, bool]]:
+    """Yield each paragraph, heading and option in one line, and whether it is an option."""
+    entry, in_list = "", False
+    for line in [*found, ""]:
+        depth = len(line) - len(line.lstrip())
+        if entry and line.strip() and (depth > 4 or (depth == 4 and not in_list)):
+            entry += f" {line.strip()}"
+            continue
+        if entry:
+            is_option = in_list and entry.startswith("    ") and "  " in entry.strip()
+            yield re.sub(r"(?<=\S) {2,}", "  ", entry), is_option
+        entry = line.rstrip()
+        if depth == 2:
+            in_list = entry.endswith(":")
 
 
 def _code(line: str, python: _Python) -> int:
@@ -156,17 +168,33 @@ def _lines(text: str, folder: Path, *, whole: bool = False) -> list[str]:
 
 
 def _values(value: Any, name: str = "") -> Iterator[str]:
-    if isinstance(value, dict) and value:
+    if isinstance(value, dict) and value and not (name and _is_row(value)):
         for key, item in value.items():
             yield from _values(item, f"{name}.{key}" if name else key)
-    elif isinstance(value, list) and any(isinstance(x, (dict, list)) for x in value):
+    elif isinstance(value, list) and not _is_plain(value) and not _is_table(value):
         for i, item in enumerate(value[:_ITEMS]):
             yield from _values(item, f"{name}[{i}]")
         yield from [f"{name}: {len(value)} rows"] if len(value) > _ITEMS else []
-    elif isinstance(value, list) and len(value) > _ITEMS:
-        yield f"{name}: [{', '.join(map(_value, value[:_ITEMS]))}] … {len(value)} values"
     else:
         yield f"{name}: {_value(value)}"
+
+
+def _is_row(value: dict[str, Any]) -> bool:
+    """Return whether an object is short and without parts."""
+    return all(map(_is_plain, value.values())) and len(_value(value)) <= _WIDEST
+
+
+def _is_plain(value: Any) -> bool:
+    """Return whether a value has no parts, or is a list of such values."""
+    items = value if isinstance(value, list) else [value]
+    return not any(isinstance(x, (dict, list)) for x in items)
+
+
+def _is_table(value: Any) -> bool:
+    """Return whether a list contains numbers only, at any depth."""
+    if isinstance(value, list):
+        return bool(value) and all(map(_is_table, value))
+    return value is None or isinstance(value, (int, float))
 
 
 def _words(value: Any, name: str = "") -> Iterator[str]:
@@ -182,8 +210,12 @@ def _words(value: Any, name: str = "") -> Iterator[str]:
 
 
 def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_value(item)}" for key, item in value.items()) or "{}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_value, value))}]"
+        n = _ITEMS if _is_plain(value) else max(2, _ITEMS // max(len(value[0]), 1))
+        more = f" … {len(value)} values" if len(value) > n else ""
+        return f"[{', '.join(map(_value, value[:n]))}]{more}"
     return f"{value:.6g}" if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
