@@ -1308,9 +1308,9 @@ def data_verdict() -> Variants:
 @variants
 def of_recordings() -> Variants:
     from armrig.recordings import findings, jitter, overview, usability
-    from armrig.recordings.export import columns
-    from armrig.recordings.recording_summary import summary_of
-    from armrig.recordings.verification import verify_recording
+    from armrig.recordings.files.recording_summary import summary_of
+    from armrig.recordings.files.verification import verify_recording
+    from armrig.recordings.recording import export_columns
 
     for start in HIDDEN:
         yield f"hidden {start}", findings.hidden_step(armrig.load(hidden(start)))
@@ -1319,7 +1319,7 @@ def of_recordings() -> Variants:
         yield f"{path.stem} disturbances", jitter.disturbances(r)
         yield f"{path.stem} overview", overview.overview(r)
         yield f"{path.stem} verification", verify_recording(r)
-        yield f"{path.stem} columns", columns(r, raw=True)
+        yield f"{path.stem} columns", export_columns(r, raw=True)
         yield f"{path.stem} summary", summary_of(path)
         yield f"{path.stem} jitter", [jitter.jitter_us(r), jitter.lateness_us(r)]
         yield f"{path.stem} hidden", findings.hidden_step(r)

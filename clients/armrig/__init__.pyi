@@ -69,11 +69,11 @@ from armrig.physics.systems import arm as arm
 from armrig.physics.systems import chassis as chassis
 from armrig.physics.systems import physical_model as physical_model
 from armrig.physics.systems import rehearse as rehearse
-from armrig.recordings.catalogue import Catalogue as Catalogue
-from armrig.recordings.catalogue import catalogue as catalogue
+from armrig.recordings.files.catalogue import Catalogue as Catalogue
+from armrig.recordings.files.catalogue import catalogue as catalogue
+from armrig.recordings.files.loading import example_recording as example_recording
+from armrig.recordings.files.loading import load as load
 from armrig.recordings.jitter import sampling_statistics as sampling_statistics
-from armrig.recordings.loading import example_recording as example_recording
-from armrig.recordings.loading import load as load
 from armrig.recordings.recording import Recording as Recording
 from armrig.recordings.usability import data_verdict as data_verdict
 from armrig.rig.client import Rig as Rig

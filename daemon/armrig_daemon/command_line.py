@@ -107,11 +107,12 @@ def run(
     except OperationError as err:
         _refuse(str(err), EX_CONFIG)
     with held_back():  # Python may ignore an exception during an import
+        from armrig_core.process.realtime import end_with_parent
+
         from armrig_daemon import config as configuration
-        from armrig_daemon.loop.realtime import end_with_parent
-        from armrig_daemon.service.emulated_rig import emulated
+        from armrig_daemon.service.host.emulated_rig import emulated
+        from armrig_daemon.service.host.systemd import Notifier
         from armrig_daemon.service.service import Service
-        from armrig_daemon.service.systemd import Notifier
 
     if parent is not None:  # the parent is `armrig lab`, which may be killed without a message
         end_with_parent(parent)
@@ -284,7 +285,7 @@ def emulate(
         from armrig_daemon.emulator.settings import EmulatorSettings, load
 
         if settings is not None:  # from `armrigd run --emulate`; the emulator ends with it
-            from armrig_daemon.loop.realtime import end_with_parent
+            from armrig_core.process.realtime import end_with_parent
 
             end_with_parent(parent)
             chosen = msgspec.json.decode(settings, type=EmulatorSettings)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from armrig.cli.runs import InputChoice, chosen_inputs
 from armrig.excitation import step
-from armrig.recordings.recording_summary import VALIDATION_OF
+from armrig.recordings.files.recording_summary import VALIDATION_OF
 from armrig_core.commands.commands import Run
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.board import FULL_SCALE_V, Board, Witness

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from armrig.models.model_writing import model_text
 from armrig.recordings.calibration import estimate
-from armrig.recordings.container import read
-from armrig.recordings.replay import replay
-from armrig.recordings.verification import verify
+from armrig.recordings.files.container import read
+from armrig.recordings.files.replay import replay
+from armrig.recordings.files.verification import verify
 from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.errors import FileError
 from armrig_core.recording_file.manifest import CALIBRATION_RAW

@@ -28,7 +28,7 @@ from armrig.plots.layout import (
     logarithmic,
     save,
 )
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from matplotlib import pyplot as plt

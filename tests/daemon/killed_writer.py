@@ -21,7 +21,7 @@ from armrig_core.recording_file.manifest import CONFIG, INPUT, Manifest
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.unfinished import unfinished
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
-from armrig_daemon.service.startup_recovery import StartupRecovery
+from armrig_daemon.service.host.startup_recovery import StartupRecovery
 
 TS_NS = 1_000_000
 SIDE_BY_SIDE = 4

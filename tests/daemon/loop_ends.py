@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from armrig_daemon.pipe import Orders, take_orders
-from armrig_daemon.service.child import LoopChild, Starter
+from armrig_daemon.service.host.child import LoopChild, Starter
 
 
 class LoopEnds:

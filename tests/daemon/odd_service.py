@@ -13,8 +13,9 @@ from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
-from armrig_daemon.service import client_watchdog, pressure, readings, token_bucket
+from armrig_daemon.service import client_watchdog, readings, token_bucket
 from armrig_daemon.service.access import Network
+from armrig_daemon.service.host import pressure
 from armrig_daemon.service.played_input import checked, one_a_line
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import History

@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from armrig.recordings.container import read
+from armrig.recordings.files.container import read
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.commands.commands import Run
 from armrig_core.errors import InputError

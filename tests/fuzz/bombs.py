@@ -24,14 +24,14 @@ MOST_MIB = 64.0
 """Memory that reading a hostile file may need, in MiB resident."""
 _LOAD = """
 import sys
-import armrig.recordings.loading
+import armrig.recordings.files.loading
 import armrig.recordings.recording
 # Not getrusage: its maximum is inherited from who started us.
 peak = lambda: int(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]) / 1024
-armrig.recordings.loading.load(sys.argv[1])  # an honest one: what reading costs anyway
+armrig.recordings.files.loading.load(sys.argv[1])  # an honest one: what reading costs anyway
 before = peak()
 try:
-    armrig.recordings.loading.load(sys.argv[2])
+    armrig.recordings.files.loading.load(sys.argv[2])
 except armrig.FileError:
     pass
 print(before, peak() - before)

@@ -11,7 +11,7 @@ from random import Random
 from typing import NamedTuple
 
 import numpy as np
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core.errors import FileError
 from armrig_core.recording_file import file_records

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core.errors import FileError
 from armrig_core.recording_file.manifest import CALIBRATION, OUTCOME, RUN, Manifest, Outcome

@@ -23,7 +23,7 @@ from typing import IO, Any
 
 LOADED = (
     "armrig_daemon.service.service",
-    "armrig_daemon.service.emulated_rig",
+    "armrig_daemon.service.host.emulated_rig",
     "armrig_daemon.emulator.real_time",
     "armrig.rig.client",
 )

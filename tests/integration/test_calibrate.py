@@ -15,8 +15,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.calibration import estimate
-from armrig.recordings.container import read
-from armrig.recordings.replay import replay
+from armrig.recordings.files.container import read
+from armrig.recordings.files.replay import replay
 from armrig.recordings.usability import doubts_of_calibration
 from armrig_core.recording_file.manifest import CALIBRATION, CALIBRATION_RAW
 from armrig_core.rig.calibration_file import raw_path, read_calibration

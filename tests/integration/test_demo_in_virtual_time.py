@@ -11,7 +11,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.recordings.replay import replay
+from armrig.recordings.files.replay import replay
 
 # Found by every Python below, that of `armrigd virtual` too: a system without POSIX's terminals,
 # and without those modules of ours that call Linux.
@@ -19,7 +19,7 @@ ELSEWHERE = """
 import os, signal, sys
 
 THEIRS = "fcntl", "pty", "termios", "tty", "resource", "grp", "zenoh", "serial"
-OURS = "armrig_core.process.waiting", "armrig_daemon.loop.realtime", "armrig_daemon.loop.process"
+OURS = "armrig_core.process.waiting", "armrig_core.process.realtime", "armrig_daemon.loop.process"
 
 class Nowhere:
     def find_spec(self, name, path=None, target=None):

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import zenoh
 from armrig.cli import main
+from armrig.recordings.files.verification import verify
 from armrig.recordings.recording import Recording
-from armrig.recordings.verification import verify
 from armrig.rig.remote_recording import RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import open_session

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import armrig
 import pytest
-from armrig.recordings.replay import replay
+from armrig.recordings.files.replay import replay
 
 from tests.integration.processes import Bench
 from tests.sampling import sampled

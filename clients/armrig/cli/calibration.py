@@ -103,7 +103,7 @@ class Player:
         details: Mapping[str, Any],
         make: Callable[[int, float], Any],
     ) -> Recording:
-        from armrig.recordings.loading import load
+        from armrig.recordings.files.loading import load
         from armrig.rig.collection import Plan, collect
 
         plan = Plan(
@@ -445,7 +445,7 @@ def _applied(code: int, rest: Recording) -> float:
 
 
 def _loaded(path: Path | None) -> Recording | None:
-    from armrig.recordings.loading import load
+    from armrig.recordings.files.loading import load
 
     return None if path is None else load(path)
 

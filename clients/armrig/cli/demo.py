@@ -173,13 +173,13 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
 
 def _load_drawing_modules() -> None:
     """Import slow modules while another processor plays the experiments."""
-    from armrig.recordings import loading  # noqa: F401
+    from armrig.recordings.files import loading  # noqa: F401
     from armrig.report import document  # noqa: F401
 
 
 def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[Study, Path]:
     """Return the study of the recordings, and the path of its report with these remarks."""
-    from armrig.recordings.loading import load
+    from armrig.recordings.files.loading import load
     from armrig.report.document import report
     from armrig.report.study import study
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from armrig.cli.identify import Found
     from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
+    from armrig.recordings.files.recording_summary import RecordingSummary
     from armrig.recordings.recording import Recording
-    from armrig.recordings.recording_summary import RecordingSummary
     from armrig.validation.residual_test import ResidualTest
 
 _MAX_NAME_LENGTH = 28
@@ -121,7 +121,7 @@ def _goes_on(line: str) -> str:
         return AFTER["collect blackbox"].format(file=pair) if pair else line
     if words[1] != "collect" or words[-2] != "--name":
         return line
-    from armrig.recordings.recording_names import matching
+    from armrig.recordings.files.recording_names import matching
 
     paths = own_recordings()
     names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # prefer the repeated run
@@ -152,8 +152,8 @@ def recorded_pair(Ts: float | None = None) -> str:
 
 def own_recordings() -> list[Path]:
     """Return the paths in the recording folder, newest first; none if it cannot be read."""
-    from armrig.recordings.catalogue import newest_first
-    from armrig.recordings.recording_names import NoSuchRecordingError, recording_folder
+    from armrig.recordings.files.catalogue import newest_first
+    from armrig.recordings.files.recording_names import NoSuchRecordingError, recording_folder
 
     try:
         return newest_first(recording_folder())
@@ -192,14 +192,14 @@ def naming(rig: str, connect: str | None = None) -> str:
 
 def typed(path: Path) -> str:
     """Return the @name of a recording, or its quoted path, as a user types it."""
-    from armrig.recordings.catalogue import newest_first
-    from armrig.recordings.recording_names import (
+    from armrig.recordings.files.catalogue import newest_first
+    from armrig.recordings.files.recording_names import (
         NoSuchRecordingError,
         matching,
         recording_folder,
         short_name,
     )
-    from armrig.recordings.recording_summary import summary_of
+    from armrig.recordings.files.recording_summary import summary_of
 
     try:
         folder = recording_folder()
@@ -216,7 +216,7 @@ def estimation_of(path: Path) -> str:
     name = typed(path)
     if not name.startswith("@"):
         return ""
-    from armrig.recordings.recording_summary import summary_of
+    from armrig.recordings.files.recording_summary import summary_of
 
     if not (of := summary_of(path).validation_of):
         return ""
@@ -226,7 +226,11 @@ def estimation_of(path: Path) -> str:
 
 def _chosen(text: str, folder: Path | None = None) -> RecordingSummary | None:
     """Return the recording that a name means; None if the name is unknown or ambiguous."""
-    from armrig.recordings.recording_names import NoSuchRecordingError, chosen, recording_folder
+    from armrig.recordings.files.recording_names import (
+        NoSuchRecordingError,
+        chosen,
+        recording_folder,
+    )
 
     try:
         return chosen(text, folder or recording_folder())
@@ -236,7 +240,7 @@ def _chosen(text: str, folder: Path | None = None) -> RecordingSummary | None:
 
 def kind_of(path: Path) -> str:
     """Return the kind of experiment of a recording; "" if the file cannot be read."""
-    from armrig.recordings.recording_summary import summary_of
+    from armrig.recordings.files.recording_summary import summary_of
 
     try:
         return summary_of(path).kind
@@ -293,7 +297,7 @@ def chassis() -> str:
 
 def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:
     """Yield the newest complete recordings whose file names contain `part`."""
-    from armrig.recordings.catalogue import summaries
+    from armrig.recordings.files.catalogue import summaries
 
     found = islice((path for path in paths if part in path.name), _MAX_SEARCHED)
     return (s for path in found for s in summaries([path]) if s.is_complete)
@@ -323,7 +327,7 @@ def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
 
 def validation_beside(path: Path) -> str:
     """Return the name of the validation recording of an estimation recording; "" if none exists."""
-    from armrig.recordings.recording_names import VALIDATION
+    from armrig.recordings.files.recording_names import VALIDATION
 
     beside = f"{typed(path)}{VALIDATION}"
     return beside if beside.startswith("@") and _chosen(beside) else ""

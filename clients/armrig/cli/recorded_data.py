@@ -40,7 +40,7 @@ def recording_path(text: str) -> Path:
     NoSuchRecordingError
         No recording has the name, or several recordings have the name.
     """
-    from armrig.recordings.recording_names import chosen, described, recording_folder
+    from armrig.recordings.files.recording_names import chosen, described, recording_folder
 
     if not text.startswith("@"):
         _check_bare_name(Path(text))
@@ -55,7 +55,7 @@ def _check_bare_name(path: Path) -> None:
     """Refuse a word that is not a file: a name without @, or a file without its suffix."""
     if path.suffix or path.parent != Path() or path.exists():
         return
-    from armrig.recordings.recording_names import NoSuchRecordingError
+    from armrig.recordings.files.recording_names import NoSuchRecordingError
 
     beside = path.with_suffix(RECORDING)
     is_there = path.name and part_paths(beside)[0].exists()
@@ -298,7 +298,7 @@ def loaded(
     one_plant: bool = True,
 ) -> list[Recording]:
     """Return the recordings; print their damage, and reasons not to use them together."""
-    from armrig.recordings.loading import load
+    from armrig.recordings.files.loading import load
     from armrig.recordings.usability import all_doubts, early_ends
 
     with spinner("reading"):
@@ -481,7 +481,7 @@ class SignalChoice(DataOptions):
 
     def _is_other(self, file: Path) -> bool:
         """Return True if --topic or the content shows that the file is not a recording."""
-        from armrig.recordings.recording_summary import is_recording
+        from armrig.recordings.files.recording_summary import is_recording
 
         return self.topic is not None or not is_recording(file)
 

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from armrig_core.recording_file.manifest import Recovered
     from armrig_core.recording_file.recovery import RecoveredFile
 
-    from armrig.recordings.catalogue import Catalogue, LeftOut
+    from armrig.recordings.files.catalogue import Catalogue, LeftOut
+    from armrig.recordings.files.recording_names import Answering
+    from armrig.recordings.files.recording_summary import RecordingSummary
+    from armrig.recordings.files.replay import Replay
     from armrig.recordings.recording import Recording
-    from armrig.recordings.recording_names import Answering
-    from armrig.recordings.recording_summary import RecordingSummary
-    from armrig.recordings.replay import Replay
 
 Live = Annotated[bool, option("--live", "List the rigs that are alive.")]
 Folder = Annotated[
@@ -87,9 +87,13 @@ def ls(
     if live:
         _list_rigs(connect, json=json)
         return
-    from armrig.recordings.catalogue import catalogue, facts_of
-    from armrig.recordings.recording_names import answering_among, recording_folder, short_name
-    from armrig.recordings.recording_summary import shown_path
+    from armrig.recordings.files.catalogue import catalogue, facts_of
+    from armrig.recordings.files.recording_names import (
+        answering_among,
+        recording_folder,
+        short_name,
+    )
+    from armrig.recordings.files.recording_summary import shown_path
 
     folder = where or recording_folder()
     try:
@@ -177,7 +181,7 @@ def _short(text: str) -> str:
 
 def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
     """Return the estimation recording's name; "" if the validation recording's name contains it."""
-    from armrig.recordings.recording_names import VALIDATION, short_name
+    from armrig.recordings.files.recording_names import VALIDATION, short_name
 
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
@@ -211,7 +215,7 @@ def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
 
 
 def _names(left_out: Sequence[LeftOut]) -> str:
-    from armrig.recordings.recording_summary import shown_path
+    from armrig.recordings.files.recording_summary import shown_path
 
     return some([shown_path(Path(left.path.name)) for left in left_out], _MAX_NAMES)
 
@@ -223,7 +227,7 @@ TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
-    from armrig.recordings.loading import load
+    from armrig.recordings.files.loading import load
 
     recording = load(file, part.calibration, start=part.start, stop=part.stop)
     name_runs(recording)
@@ -377,7 +381,7 @@ def replay(file: File, json: Json = False) -> None:
 
     The exit code is 1 if a decision differs from the recording.
     """
-    from armrig.recordings.replay import replay as decided_again
+    from armrig.recordings.files.replay import replay as decided_again
 
     found = decided_again(file)
     if json:
@@ -448,9 +452,9 @@ def verify(file: File, json: Json = False) -> None:
     The checks cover samples and gap records, voltages, input, times, hashes and clocks. The exit
     code is 1 if a check fails; the readable data can still be loaded and exported.
     """
+    from armrig.recordings.files.verification import rows
+    from armrig.recordings.files.verification import verify as verified
     from armrig.recordings.findings import TOO_FEW
-    from armrig.recordings.verification import rows
-    from armrig.recordings.verification import verify as verified
 
     with spinner("checking"):
         found = verified(file)
@@ -498,8 +502,8 @@ def export(
     A missing y is NaN.
     """
     from armrig.cli.results import check_output
-    from armrig.recordings.export import write_csv, write_mat, write_parquet, write_transforms
-    from armrig.recordings.loading import load
+    from armrig.recordings.files.export import write_csv, write_mat, write_parquet, write_transforms
+    from armrig.recordings.files.loading import load
 
     asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
     kind = _format(out, asked)
@@ -559,7 +563,7 @@ def recover(where: Where = None, json: Json = False) -> None:
     from armrig_core.recording_file.recovery import sentence
     from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
 
-    from armrig.recordings.recording_names import recording_folder
+    from armrig.recordings.files.recording_names import recording_folder
 
     paths = list(_files(where or [recording_folder()]))
     done: list[RecoveredFile] = []

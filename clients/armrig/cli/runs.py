@@ -289,7 +289,7 @@ def _experiment_name(experiment: str, name: str) -> str:
 
 def _check_name_is_free(name: str) -> None:
     """Refuse the name of a complete recording; otherwise the name would become ambiguous."""
-    from armrig.recordings.recording_names import matching
+    from armrig.recordings.files.recording_names import matching
 
     if not name:
         return
@@ -312,7 +312,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     """
     from dataclasses import replace
 
-    from armrig.recordings.recording_summary import VALIDATION_OF
+    from armrig.recordings.files.recording_summary import VALIDATION_OF
     from armrig.rig.collection import Plan
     from armrig.rig.collection import collect as collected
     from armrig.rig.replies import this_user
@@ -356,7 +356,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    from armrig.recordings.loading import load
+    from armrig.recordings.files.loading import load
 
     again = ""
     if kind == "step":

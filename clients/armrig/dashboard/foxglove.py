@@ -15,7 +15,7 @@ from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, stream_key
 
 from armrig.data.optional_packages import imported
-from armrig.recordings.export import transforms, transforms_channel
+from armrig.recordings.files.export import transforms, transforms_channel
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
 

@@ -26,9 +26,9 @@ from starlette.routing import Route
 from armrig.dashboard.app import Answer, error, value
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.study_of_one import ModelOutput, csv, curves, facts, identified, report
-from armrig.recordings.catalogue import Catalogue, catalogue, facts_of
-from armrig.recordings.recording_names import Answering, answering_among, short_name
-from armrig.recordings.recording_summary import RecordingSummary, shown_path
+from armrig.recordings.files.catalogue import Catalogue, catalogue, facts_of
+from armrig.recordings.files.recording_names import Answering, answering_among, short_name
+from armrig.recordings.files.recording_summary import RecordingSummary, shown_path
 
 _MOST_LISTED = 200
 _PIECE = 1 << 18  # B

@@ -16,9 +16,9 @@ from armrig.dashboard.bins import rate
 from armrig.data.dataset import Dataset, Signals
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
+from armrig.recordings.files.recording_summary import shown_path
 from armrig.recordings.recording import Recording
-from armrig.recordings.recording_summary import shown_path
 from armrig.recordings.usability import data_verdict
 from armrig.validation.advice import advice
 from armrig.validation.answer import answer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
@@ -15,6 +15,7 @@ from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.optional_packages import imported
 from armrig.data.step import took
 from armrig.data.treatment import difference
 from armrig.numerics.stretches import Mask
@@ -282,9 +283,10 @@ class Recording:
         >>> table[["u", "alpha"]].loc[1.0].round(2).to_dict()
         {'u': 4.5, 'alpha': -0.31}
         """
-        from armrig.recordings.export import to_pandas
-
-        return to_pandas(self)
+        pandas = imported("pandas", "pandas")
+        frame: DataFrame = pandas.DataFrame(export_columns(self)).set_index("t")
+        frame.attrs.update(export_metadata(self))
+        return frame
 
     def to_xarray(self) -> XarrayDataset:
         """Return the columns of the export as an xarray.Dataset over t in s, with units.
@@ -295,9 +297,16 @@ class Recording:
         >>> table.sizes["t"], table.attrs["unit_alpha"]
         (3000, 'rad')
         """
-        from armrig.recordings.export import to_xarray
-
-        return to_xarray(self)
+        xarray = imported("xarray", "xarray")
+        found = export_columns(self)
+        about = {name: {"units": unit} for name, unit in _units().items()}
+        t = found.pop("t")
+        made: XarrayDataset = xarray.Dataset(
+            {name: ("t", column, about.get(name, {})) for name, column in found.items()},
+            coords={"t": ("t", t, about["t"])},
+            attrs=export_metadata(self),
+        )
+        return made
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of theta_1 and u against time: see `armrig.plots.plot_data`.
@@ -325,3 +334,43 @@ class Recording:
         parts += [f"{self.hidden} in the dead band or just after"] if self.hidden else []
         parts += [self.damage] if self.truncated else []
         return f"<Recording {self.short_hash}: {'; '.join(parts)}>"
+
+
+def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
+    """Return the columns (N,) of an export: k, t, u, theta_1, alpha, valid, valid_alpha, present.
+
+    Columns of further channels follow alpha, and their masks follow valid_alpha. `raw` adds columns
+    of the recorded readings and times, with 0 for a missing sample.
+    """
+    channels = [(c, recording.channel(c.name)) for c in telemetry.CHANNELS]
+    found: dict[str, NDArray[Any]] = {
+        "k": recording.k_first + np.arange(recording.N),
+        "t": recording.t,
+        "u": recording.u,
+        **{c.name: shown.y for c, shown in channels},
+        **{c.valid: shown.valid for c, shown in channels},
+        "present": recording.present,
+    }
+    counts = (c.counts_field for c in telemetry.CHANNELS)
+    names = (*counts, "flags", "t_device_us", "t_host_ns", "t_sched_ns")
+    for name in names if raw else ():
+        column = np.zeros(recording.N, recording.samples.dtype[name])
+        column[recording.present] = recording.samples[name]
+        found[name] = column
+    return found
+
+
+def export_metadata(recording: Recording) -> dict[str, str]:
+    """Return the units of the columns, Ts, hash and run, as texts."""
+    units = {f"unit_{name}": unit for name, unit in _units().items()}
+    return {
+        **units,
+        "Ts": repr(recording.Ts),
+        "sha256": recording.sha256,
+        "run_id": recording.manifest.run_id,
+        "rig": recording.manifest.rig,
+    }
+
+
+def _units() -> dict[str, str]:
+    return {"t": "s", "u": "V"} | {c.name: c.unit for c in telemetry.CHANNELS}

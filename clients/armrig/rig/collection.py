@@ -28,7 +28,7 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as ProgressBar
 
 from armrig.numerics.quantities import number
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig
 from armrig.rig.replies import Progress, RunEndedError, refusal_sentence, reset_command

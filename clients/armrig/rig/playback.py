@@ -21,9 +21,9 @@ from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, alive_key, schema_key, stream_key
 from numpy.typing import NDArray
 
-from armrig.recordings.container import Content
 from armrig.recordings.daemon_reports import Clock
-from armrig.recordings.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
+from armrig.recordings.files.container import Content
+from armrig.recordings.files.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
 from armrig.rig.session import RigError
 
 _BLOCK_SAMPLES = 4096  # samples converted to Python numbers in one step

@@ -25,8 +25,8 @@ from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Outgoing, Sample
 from google.protobuf.message import DecodeError
 
+from armrig.recordings.files.recording_summary import REMOTE
 from armrig.recordings.grid import MISSING_LIMIT, TS_LEAST_S, TS_LIMIT_S
-from armrig.recordings.recording_summary import REMOTE
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import RigError, service_has_stopped, stopped_sentence
 from armrig.rig.telemetry_stream import LiveGap, Newest, decoded, gaps_between, told_gaps

@@ -14,6 +14,7 @@ import sys
 from select import EPOLLIN
 
 import msgspec
+from armrig_core.process import realtime
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.waiting import Waiter, sleep_until
 from armrig_protocol.frame import encode
@@ -28,7 +29,6 @@ from armrig_daemon.decisions.state import (
     Rules,
     ServiceGone,
 )
-from armrig_daemon.loop import realtime
 from armrig_daemon.loop.link import Link, LinkError, NoPortError, latency_timer_ms, open_link
 from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Host, Log, Quit, record_bytes, take_orders

@@ -28,8 +28,8 @@ from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
 from armrig_daemon.service.calibration import checked_calibration
-from armrig_daemon.service.child import LoopChild
 from armrig_daemon.service.client_watchdog import not_newer
+from armrig_daemon.service.host.child import LoopChild
 from armrig_daemon.service.listener import Command
 from armrig_daemon.service.played_input import checked
 from armrig_daemon.service.publish import TOO_MANY, Kind, Session

@@ -13,8 +13,9 @@ from msgspec.structs import replace
 
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Host, State, Timing
-from armrig_daemon.service import pressure, readings
+from armrig_daemon.service import readings
 from armrig_daemon.service.calibration import taken
+from armrig_daemon.service.host import pressure
 
 _VERSION = version("armrig")  # read once, because it is read from a file
 _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})

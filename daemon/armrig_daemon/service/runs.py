@@ -42,7 +42,7 @@ from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
-from armrig_daemon.service.host_facts import HostFacts, check_directory, of_this_host
+from armrig_daemon.service.host.host_facts import HostFacts, check_directory, of_this_host
 from armrig_daemon.service.played_input import checked, one_a_line
 
 _BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed

@@ -17,7 +17,7 @@ from armrig_core.process.printable import printable
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.access import Network
-from armrig_daemon.service.systemd import journal_entry, send_to_journal
+from armrig_daemon.service.host.systemd import journal_entry, send_to_journal
 
 _EXPIRY_NOTICE = timedelta(days=30)
 

@@ -22,7 +22,7 @@ from armrig_core.access.daemon_lock import DaemonFacts, absolute
 from armrig_core.commands import commands
 from armrig_core.commands.codes import Ending, OutcomeCode
 from armrig_core.errors import InputError
-from armrig_core.process import open_files
+from armrig_core.process import open_files, realtime
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.standstill import Standstill
 from armrig_core.recording_file.recorder import RecordingError
@@ -31,7 +31,6 @@ from armrig_core.telemetry.telemetry import Outgoing, Sample, decode_sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import EX_CONFIG, Config
-from armrig_daemon.loop import realtime
 from armrig_daemon.loop.process import NO_PORT, Settings
 from armrig_daemon.pipe import (
     Alive,
@@ -49,9 +48,11 @@ from armrig_daemon.pipe import (
     Timing,
     Trace,
 )
-from armrig_daemon.service import child, pressure
 from armrig_daemon.service.access import Network, networks_of
 from armrig_daemon.service.commands import Commands
+from armrig_daemon.service.host import child, pressure
+from armrig_daemon.service.host.startup_recovery import StartupRecovery
+from armrig_daemon.service.host.systemd import Notifier
 from armrig_daemon.service.network_guard import NetworkGuard
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import NetworkError, Session
@@ -68,8 +69,6 @@ from armrig_daemon.service.sentences import (
     unreachable,
 )
 from armrig_daemon.service.socket_file import SocketFile
-from armrig_daemon.service.startup_recovery import StartupRecovery
-from armrig_daemon.service.systemd import Notifier
 from armrig_daemon.service.thinning import Thinning
 
 EX_TEMPFAIL = 75

@@ -37,7 +37,7 @@ from armrig_daemon.pipe import (
     Timing,
     Trace,
 )
-from armrig_daemon.service.host_facts import HostFacts
+from armrig_daemon.service.host.host_facts import HostFacts
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.thinning import Thinning

@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 import numpy as np
 from armrig.lab.host import PRIORITY, granted
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig.rig.replies import RunEndedError
 from armrig_core.access.endpoint import endpoint

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.recordings.recording_names import answering_among, short_name
-from armrig.recordings.recording_summary import summary_of
+from armrig.recordings.files.recording_names import answering_among, short_name
+from armrig.recordings.files.recording_summary import summary_of
 from armrig_core.recording_file.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, recorded, sample, written

@@ -366,7 +366,7 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
     def failing(_: Path) -> None:
         raise error
 
-    monkeypatch.setattr("armrig.recordings.catalogue.catalogue", failing)
+    monkeypatch.setattr("armrig.recordings.files.catalogue.catalogue", failing)
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", os.devnull)
 
     assert main(["ls", "--count", "1", "elsewhere"]) == 1

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.recordings.export import write_transforms
-from armrig.recordings.loading import load
+from armrig.recordings.files.export import write_transforms
+from armrig.recordings.files.loading import load
 from armrig_core.commands.commands import Run
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService

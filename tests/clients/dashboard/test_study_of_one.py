@@ -12,7 +12,7 @@ import pytest
 from armrig.dashboard import study_of_one
 from armrig.dashboard.study_of_one import csv, curves, facts, identified
 from armrig.estimation.arx import arx
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.validation.residuals import residuals
 
 from tests.clients.made_recordings import note, recorded, sample, written

@@ -14,9 +14,9 @@ import armrig
 import numpy as np
 import pyarrow.parquet
 import pytest
-from armrig.recordings import catalogue as catalogue_module
-from armrig.recordings import recording_summary
-from armrig.recordings.catalogue import (
+from armrig.recordings.files import catalogue as catalogue_module
+from armrig.recordings.files import recording_summary
+from armrig.recordings.files.catalogue import (
     COLUMNS,
     catalogue,
     facts_of,
@@ -24,7 +24,7 @@ from armrig.recordings.catalogue import (
     may_answer_to,
     newest_first,
 )
-from armrig.recordings.recording_summary import RecordingSummary, summary_of
+from armrig.recordings.files.recording_summary import RecordingSummary, summary_of
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import RECORD_LIMIT
 from armrig_core.recording_file.manifest import OUTCOME, RUN, Outcome

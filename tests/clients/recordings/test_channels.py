@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.recordings import container, loading
+from armrig.recordings.files import container, loading
 from armrig_core.telemetry import telemetry
 from armrig_protocol.messages import Flag
 from numpy.lib.recfunctions import append_fields

@@ -16,10 +16,10 @@ import pyarrow.parquet
 import pytest
 import scipy.io
 from armrig.cli import main
-from armrig.recordings import export
-from armrig.recordings.export import write_csv, write_mat, write_parquet
-from armrig.recordings.loading import load
-from armrig.recordings.recording import Recording
+from armrig.recordings.files import export
+from armrig.recordings.files.export import write_csv, write_mat, write_parquet
+from armrig.recordings.files.loading import load
+from armrig.recordings.recording import Recording, export_columns
 
 from tests.clients.made_recordings import TS, gap, manifest, recorded, turning, written
 from tests.tools import require
@@ -79,7 +79,7 @@ def test_a_part_keeps_its_numbers_in_every_file(rec: Recording) -> None:
 
 
 def test_an_export_has_a_column_for_the_validity_of_each_angle(rec: Recording) -> None:
-    found = export.columns(rec)
+    found = export_columns(rec)
 
     hidden = np.arange(N) % 50 == 0
     missing = (np.arange(N) >= 100) & (np.arange(N) < 105)
@@ -141,7 +141,7 @@ def test_a_failed_export_leaves_no_file(
         path.write_bytes(b"k,t,u")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(f"armrig.recordings.export.write_{kind}", full)
+    monkeypatch.setattr(f"armrig.recordings.files.export.write_{kind}", full)
 
     assert main(["export", str(rec.path), str(out)]) == 1
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.numerics.quantities import plural
-from armrig.recordings.container import read, streamed
-from armrig.recordings.verification import verify
+from armrig.recordings.files.container import read, streamed
+from armrig.recordings.files.verification import verify
 from armrig_core.recording_file.manifest import CALIBRATION
 from armrig_core.rig.calibration import Calibration
 from mcap.opcode import Opcode

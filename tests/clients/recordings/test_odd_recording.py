@@ -10,9 +10,17 @@ import msgspec
 import numpy as np
 import pytest
 from armrig.numerics.quantities import NBSP
-from armrig.recordings.catalogue import catalogue
 from armrig.recordings.channels import turns_unknown
-from armrig.recordings.export import columns
+from armrig.recordings.files.catalogue import catalogue
+from armrig.recordings.files.loading import load
+from armrig.recordings.files.recording_summary import summary_of
+from armrig.recordings.files.verification import (
+    check_clock,
+    check_envelope,
+    check_file,
+    check_input,
+    check_timing,
+)
 from armrig.recordings.jitter import (
     disturbances,
     fastest_rate,
@@ -20,17 +28,8 @@ from armrig.recordings.jitter import (
     lateness_us,
     sampling_statistics,
 )
-from armrig.recordings.loading import load
 from armrig.recordings.overview import Overview, overview
-from armrig.recordings.recording import Recording
-from armrig.recordings.recording_summary import summary_of
-from armrig.recordings.verification import (
-    check_clock,
-    check_envelope,
-    check_file,
-    check_input,
-    check_timing,
-)
+from armrig.recordings.recording import Recording, export_columns
 from armrig.rig.playback import published
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.manifest import Outcome
@@ -241,7 +240,7 @@ def test_published_messages_keep_their_order(path: Path) -> None:
 
 
 def test_columns_and_summary_contain_the_values_of_the_file(path: Path, odd: Recording) -> None:
-    found, summary = columns(odd, raw=True), summary_of(path)
+    found, summary = export_columns(odd, raw=True), summary_of(path)
     row = 400
 
     np.testing.assert_array_equal(found["k"], np.arange(4_000, 4_518))

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.recordings.container import streamed
-from armrig.recordings.loading import load
+from armrig.recordings.files.container import streamed
+from armrig.recordings.files.loading import load
 from armrig_core.errors import FileError
 from armrig_core.recording_file.chunks import Unpacker
 from armrig_core.recording_file.manifest import Outcome
@@ -136,7 +136,7 @@ def test_a_range_without_samples_is_refused(
 
 _PEAK = """
 import sys
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 peak = lambda: int(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]) / 1024
 load(sys.argv[1])
 before = peak()

@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from armrig.recordings import container, grid, sample_rows
+from armrig.recordings import grid
 from armrig.recordings.channels import unwrap
 from armrig.recordings.daemon_reports import Gap, gap_lines
+from armrig.recordings.files import container, sample_rows
+from armrig.recordings.files.loading import load
 from armrig.recordings.jitter import disturbances, sampling_statistics
-from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core.commands.codes import GapCode
 from armrig_core.errors import FileError

@@ -8,7 +8,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.recordings.replay import Replay, _messages, replay
+from armrig.recordings.files.replay import Replay, _messages, replay
 from armrig_core.commands.commands import Run
 from armrig_core.telemetry.telemetry import decode_sample, encode_sample
 from armrig_core.telemetry.topics import stream_of

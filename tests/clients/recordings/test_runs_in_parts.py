@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.recordings.loading import load
-from armrig.recordings.replay import replay
-from armrig.recordings.verification import verify
+from armrig.recordings.files.loading import load
+from armrig.recordings.files.replay import replay
+from armrig.recordings.files.verification import verify
 from armrig.rig.playback import published
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import FileError

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.recordings.export import transforms
-from armrig.recordings.loading import load
+from armrig.recordings.files.export import transforms
+from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core.telemetry.topics import topic
 from mcap.reader import make_reader

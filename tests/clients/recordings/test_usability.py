@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from armrig.data.finding import Finding
 from armrig.numerics.quantities import NBSP
+from armrig.recordings.files.loading import load
 from armrig.recordings.findings import (
     HiddenStep,
     check_angle,
@@ -23,7 +24,6 @@ from armrig.recordings.findings import (
     hidden_step,
 )
 from armrig.recordings.jitter import fastest_rate, sampling_statistics
-from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import (
     DataVerdict,

@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from armrig.recordings import verification
-from armrig.recordings.container import Content
-from armrig.recordings.loading import beginning, load
-from armrig.recordings.verification import (
+from armrig.recordings.files import verification
+from armrig.recordings.files.container import Content
+from armrig.recordings.files.loading import beginning, load
+from armrig.recordings.files.verification import (
     Check,
     Verification,
     check_input,

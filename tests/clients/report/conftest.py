@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.report.study import Study, study
 
 

@@ -17,7 +17,7 @@ from armrig.data.experiments import Trend
 from armrig.numerics.quantities import NBSP
 from armrig.physics.systems import physical_model
 from armrig.recordings.daemon_reports import Note
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.report.conclusions import conclusions
 from armrig.report.document import content, report
 from armrig.report.figures import write_figures

@@ -22,7 +22,7 @@ from armrig.excitation import telegraph
 from armrig.models.characteristics import model_characteristics
 from armrig.numerics.quantities import NBSP
 from armrig.numerics.whiteness import Whiteness
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.answers import QUESTIONS, Answers, Student
 from armrig.report.document import MOST_PAGES, TEMPLATE, check_length, handout_report

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import typst
 from armrig.excitation import telegraph
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.document import content, handout_report, report
 from armrig.report.figures import MIN_SIZE, STYLE, save, write_figures

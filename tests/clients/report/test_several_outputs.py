@@ -7,7 +7,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.recordings.loading import load
+from armrig.recordings.files.loading import load
 from armrig.report.document import content
 from armrig.report.study import Orders, Study, each_output, study
 from armrig_core.errors import InputError

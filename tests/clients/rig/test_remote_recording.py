@@ -11,8 +11,8 @@ from typing import Any
 
 import armrig
 import pytest
+from armrig.recordings.files.verification import verify
 from armrig.recordings.grid import MISSING_LIMIT
-from armrig.recordings.verification import verify
 from armrig.rig import remote_recording
 from armrig.rig.remote_recording import STARTED_ANEW, DiskError, RecordedFile, RemoteRecording
 from armrig.rig.remote_source import Piece

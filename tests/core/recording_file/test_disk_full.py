@@ -13,7 +13,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.recordings.verification import verify
+from armrig.recordings.files.verification import verify
 from armrig_core.commands.codes import Ending, OutcomeCode
 from armrig_core.recording_file import recording_part
 from armrig_core.recording_file.recorder import Recording

@@ -10,7 +10,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.recordings.verification import verify
+from armrig.recordings.files.verification import verify
 from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.recording_file.manifest import CONFIG, INPUT
 from armrig_core.recording_file.part_names import part_paths

@@ -15,7 +15,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.recordings.verification import verify
+from armrig.recordings.files.verification import verify
 from armrig_core.recording_file import unfinished
 from armrig_core.recording_file.file_records import MAGIC, RECORD_LIMIT
 from armrig_core.recording_file.manifest import INPUT, OUTCOME, RECOVERED, RUN, Outcome

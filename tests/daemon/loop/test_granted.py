@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from unittest import mock
 
 import pytest
-from armrig_daemon.loop import realtime
+from armrig_core.process import realtime
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,10 @@ from unittest import mock
 import msgspec
 import pytest
 from armrig_core.access.emulator_socket import lock_path
+from armrig_core.process import realtime
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
-from armrig_daemon.loop import process, realtime
+from armrig_daemon.loop import process
 from armrig_daemon.loop.link import READ, TakenPortError
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
 from armrig_daemon.pipe import Alive, Host, Log, record_bytes, take_records

@@ -15,8 +15,8 @@ import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.loop.process import Settings
 from armrig_daemon.pipe import Host, Record, record_bytes
-from armrig_daemon.service import child as child_module
-from armrig_daemon.service.child import LoopChild, start
+from armrig_daemon.service.host import child as child_module
+from armrig_daemon.service.host.child import LoopChild, start
 from armrig_protocol.decoder import Received, feed
 from armrig_protocol.messages import Estop
 

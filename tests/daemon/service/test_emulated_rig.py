@@ -12,8 +12,8 @@ import pytest
 from armrig_core.errors import OperationError
 from armrig_daemon.config import Rig
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.service import emulated_rig
-from armrig_daemon.service.emulated_rig import emulated
+from armrig_daemon.service.host import emulated_rig
+from armrig_daemon.service.host.emulated_rig import emulated
 from msgspec.structs import replace
 
 from tests.daemon.odd_bench import CONFIG
@@ -23,7 +23,7 @@ _DAEMON = """
 import os, subprocess, sys
 from pathlib import Path
 from armrig_daemon.config import Config
-from armrig_daemon.service import emulated_rig
+from armrig_daemon.service.host import emulated_rig
 
 class Killed(subprocess.Popen):
     def __init__(self, *given, **how):

@@ -11,7 +11,7 @@ from typing import Any
 
 import armrig
 import pytest
-from armrig.recordings.container import read
+from armrig.recordings.files.container import read
 from armrig_core.commands.commands import Run
 from armrig_core.recording_file.manifest import CALIBRATION, CONFIG, INPUT, OUTCOME, RECOVERED, RUN
 from armrig_core.recording_file.recorder import PartLimits

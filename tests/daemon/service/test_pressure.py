@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from armrig_core.commands.codes import RefusalCode
 from armrig_daemon.pipe import Distribution, Timing
-from armrig_daemon.service import pressure
+from armrig_daemon.service.host import pressure
 from msgspec.structs import replace
 
 QUIET = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=100, missed=0)

@@ -17,7 +17,7 @@ from armrig_core.recording_file.recording_part import EndsHereError, Part
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_daemon.config import Config, Recording
 from armrig_daemon.pipe import Gap, Log, RunStarted, State
-from armrig_daemon.service.host_facts import HostFacts
+from armrig_daemon.service.host.host_facts import HostFacts
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from mcap.reader import make_reader

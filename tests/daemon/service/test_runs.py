@@ -12,7 +12,7 @@ from armrig_core.commands.commands import LastRun, Run
 from armrig_core.commands.rehearsal import rehearse
 from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.config import Recording as RecordingConfig
-from armrig_daemon.service.host_facts import check_directory
+from armrig_daemon.service.host.host_facts import check_directory
 from armrig_daemon.service.runs import Runs
 
 REQUEST = Run(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from armrig_core.process.journal import journal_prefix
 from armrig_daemon.service import sentences
+from armrig_daemon.service.host.systemd import journal_entry, send_to_journal
 from armrig_daemon.service.sentences import (
     print_line,
 )
-from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
 
 def test_a_log_message_with_control_characters_is_one_line(

@@ -13,7 +13,7 @@ from armrig_core.recording_file.manifest import Outcome
 from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.rewriting import Rewriter
 from armrig_daemon.config import Recording
-from armrig_daemon.service.startup_recovery import StartupRecovery
+from armrig_daemon.service.host.startup_recovery import StartupRecovery
 
 from tests.clients.made_recordings import manifest, recorded, sample, written
 

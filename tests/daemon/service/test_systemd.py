@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from armrig_daemon.service.systemd import Notifier
+from armrig_daemon.service.host.systemd import Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])

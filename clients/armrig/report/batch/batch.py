@@ -25,7 +25,7 @@ import msgspec
 from armrig_core.errors import InputError, OperationError
 
 from armrig.data.optional_packages import imported
-from armrig.recordings.recording_summary import shown_path
+from armrig.recordings.files.recording_summary import shown_path
 from armrig.report.batch.progress import OTHER, SUFFIX, Progress, still_right
 from armrig.report.batch.tasks import (
     Kind,

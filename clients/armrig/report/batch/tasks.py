@@ -19,10 +19,10 @@ from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from armrig.data.treatment import detrend
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.recordings.catalogue import Catalogue, catalogue, found_files
-from armrig.recordings.loading import load
+from armrig.recordings.files.catalogue import Catalogue, catalogue, found_files
+from armrig.recordings.files.loading import load
+from armrig.recordings.files.recording_summary import shown_path
 from armrig.recordings.recording import Recording
-from armrig.recordings.recording_summary import shown_path
 from armrig.recordings.usability import doubts, doubts_of_estimation, doubts_of_pair
 
 _LATEST_NS = (1 << 63) - 1
@@ -313,7 +313,7 @@ def _validated(task: Validate, recording: Recording) -> Row:
 
 
 def _verified(recording: Recording) -> Row:
-    from armrig.recordings.verification import verify_recording
+    from armrig.recordings.files.verification import verify_recording
 
     found = verify_recording(recording)
     row: Row = {"passed": found.passed}

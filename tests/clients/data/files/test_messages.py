@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from armrig import FileError, load_data, load_signals
 from armrig.cli import main
-from armrig.recordings.catalogue import catalogue
-from armrig.recordings.recording_summary import is_recording
+from armrig.recordings.files.catalogue import catalogue
+from armrig.recordings.files.recording_summary import is_recording
 from armrig_core.recording_file.manifest import OUTCOME, RUN, Outcome
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.models.model_writing import model_text
-from armrig.recordings.verification import verify
+from armrig.recordings.files.verification import verify
 from armrig.report.batch import workers
 from armrig.report.batch.batch import batch, header_of, results
 from armrig.report.batch.progress import SUFFIX, Progress, still_right

@@ -26,10 +26,10 @@ from armrig_protocol.messages import CODE_FULL_SCALE
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, plural
+from armrig.recordings.files.loading import beginning, load
+from armrig.recordings.files.recording_summary import REMOTE
 from armrig.recordings.jitter import sampling_statistics
-from armrig.recordings.loading import beginning, load
 from armrig.recordings.recording import Recording
-from armrig.recordings.recording_summary import REMOTE
 
 Vector = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ from armrig_protocol.frame import Spoilt, Unknown, decode
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.container import Content, read, streamed
-from armrig.recordings.loading import files_of, run_content
-from armrig.recordings.recording_summary import is_foreign
-from armrig.recordings.sample_rows import SAMPLE_DTYPE
-from armrig.recordings.verification import recorded_input
+from armrig.recordings.files.container import Content, read, streamed
+from armrig.recordings.files.loading import files_of, run_content
+from armrig.recordings.files.recording_summary import is_foreign
+from armrig.recordings.files.sample_rows import SAMPLE_DTYPE
+from armrig.recordings.files.verification import recorded_input
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -30,12 +30,12 @@ from numpy.typing import NDArray
 
 from armrig.data.files import OTHER_DATA, RECORDING
 from armrig.recordings.channels import channels_of
-from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import Clock, Gap, reports_of
+from armrig.recordings.files.container import Content, Part, read
+from armrig.recordings.files.recording_names import named_path
+from armrig.recordings.files.recording_summary import is_foreign, is_recording
 from armrig.recordings.grid import Grid, check_sampling_time, grid
 from armrig.recordings.recording import Recording, Vector
-from armrig.recordings.recording_names import named_path
-from armrig.recordings.recording_summary import is_foreign, is_recording
 
 EVERYTHING = (0, 1 << 63)
 """Range of indices that contains all samples."""
@@ -44,7 +44,7 @@ _REPORT_DELAY_NS = 1_000_000_000  # largest time between a sample and a report a
 _MAX_TIME = 1e15  # in s or in samples: later than any sample, and still exact as an integer
 _ROUNDING_SAMPLES = 1e-6  # in samples: 0.3 / 0.1 is not exactly 3
 # A telegraph signal, recorded by `armrig demo --virtual` of armrig 0.1.0.
-_EXAMPLE = Path(__file__).with_name("example.mcap")
+_EXAMPLE = Path(__file__).parents[1] / "example.mcap"
 
 
 def load(

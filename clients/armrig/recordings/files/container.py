@@ -46,8 +46,8 @@ from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.recording_summary import data_stream, indexed_records
-from armrig.recordings.sample_rows import ROW_LENGTH, SAMPLE_DTYPE, SampleRows
+from armrig.recordings.files.recording_summary import data_stream, indexed_records
+from armrig.recordings.files.sample_rows import ROW_LENGTH, SAMPLE_DTYPE, SampleRows
 
 _DAMAGES = (DamageError, *UNREADABLE)
 

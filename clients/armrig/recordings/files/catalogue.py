@@ -30,7 +30,7 @@ from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray
 
 from armrig.data.optional_packages import imported
-from armrig.recordings.recording_summary import (
+from armrig.recordings.files.recording_summary import (
     ForeignError,
     RecordingSummary,
     shown_path,

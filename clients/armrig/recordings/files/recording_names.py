@@ -11,8 +11,8 @@ from pathlib import Path
 from armrig_core.errors import FileError, OperationError
 from armrig_core.recording_file.recording_directory import directory_to_look_in, installed
 
-from armrig.recordings.catalogue import may_answer_to, newest_first, summaries
-from armrig.recordings.recording_summary import RecordingSummary
+from armrig.recordings.files.catalogue import may_answer_to, newest_first, summaries
+from armrig.recordings.files.recording_summary import RecordingSummary
 
 LAST = "last"
 VALIDATION = "/validation"

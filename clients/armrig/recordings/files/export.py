@@ -7,25 +7,16 @@ from __future__ import annotations
 
 from math import cos, isfinite, sin
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.telemetry import telemetry
 from armrig_core.telemetry.telemetry import THETA_1, ChannelName
 from armrig_core.telemetry.topics import topic
 from numpy.typing import NDArray
 
 from armrig.data.optional_packages import imported
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from pandas import DataFrame
-    from xarray import Dataset as XarrayDataset
-
-    from armrig.recordings.recording import Recording
-
+from armrig.recordings.recording import Recording, export_columns, export_metadata
 
 _BLOCK_ROWS = 65_536  # rows of a CSV file that are converted to text in one step
 _ARM_HEIGHT_M = 0.1  # makes both frames visible; the real height is unknown
@@ -33,36 +24,12 @@ _NS = 1_000_000_000
 _END_NS = 2**32 * _NS  # end of Foxglove's timestamps
 
 
-def columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
-    """Return the columns, each (N,): k, t, u, theta_1, alpha, valid, valid_alpha and present.
-
-    Columns of further channels follow alpha, and their masks follow valid_alpha. `raw` adds columns
-    of the recorded readings and times, with 0 for a missing sample.
-    """
-    channels = [(c, recording.channel(c.name)) for c in telemetry.CHANNELS]
-    found: dict[str, NDArray[Any]] = {
-        "k": recording.k_first + np.arange(recording.N),
-        "t": recording.t,
-        "u": recording.u,
-        **{c.name: shown.y for c, shown in channels},
-        **{c.valid: shown.valid for c, shown in channels},
-        "present": recording.present,
-    }
-    counts = (c.counts_field for c in telemetry.CHANNELS)
-    names = (*counts, "flags", "t_device_us", "t_host_ns", "t_sched_ns")
-    for name in names if raw else ():
-        column = np.zeros(recording.N, recording.samples.dtype[name])
-        column[recording.present] = recording.samples[name]
-        found[name] = column
-    return found
-
-
 def write_csv(recording: Recording, path: Path, *, raw: bool = False) -> None:
     """Write the columns as CSV, with their names in the first line; a missing value is nan.
 
     Numbers are written with all their digits. `armrig identify` reads the file.
     """
-    found = columns(recording, raw=raw)
+    found = export_columns(recording, raw=raw)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(found) + "\n")
         for begin in range(0, recording.N, _BLOCK_ROWS):
@@ -89,7 +56,7 @@ def write_mat(
     """
     from scipy.io import savemat
 
-    found = columns(recording, raw=raw)
+    found = export_columns(recording, raw=raw)
     # Octave and MATLAB compute with doubles and logical values only.
     kinds = {name: np.bool_ if c.dtype == np.bool_ else np.float64 for name, c in found.items()}
     variables: dict[str, Any] = {name: column.astype(kinds[name]) for name, column in found.items()}
@@ -106,45 +73,8 @@ def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> Non
     """
     pyarrow = imported("pyarrow", "parquet")
     parquet = imported("pyarrow.parquet", "parquet")
-    table = pyarrow.table(columns(recording, raw=raw))
-    parquet.write_table(table.replace_schema_metadata(_about(recording)), str(path))
-
-
-def to_pandas(recording: Recording) -> DataFrame:
-    """Return the columns as a DataFrame indexed by t; `attrs` contains units, Ts, hash and run."""
-    pandas = imported("pandas", "pandas")
-    frame: DataFrame = pandas.DataFrame(columns(recording)).set_index("t")
-    frame.attrs.update(_about(recording))
-    return frame
-
-
-def to_xarray(recording: Recording) -> XarrayDataset:
-    """Return the columns as an xarray.Dataset over t, with the unit of each column."""
-    xarray = imported("xarray", "xarray")
-    found = columns(recording)
-    about = {name: {"units": unit} for name, unit in _units().items()}
-    t = found.pop("t")
-    made: XarrayDataset = xarray.Dataset(
-        {name: ("t", column, about.get(name, {})) for name, column in found.items()},
-        coords={"t": ("t", t, about["t"])},
-        attrs=_about(recording),
-    )
-    return made
-
-
-def _units() -> dict[str, str]:
-    return {"t": "s", "u": "V"} | {c.name: c.unit for c in telemetry.CHANNELS}
-
-
-def _about(recording: Recording) -> dict[str, str]:
-    units = {f"unit_{name}": unit for name, unit in _units().items()}
-    return {
-        **units,
-        "Ts": repr(recording.Ts),
-        "sha256": recording.sha256,
-        "run_id": recording.manifest.run_id,
-        "rig": recording.manifest.rig,
-    }
+    table = pyarrow.table(export_columns(recording, raw=raw))
+    parquet.write_table(table.replace_schema_metadata(export_metadata(recording)), str(path))
 
 
 def transforms_channel(rig: str, context: Any) -> Any:

@@ -1,0 +1,1 @@
+"""Files of recordings: reading, verification, search and export."""

@@ -1,0 +1,1 @@
+"""What the service needs of its host: its processes, the load, systemd, and the disk."""
