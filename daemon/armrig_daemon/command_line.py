@@ -424,9 +424,8 @@ def _line_and_rules(
 ) -> tuple[Line, Sequence[Rule]]:
     """Return the line to a device and the rules to test over it; `stack` closes the line."""
     from armrig_daemon.conformance.line import VirtualLine
-    from armrig_daemon.conformance.pin_rules import pin_rules
     from armrig_daemon.conformance.serial_line import SerialLine
-    from armrig_daemon.conformance.suite import RULES
+    from armrig_daemon.conformance.suite import RULES, pin_rules
     from armrig_daemon.emulator.settings import EmulatorSettings
 
     if device is not None:
@@ -489,7 +488,7 @@ def virtual(
 
 def _firmware(image: Path | None) -> Callable[..., Uno]:
     """Return a function that creates a simulated Uno with its firmware."""
-    from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
+    from armrig_daemon.emulator.settings import firmware_image, harness_program
     from armrig_daemon.emulator.uno import Uno
 
     return partial(Uno, harness_program(os.environ), firmware_image(image))

@@ -37,7 +37,7 @@ from msgspec import Meta
 
 from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Rules
-from armrig_daemon.emulator.firmware_files import VARIABLE as HARNESS
+from armrig_daemon.emulator.settings import HARNESS_VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core.access.passwords import read_passwords, read_users
+from armrig_core.access.credential import read_passwords, read_users
 from armrig_core.errors import FileError
 
 

@@ -13,7 +13,7 @@ from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
-from armrig_daemon.service import client_watchdog, readings, token_bucket
+from armrig_daemon.service import admission, client_watchdog, readings
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.host import pressure
 from armrig_daemon.service.played_input import checked, one_a_line
@@ -188,13 +188,13 @@ def odd_signs() -> None:
 
 def odd_questions() -> None:
     """Print how many of a flood are answered at once, after 0.1 s, and after an hour."""
-    bucket = token_bucket.Bucket(at_s=50.0)
+    bucket = admission.Bucket(at_s=50.0)
     for now_s in (50.0, 50.1, 50.102, 3650.0):
         taken = 0
-        while (after := token_bucket.take(bucket, now_s)) is not None:
+        while (after := admission.take(bucket, now_s)) is not None:
             bucket, taken = after, taken + 1
         print(now_s, taken)
-    print(token_bucket.refusal("status"))
+    print(admission.too_many("status"))
 
 
 def odd_history() -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from armrig_core.errors import OperationError
 from armrig_daemon.command_line import app
-from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
 from armrig_daemon.emulator.harness import Harness
+from armrig_daemon.emulator.settings import firmware_image, harness_program
 
 from tests.firmware.uno_host import HEX, ROOT
 from tests.tools import needs

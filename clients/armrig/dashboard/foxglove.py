@@ -10,11 +10,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from armrig_core.process.imports import imported
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, stream_key
 
-from armrig.data.optional_packages import imported
 from armrig.recordings.files.export import transforms, transforms_channel
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError

@@ -11,7 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from armrig.data.optional_packages import imported
+from armrig_core.process.imports import imported
+
 from armrig.rig.session import RigError
 
 PORT = 8808

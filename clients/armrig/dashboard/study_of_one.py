@@ -195,8 +195,7 @@ def _figures(fit: Fit, table: Any, tests: Any) -> list[tuple[str, str]]:
 
     import matplotlib as mpl
 
-    from armrig.models.figures import plot_bode, plot_fit
-    from armrig.models.pole_zero_figure import plot_poles_zeros
+    from armrig.models.figures import plot_bode, plot_fit, plot_poles_zeros
     from armrig.plots.layout import figure_of
 
     mpl.use("svg")

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_core.process.public_names import homes, public
+from armrig_core.process.imports import homes, public
 
 __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 

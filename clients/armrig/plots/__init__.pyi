@@ -10,8 +10,8 @@ from armrig.estimation.figures import plot_step_analysis as plot_step_analysis
 from armrig.excitation.input_description import plot_input as plot_input
 from armrig.models.figures import plot_bode as plot_bode
 from armrig.models.figures import plot_fit as plot_fit
+from armrig.models.figures import plot_poles_zeros as plot_poles_zeros
 from armrig.models.figures import plot_step as plot_step
-from armrig.models.pole_zero_figure import plot_poles_zeros as plot_poles_zeros
 from armrig.models.spectral_estimate import plot_spectral as plot_spectral
 from armrig.physics.figures import plot_physical_step as plot_physical_step
 from armrig.physics.figures import plot_rig as plot_rig

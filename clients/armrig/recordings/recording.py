@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
+from armrig_core.process.imports import imported
 from armrig_core.recording_file.manifest import Manifest, Outcome, Recovered
 from armrig_core.rig.calibration import Calibration
 from armrig_core.telemetry import telemetry
@@ -15,7 +16,6 @@ from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.optional_packages import imported
 from armrig.data.step import took
 from armrig.data.treatment import difference
 from armrig.numerics.stretches import Mask

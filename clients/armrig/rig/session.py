@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import zenoh
 from armrig_core.access import daemon_lock
 from armrig_core.access.client_settings import ClientSettings, client_settings
-from armrig_core.access.credential import Credential, read_credential, utc
+from armrig_core.access.credential import Credential, read_credential, read_users, utc
 from armrig_core.access.endpoint import (
     SERVICE_USER,
     SERVICES,
@@ -24,7 +24,6 @@ from armrig_core.access.endpoint import (
     require_trusted,
     socket_directory,
 )
-from armrig_core.access.passwords import read_users
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.printable import printable
 from armrig_core.recording_file.recording_directory import installed, of_rig

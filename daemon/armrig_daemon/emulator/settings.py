@@ -1,14 +1,16 @@
-"""Settings of the emulator, read from the table `[emulator]` of a TOML file and checked."""
+"""Settings of the emulator, read from the table `[emulator]`, and the files of a simulated Uno."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT
 from armrig_core.process.toml_file import convert, read_toml
+from armrig_core.rig.firmware_image import read_image, shipped_image
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
 
 if TYPE_CHECKING:
@@ -42,6 +44,8 @@ CHOICES: dict[str, tuple[int, ...]] = {
     "pwm_bits": (0, 8, 9, 10, 11, 12, 13, 14, 15, 16),
     "adc_bits": (0, 10, 12),
 }
+HARNESS_VARIABLE = "ARMRIG_FIL"
+_PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
 
 
 class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -171,3 +175,40 @@ def load(path: Path) -> EmulatorSettings:
         raise InputError(f"{path}: {err.strerror}") from err
     except ValueError as err:
         raise InputError(f"{path}: {err}") from err
+
+
+def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> Path:
+    """Return the path of the harness: the value of ARMRIG_FIL, or the program in the checkout.
+
+    Raises
+    ------
+    OperationError
+        The program does not exist; the message shows how to build it.
+    """
+    program = Path(environ.get(HARNESS_VARIABLE) or checkout / "simavr" / "fil")
+    if not program.is_file():
+        raise OperationError(
+            f"{program}: no such program; build it in a checkout by `make fil` (Debian's "
+            f"libsimavr-dev), or set {HARNESS_VARIABLE} to its path"
+        )
+    return program
+
+
+def firmware_image(image: Path | None) -> Path:
+    """Return the path of the firmware: `image`, or the shipped firmware of the Uno.
+
+    Raises
+    ------
+    OperationError
+        The file does not exist, cannot be read, or is not a complete Intel HEX file.
+    """
+    found = image or shipped_image()
+    if not found.is_file():
+        raise OperationError(f"{found}: no such firmware; `make firmware` builds it in a checkout")
+    try:
+        read_image(found)  # simavr would also run an incomplete file
+    except FileError as err:
+        raise OperationError(str(err)) from err
+    except OSError as err:
+        raise OperationError(f"{found}: {err.strerror}") from err
+    return found

@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 
 from armrig_core.access import access_control
 from armrig_core.access.access_list import AccessList, read_access_list
-from armrig_core.access.credential import Credential, read_credential, rig_name
+from armrig_core.access.credential import Credential, read_credential, read_passwords, rig_name
 from armrig_core.access.endpoint import check_listen
-from armrig_core.access.passwords import read_passwords
 from armrig_core.errors import FileError, InputError
 
 from armrig_daemon.config import Access, Config

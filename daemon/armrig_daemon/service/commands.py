@@ -27,6 +27,7 @@ from armrig_daemon.decisions import orders
 from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
+from armrig_daemon.service.admission import Bucket, take_at
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.host.child import LoopChild
@@ -35,7 +36,6 @@ from armrig_daemon.service.played_input import checked
 from armrig_daemon.service.publish import TOO_MANY, Kind, Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
-from armrig_daemon.service.token_bucket import Bucket, take_at
 
 ANSWER_S = 3.0
 """Longest time for the loop to answer a command, in s."""

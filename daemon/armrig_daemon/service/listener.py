@@ -38,7 +38,7 @@ from armrig_core.telemetry.topics import (
     stream_key,
 )
 
-from armrig_daemon.service import admission, token_bucket
+from armrig_daemon.service import admission
 from armrig_daemon.service.access import Network
 
 URGENT = (Stop.name, Renew.name)
@@ -139,7 +139,7 @@ class Listener:
         """
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
-        self._buckets: dict[str, token_bucket.Bucket] = {}
+        self._buckets: dict[str, admission.Bucket] = {}
         # A network endpoint creates no socket file. It therefore needs no `group_may_open`, which
         # admits only one session at a time.
         with group_may_open() if network is None else nullcontext():
@@ -184,7 +184,7 @@ class Listener:
 
     def _serve_schema(self, query: zenoh.Query) -> None:
         if self._is_too_many(_SCHEMA):
-            _refuse(query, token_bucket.refusal(_SCHEMA))
+            _refuse(query, admission.too_many(_SCHEMA))
             return
         with query:
             for key, data in self._served.items():
@@ -193,7 +193,7 @@ class Listener:
 
     def _serve_history(self, query: zenoh.Query) -> None:
         if self._is_too_many(_HISTORY):
-            _refuse(query, token_bucket.refusal(_HISTORY))
+            _refuse(query, admission.too_many(_HISTORY))
             return
         payload = query.payload.to_bytes()[:_MAX_QUESTION_BYTES] if query.payload else b"{}"
         try:
@@ -212,7 +212,7 @@ class Listener:
         if name in URGENT:
             query.drop()  # the separate queryable of the command also gets the query
         elif name not in admission.LEASED and self._is_too_many(name):
-            _refuse(query, token_bucket.refusal(name))
+            _refuse(query, admission.too_many(name))
         else:
             self._receive_urgent(query)
 
@@ -234,7 +234,7 @@ class Listener:
         Only the zenoh thread of the query's queryable may call this.
         """
         kind = name if name in _COUNTED else ""  # all unknown names are of one kind
-        left = token_bucket.take(self._buckets.get(kind, token_bucket.Bucket()), time.monotonic())
+        left = admission.take(self._buckets.get(kind, admission.Bucket()), time.monotonic())
         if left is not None:
             self._buckets[kind] = left
         return left is None

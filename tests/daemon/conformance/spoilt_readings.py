@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig_daemon.emulator import converter, device, guards, sampling, transitions
+from armrig_daemon.emulator import converter, device, guards, transitions
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol.messages import Exchange, Sample, State
 
@@ -19,7 +19,7 @@ def _t_us_of_the_answer(patch: Patch) -> None:
 
 
 def _raw_code(patch: Patch) -> None:
-    latch = sampling.latch
+    latch = converter.latch
 
     def raw(fw: Firmware, now_ns: int) -> None:
         latch(fw, now_ns)
@@ -56,14 +56,14 @@ def _rail_one_early(patch: Patch) -> None:
     def early(g: Any, y0: int, y1: int, *, rail_ticks: int, turns: int) -> Any:
         return guards.watch(g, y0, y1, rail_ticks=max(1, rail_ticks - 1), turns=turns)
 
-    patch.setattr(sampling, "watch", early)
+    patch.setattr(converter, "watch", early)
 
 
 def _rail_without_being_asked(patch: Patch) -> None:
     def always(g: Any, y0: int, y1: int, *, rail_ticks: int, turns: int) -> Any:
         return guards.watch(g, y0, y1, rail_ticks=rail_ticks or 5, turns=turns)
 
-    patch.setattr(sampling, "watch", always)
+    patch.setattr(converter, "watch", always)
 
 
 def _slow_status(patch: Patch) -> None:
@@ -71,7 +71,7 @@ def _slow_status(patch: Patch) -> None:
 
 
 def _latches_after_the_run(patch: Patch) -> None:
-    latch = sampling.latch
+    latch = converter.latch
 
     def late(fw: Firmware, now_ns: int) -> None:
         latch(fw, now_ns)

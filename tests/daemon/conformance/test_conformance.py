@@ -14,10 +14,9 @@ import pytest
 from armrig_daemon.conformance.conversation import Broken, Conversation, EndlessError
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.line import VirtualLine
-from armrig_daemon.conformance.pin_rules import pin_rules
 from armrig_daemon.conformance.rule import Result, Rule
-from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, run
-from armrig_daemon.emulator import converter, sampling
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, pin_rules, run
+from armrig_daemon.emulator import converter
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.harness import Violated, Violation
@@ -92,7 +91,7 @@ def test_a_reading_may_reach_the_rail_during_the_run(
     """A potentiometer near its dead band reads so after the motor has moved it."""
 
     def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> Any:
-        return sampling.sample(
+        return converter.sample(
             fw, now_ns, t_us, 32_768 if fw.pending[0].k <= inside else y0, y1, late=late
         )
 

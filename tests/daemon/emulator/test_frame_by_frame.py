@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from armrig_daemon.emulator.board import Board
 from armrig_daemon.emulator.clock import Clock
+from armrig_daemon.emulator.converter import latch
 from armrig_daemon.emulator.device import LEAD_NS, Device
 from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSample
-from armrig_daemon.emulator.sampling import latch
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import Reception
 from armrig_protocol.frame import encode

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from armrig_daemon.service import token_bucket
+from armrig_daemon.service import admission
+from armrig_daemon.service.admission import BURST
 from armrig_daemon.service.listener import Command
 from armrig_daemon.service.publish import Kind, Session
-from armrig_daemon.service.token_bucket import BURST
 
 WITHIN_S = 30.0
 SPREAD_S = 0.5
@@ -170,7 +170,7 @@ class _Asking:
 @pytest.fixture
 def unfilled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no token come again, so that however slow the machine is a burst is all."""
-    monkeypatch.setattr(token_bucket, "PER_S", 0)
+    monkeypatch.setattr(admission, "PER_S", 0)
 
 
 @pytest.mark.usefixtures("unfilled")
@@ -193,7 +193,7 @@ def test_a_flood_of_queries_is_answered_up_to_a_bound(
             _until(lambda: asking.sent - asking.answers.total() < MOST_AT_ONCE)
         _until(lambda: asking.answers.total() == asking.sent)
 
-    assert asking.answers == {"": BURST, token_bucket.refusal(name).error: asking.sent - BURST}
+    assert asking.answers == {"": BURST, admission.too_many(name).error: asking.sent - BURST}
     assert let_in[name] == (BURST if key.startswith("cmd/") else 0)
 
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
+from armrig_core.process.imports import imported
 
 from armrig.data.files.mat_variables import EMPTY, StructureArray, Unread, variables
 from armrig.data.files.table import NO_NUMBERS, Column, Table, Vector, require_room, titled
-from armrig.data.optional_packages import imported
 
 _MAX_DIMENSIONS = 2
 _TIME_NAMES = ("t", "time")

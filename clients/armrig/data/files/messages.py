@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import FileError
+from armrig_core.process.imports import MissingPackageError, imported
 from armrig_core.recording_file.budget import WORK, Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
@@ -31,7 +32,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from armrig.data.files.table import Column, Table, Vector, require_room, shown
-from armrig.data.optional_packages import MissingPackageError, imported
 from armrig.data.step import DOUBT, Step
 
 _DECODERS = {"protobuf": "mcap_protobuf.decoder", "cdr": "mcap_ros2.decoder"}

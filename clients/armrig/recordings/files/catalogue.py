@@ -25,11 +25,11 @@ import msgspec
 import numpy as np
 import platformdirs
 from armrig_core.process.bounded import read_bounded
+from armrig_core.process.imports import imported
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray
 
-from armrig.data.optional_packages import imported
 from armrig.recordings.files.recording_summary import (
     ForeignError,
     RecordingSummary,

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
+from armrig_core.process.imports import imported
 from armrig_core.telemetry.telemetry import THETA_1, ChannelName
 from armrig_core.telemetry.topics import topic
 from numpy.typing import NDArray
 
-from armrig.data.optional_packages import imported
 from armrig.recordings.recording import Recording, export_columns, export_metadata
 
 _BLOCK_ROWS = 65_536  # rows of a CSV file that are converted to text in one step

@@ -23,8 +23,8 @@ from typing import Any, TypeVar
 
 import msgspec
 from armrig_core.errors import InputError, OperationError
+from armrig_core.process.imports import imported
 
-from armrig.data.optional_packages import imported
 from armrig.recordings.files.recording_summary import shown_path
 from armrig.report.batch.progress import OTHER, SUFFIX, Progress, still_right
 from armrig.report.batch.tasks import (

@@ -13,8 +13,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from armrig_core.errors import OperationError
-
-from armrig.data.optional_packages import imported
+from armrig_core.process.imports import imported
 
 _CONNECT_TIMEOUT_S = 10.0
 

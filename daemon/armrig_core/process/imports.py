@@ -1,6 +1,6 @@
-"""Public names of a package, in one list: the imports of its stub, `__init__.pyi`.
+"""Late imports: the public names of a package, and the packages of optional extras.
 
-Type checkers read the stub. At run time, the module of a name is imported at the first use of the
+The stub of a package, `__init__.pyi`, lists its public names in its imports. Type checkers read the stub. At run time, the module of a name is imported at the first use of the
 name (PEP 562), so that `import armrig` and `armrig --help` are quick.
 """
 
@@ -12,6 +12,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from armrig_core.errors import InputError
 
 
 @cache
@@ -34,3 +36,22 @@ def public(package: str, name: str) -> Any:
     value = getattr(import_module(homes(package)[name]), name)
     setattr(sys.modules[package], name, value)
     return value
+
+
+class MissingPackageError(InputError, ImportError):
+    """An optional package is not installed; the message contains the install command."""
+
+    def __init__(self, msg: str, name: str) -> None:
+        ImportError.__init__(self, msg, name=name)
+
+
+def imported(module: str, extra: str) -> Any:
+    """Return the imported module of an optional extra, or raise MissingPackageError."""
+    try:
+        return import_module(module)
+    except ImportError as err:
+        name = module.partition(".")[0]
+        raise MissingPackageError(
+            f"{name} is not installed: pip install {name}, or pip install 'armrig[{extra}]'",
+            name=name,
+        ) from err
