@@ -1,7 +1,8 @@
 """Late imports: the public names of a package, and the packages of optional extras.
 
-The stub of a package, `__init__.pyi`, lists its public names in its imports. Type checkers read the stub. At run time, the module of a name is imported at the first use of the
-name (PEP 562), so that `import armrig` and `armrig --help` are quick.
+The stub of a package, `__init__.pyi`, lists the public names in its imports, and type checkers read
+it. At run time, the module of a name is imported at the first use of the name (PEP 562), so that
+`import armrig` and `armrig --help` are quick.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What the service needs of its host: its processes, the load, systemd, and the disk."""
+"""The host of the service: its processes, the load, systemd, and the disk."""
