@@ -89,11 +89,10 @@ def test_a_reading_may_reach_the_rail_during_the_run(
     inside: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A potentiometer near its dead band reads so after the motor has moved it."""
+    plain = converter.sample
 
     def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> Any:
-        return converter.sample(
-            fw, now_ns, t_us, 32_768 if fw.pending[0].k <= inside else y0, y1, late=late
-        )
+        return plain(fw, now_ns, t_us, 32_768 if fw.pending[0].k <= inside else y0, y1, late=late)
 
     monkeypatch.setattr(converter, "sample", sample)
 

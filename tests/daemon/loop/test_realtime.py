@@ -46,7 +46,7 @@ pytestmark = [
 def _run(program: str) -> str:
     """Return the output of a program that begins at SCHED_FIFO 1, as systemd's unit has it."""
     begin = "import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))\n"
-    program = f"{begin}from armrig_daemon.loop import realtime\n{_FILTER}{program}"
+    program = f"{begin}from armrig_core.process import realtime\n{_FILTER}{program}"
     done = subprocess.run(
         [sys.executable, "-c", program],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
