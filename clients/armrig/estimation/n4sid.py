@@ -12,7 +12,7 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_signals
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import EstimateFinding, warning
-from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
+from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, integrating, may_be_one
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative
 from armrig.estimation.error_process import error_process
 from armrig.estimation.estimated_outputs import origin
@@ -344,9 +344,8 @@ def _warnings(
     z = np.roots(A)
     nearest = int(np.argmin(np.abs(z - 1)))
     off, std = float(np.abs(z[nearest] - 1)), _pole_std(A, z[nearest], covariance)
-    integrates = (
-        not integrator and z[nearest].imag == 0 and off < min(3 * std + 1e-9, _MAX_DISTANCE_FROM_1)
-    )
+    real = not integrator and z[nearest].imag == 0
+    integrates = real and may_be_one(z[nearest].real, std, data.N)
     if integrates:
         known = data.output in INTEGRATING_OUTPUTS
         then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"

@@ -18,7 +18,11 @@ from armrig.numerics.polynomial import Array, monic, reflected, roots, without_i
 CIRCLE_ROUNDING = 1e-9  # error of the computed modulus of a root on the circle
 _MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
 _INTEGRATOR_SIGMAS = 3.0  # standard deviations from 1 beyond which a pole is no integrator
-REFLECT: tuple[str, Asks] = "lower the orders, or reflect it (option stable)", "order"
+REFLECT: tuple[str, Asks] = (
+    "if the rig is unstable, predict instead of simulating; else lower the orders, or set the "
+    "option stable",
+    "order",
+)
 _CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
 _CIRCLE_TOLERANCE = 1e-6  # error of the modulus of an eigenvalue of several signals
 

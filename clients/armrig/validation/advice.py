@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
-from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, may_be_one
 from armrig.models.characteristics import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
@@ -22,7 +22,7 @@ COLOURED = "raise the orders, look at the delay, or add a noise model"
 _FIX_POLE = "fix it (OE with the option integrator)"
 _DEVIATIONS = "the ordinary deviations", "the robust deviations"
 _MAX_IMAGINARY = 1e-9  # imaginary part below which a pole counts as real
-_MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
+_MAX_POLE_WIDTH = 0.258  # of an interval above which the data do not determine a pole
 _MAX_DISTANCE_FROM_ONE = 0.01  # distance in the z plane below which a pole or zero is near 1
 _SAME_POLE = 1e-6  # distance in the z plane of equal poles of two channels
 _STD_99 = 2.58
@@ -223,8 +223,13 @@ def _about_poles(fit: Fit) -> Iterator[Finding]:
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
         if abs(z) > 1 + max(_STD_99 * std, 1e-3) and z.imag >= 0:
-            text = f"pole {_z(z)} is outside the unit circle: the rig is stable, so simulate with "
-            yield finding("unstable", text + "care, and look at delay and orders", good=False)
+            text = (
+                f"pole {_z(z)} is outside the unit circle, and a simulation grows without bound: "
+            )
+            text += (
+                "if a controller holds an unstable rig, take ARMAX or ARX and predict; if the rig "
+            )
+            yield finding("unstable", text + "settles, look at delay and orders", good=False)
         if abs(z.imag) < _MAX_IMAGINARY and z.real + _STD_99 * std < 0:
             text = f"pole {_z(z)} is real and negative: no rig in continuous time has such a pole "
             text += "after sampling (exp(s Ts) > 0), so it models noise; lower the order"
@@ -234,16 +239,18 @@ def _about_poles(fit: Fit) -> Iterator[Finding]:
 def _about_integrator(fit: Fit) -> Iterator[Finding]:
     if fit.integrator:
         return
-    poles = fit.poles()
+    poles, known = fit.poles(), fit.output in INTEGRATING_OUTPUTS
     for z, std in zip(poles.values, poles.std, strict=True):
-        near = abs(z.real - 1) < max(_STD_99 * std, 1e-3) and std < _MAX_POLE_STD
+        near = (
+            abs(z.real - 1) < _STD_99 * std < _MAX_POLE_WIDTH
+            if known
+            else may_be_one(z.real, std, fit.N)
+        )
         if abs(z.imag) < _MAX_IMAGINARY and near:
-            within = abs(z.real - 1) < _STD_99 * std
-            what = "is 1 within its accuracy" if within else "is so near 1 that it integrates"
-            text = f"pole {near_one(z.real, std)} {what}: {_FIX_POLE}"
+            text = f"pole {near_one(z.real, std)} is 1 within its accuracy: {_FIX_POLE}"
             yield finding("integrator", text, good=False)
             return
-    if fit.output in INTEGRATING_OUTPUTS:
+    if known:
         text = f"{fit.output} integrates, and no pole of the model is 1: {_FIX_POLE}"
         yield finding("integrator", text, good=False)
 

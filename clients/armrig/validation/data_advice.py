@@ -117,7 +117,7 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
         yield _about_missing(data)
     if not known.together:  # in closed loop a step of the set point makes y and u jump
         yield _about_outliers(data)
-    if not known.integration.integrates:
+    if not known.integration.integrates and not known.integration.unstable:
         if level := level_without_input(data):
             yield finding("level", f"{level.text}: {NO_OPTION}", good=False)
         yield from _about_drift(data)
@@ -182,8 +182,16 @@ def _about_input(data: Dataset) -> Finding:
 
 
 def _about_integrator(decided: Integration) -> Finding:
+    if decided.unstable:
+        text = (
+            "y grows without u: a pole is outside the unit circle, and OE and BJ cannot model it; "
+        )
+        return finding("unstable", text + "take ARMAX or ARX, and predict", good=False)
     if not decided.integrates:
-        return finding("integrator", "none is seen", good=True)
+        text = (
+            "not shown, because a slow pole looks the same" if decided.undecided else "none is seen"
+        )
+        return finding("integrator", text, good=True)
     text = decided.reason or "the output is an angle"
     text += ": fix its pole (OE with the option integrator), and remove no linear trend"
     text += "; --assume settling, if it settles" * bool(decided.reason)
@@ -212,7 +220,7 @@ def _about_outliers(data: Dataset) -> Finding:
 
 def _about_drift(data: Dataset) -> Iterator[Finding]:
     try:
-        found = drift(data)
+        found = drift(data, integrator=False)
     except ValueError:
         return
     for i, line in enumerate(found, 1):
@@ -242,7 +250,8 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
         yield finding("feedback", f"none is found ({p})", good=True)
         return
     text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use "
-    text += "ARMAX or BJ with nk >= 1, or record in open loop"
+    able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
+    text += f"{able} with nk >= 1, or record in open loop"
     if loop.may_be_direct_term:
         text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
         text += "take nk=1"

@@ -154,7 +154,9 @@ def search(
     coming = (map if executor is None else executor.map)(score, plan.candidates)
     scored = _counted(coming, [c.name for c in plan.candidates], progress)
     ranked, rms, excess, excess_std = _ranked(scored, validation)
-    chosen = simplest_as_good(excess, excess_std, [s.parameters for s in ranked])
+    # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
+    complexity = [s.parameters + 0.5 * (s.candidate.nk == 0) for s in ranked]
+    chosen = simplest_as_good(excess, excess_std, complexity)
     tests = residuals(ranked[chosen].model, validation)
     request = ranked[chosen].candidate.request_for(data)
     if request.replicates is not None:

@@ -51,6 +51,11 @@ class Candidate:
         """Number of poles of B/F or B/A."""
         return dict(self.orders)[STRUCTURES[self.family].poles]
 
+    @property
+    def nk(self) -> int:
+        """Number of samples before u affects y."""
+        return dict(self.orders)["nk"]
+
     def request_for(self, data: Dataset | Signals) -> Request:
         """Return the request that estimates the model from the data.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
-from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectra import explained
 from armrig.estimation.nonparametric.spectral import spa
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 SURE = 3.0  # standard deviations by which |G| at an extreme must differ from |G| at its bases
-STAYS = 0.3  # share of the maximum of the rate's step response; a smaller final value counts as 0
 DRAWS = 200  # random draws of the error of the impulse response
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
@@ -53,8 +52,8 @@ class StructureHints:
     integrator: bool
     """True if y integrates: the first structure has a pole at 1."""
     integrator_shown: bool
-    """True if the description length and the step response agree on whether y integrates. Otherwise
-    `structures` includes a structure with and a structure without an integrator."""
+    """True if the data decide whether y integrates. Otherwise `structures` includes a structure
+    with and a structure without an integrator."""
     low_slope: float | None
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
     the slope of the first structure differs by more than 3 dB a decade."""
@@ -149,11 +148,10 @@ def structure_hints(
     structures has nb = nf, like a plant under a zero-order hold. Nonparametric estimates give the
     following reasons, which are reported if the first structure agrees:
 
-    - Integrator: the step response of y's rate does not return to 0, and the description is shorter
-      with a pole at 1. If only one of the two statements is true, or if the description lengths
-      hardly differ, structures with and without an integrator are recommended. The output theta_1
-      is taken as integrating, unless the step response of its rate significantly returns to 0: then
-      another rig uses the name. With an integrator the slope of the gain at low frequency is
+    - Integrator: the test of `delay` and `search` (`armrig.data.treatment.integrating`). If the
+      data do not distinguish an integrator from a slow pole, the description lengths decide; if
+      these hardly differ, structures with and without an integrator are recommended. The output
+      theta_1 is taken as integrating. With an integrator the slope of the gain at low frequency is
       -20 dB a decade.
     - Order: the number of singular values of the impulse response's Hankel matrix that exceed
       `threshold`, which follows from the uncertainty of this response.
@@ -201,25 +199,20 @@ def structure_hints(
     >>> hints.relative_degree, hints.nk_interval
     (2, (1, 1))
     """
-    integrates, known = integrator, data.output in INTEGRATING_OUTPUTS
-    of_rate = None
-    if integrates is None:
-        of_rate = long_enough(data, LAGS, integrator=True)
-        integrates = _integrates(of_rate, known=known)
+    decided = integration(data, integrator)
+    integrates = decided.integrates
     late: Delay | None = None
     with suppress(ValueError):
         late = delay(data, integrator=integrates)
     rate = spa(data, "log", integrator=True).rate()
     slope, slope_std, low = low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
-    decide = integrator is None and not known
-    best = recommended(data, lags, integrates=integrates, decide=decide)
+    best = recommended(data, lags, integrates=integrates, decide=decided.undecided)
     first = best.structures[0]
     integrates, nk = first.integrator, first.nk
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
     believed = _believed(spectrum, needed=late is None)
-    response = of_rate if integrates else None
-    response = response or long_enough(data, LAGS, integrator=integrates)
+    response = long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
     order = int(np.count_nonzero(values > threshold)) + (integrates and best.shown)
@@ -284,23 +277,6 @@ def _confirmed(
         return 0 < int(np.argmin(G) if dips else np.argmax(G)) < near.size - 1
 
     return tuple(w for w in found if np.any(np.abs(at / w - 1) <= AGREED_PEAK) or extreme(w))
-
-
-def _integrates(of_rate: ImpulseResponse, *, known: bool) -> bool:
-    """Return whether y integrates: the rate's step response does not return to 0.
-
-    An output that is known to integrate does not integrate if its response surely returns to 0.
-    """
-    end, std = _end_of_step(of_rate)
-    return end + SURE * std >= STAYS if known else end > max(STAYS, SURE * std)
-
-
-def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
-    """Return the final share of the rate's largest step response, and its standard deviation."""
-    g, _ = of_rate.decaying
-    steps = np.abs(np.cumsum(g))
-    largest = float(np.max(steps))
-    return float(steps[-1]) / largest, float(np.sqrt(_covariance(of_rate).sum())) / largest
 
 
 def _extremes(
@@ -444,7 +420,7 @@ def _about_integrator(h: StructureHints) -> Iterator[str]:
         yield f"integrator: {verdict}"
         return
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
-        verdict = f"a slow pole, and {verdict}, since the effect of a pulse of u on y dies out"
+        verdict = f"a slow pole, and {verdict}, since a pole at 1 fits worse"
     yield (
         f"integrator: |G| has a slope of {minus(f'{h.low_slope:.3g}')} dB "
         f"a decade at low frequency (0 without one, −20 with one): {verdict}"

@@ -92,7 +92,7 @@ def test_an_integrator_without_a_name_is_found_by_test(seed: int) -> None:
     u = telegraph(1000, 0.1, seed=rng)
     y = filtered([0, 0.1], [1, -1.5, 0.5], u) + 0.005 * rng.standard_normal(1000)
 
-    with pytest.warns(IntegratingOutputWarning, match="no return to a trend line"):
+    with pytest.warns(IntegratingOutputWarning, match="is not seen to return"):
         detrend(Dataset(u=u, y=y, Ts=0.01), order=1)
 
 

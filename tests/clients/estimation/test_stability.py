@@ -49,7 +49,7 @@ def test_every_estimator_warns_of_an_unstable_pole(name: str) -> None:
 
     said = [w for w in fit.warnings if w.startswith("a pole is unstable, |z| = 1.0")]
     assert len(said) == 1
-    assert said[0].endswith("lower the orders, or reflect it (option stable)")
+    assert said[0].endswith("else lower the orders, or set the option stable")
 
 
 def _random_walk() -> Dataset:
@@ -123,17 +123,17 @@ def test_a_stable_model_is_unchanged(name: str) -> None:
 @pytest.mark.parametrize(
     ("poles", "of", "remedy"),
     [
-        ({1.2: 0.01}, {}, "lower the orders, or reflect it"),
+        ({1.2: 0.01}, {}, "if the rig is unstable, predict"),
         ({1.2: 0.3}, {}, "its standard deviation is 0.3, so the data do not determine"),
-        ({1.2: 0.3}, {"integrator": True}, "lower the orders, or reflect it"),
-        ({0.3: 0.5, 1.2: 0.01}, {}, "lower the orders, or reflect it"),
+        ({1.2: 0.3}, {"integrator": True}, "if the rig is unstable, predict"),
+        ({0.3: 0.5, 1.2: 0.01}, {}, "if the rig is unstable, predict"),
         ({1.002: 0.001}, {}, "the pole is 1 within its accuracy; if y integrates, use OE"),
         ({1.002: 0.001}, {"structure": "bj"}, "the pole is 1 within its accuracy; if y integ"),
-        ({1.004: 0.001}, {}, "lower the orders, or reflect it"),
-        ({-1.002: 0.001}, {}, "lower the orders, or reflect it"),
+        ({1.004: 0.001}, {}, "if the rig is unstable, predict"),
+        ({-1.002: 0.001}, {}, "if the rig is unstable, predict"),
         ({0.9: 0.001, 1.0: 0.001}, {}, "the pole is 1 within its accuracy"),
-        ({0.999: 0.05, 1.5: 0.01}, {}, "lower the orders, or reflect it"),
-        ({1.0 + 0.01j: 0.05, 1.0 - 0.01j: 0.05}, {}, "lower the orders, or reflect it"),
+        ({0.999: 0.05, 1.5: 0.01}, {}, "if the rig is unstable, predict"),
+        ({1.0 + 0.01j: 0.05, 1.0 - 0.01j: 0.05}, {}, "if the rig is unstable, predict"),
     ],
 )
 def test_the_remedy_depends_on_which_polynomial_has_the_unstable_pole(
@@ -147,8 +147,8 @@ def test_the_remedy_depends_on_which_polynomial_has_the_unstable_pole(
     assert text.startswith(remedy)
     expected = "structure" if "use OE" in text else ""
     expected = "integrator" if text.endswith("set the option integrator") else expected
-    assert asks == ("order" if text.startswith("lower") else expected)
-    assert ("set the option" in text) == (of.get("structure") == "bj")
+    assert asks == ("order" if "lower the orders" in text else expected)
+    assert ("set the option integrator" in text) == (of.get("structure") == "bj")
 
 
 def test_a_fixed_integrator_is_not_an_unstable_pole() -> None:

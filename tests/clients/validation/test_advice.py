@@ -154,8 +154,8 @@ def test_no_integrator_is_suggested_for_data_without_one() -> None:
     ("pole", "std", "said"),
     [
         (1.00014, 1e-4, "pole 1.00014 ± 0.00010 is 1 within its accuracy: fix it"),
-        (0.99903, 1e-4, "pole 0.99903 ± 0.00010 is so near 1 that it integrates: fix it"),
-        (1 - 1e-7, 2.9e-8, "pole 0.999999900 ± 2.9e-08 is so near 1 that it integrates: fix it"),
+        (0.99903, 1e-4, "theta_1 integrates, and no pole of the model is 1: fix it"),
+        (1 - 1e-7, 2.9e-8, "theta_1 integrates, and no pole of the model is 1: fix it"),
     ],
 )
 def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, said: str) -> None:
@@ -166,6 +166,14 @@ def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, sai
     [found] = _about_integrator(fit)
 
     assert found.text.startswith(said)
+
+
+@pytest.mark.parametrize(("pole", "std"), [(0.857, 0.069), (0.9998971, 3.8e-6)])
+def test_neither_a_wide_interval_nor_a_slow_pole_is_an_integrator(pole: float, std: float) -> None:
+    poles = SimpleNamespace(values=np.array([pole], complex), std=np.array([std]))
+    fit: Any = SimpleNamespace(integrator=False, output="y", N=4000, poles=lambda: poles)
+
+    assert not [*_about_integrator(fit)]
 
 
 @pytest.mark.parametrize(

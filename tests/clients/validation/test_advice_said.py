@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.step import LINE, Step
+from armrig.data.treatment.integrating import Integration
 from armrig.models.characteristics import overlapping
 from armrig.models.fit import Fit
 from armrig.numerics.whiteness import Whiteness
@@ -43,7 +44,7 @@ def late(nk: int, interval: tuple[int, int] | None = None) -> Delay:
 
 
 def known_of(**fields: Any) -> OfData:
-    decided: Any = SimpleNamespace(integrates=False, reason="", notes=())
+    decided = Integration(integrates=False)
     values: dict[str, Any] = {"integration": decided, "loop": None, "late": late(1)}
     return OfData(**(values | fields))
 

@@ -21,12 +21,7 @@ from armrig.validation.recommended_structures import (
     _trimmed,
 )
 from armrig.validation.search_result import Candidate, Scored, SearchResult, _free
-from armrig.validation.structure_hints import (
-    _agreed,
-    _confirmed,
-    _end_of_step,
-    _integrates,
-)
+from armrig.validation.structure_hints import _agreed, _confirmed
 
 from tests.clients.models.made_fits import made
 
@@ -206,30 +201,6 @@ def test_an_extreme_is_reported_if_the_model_has_roots_within_12_percent(integra
 
     assert _confirmed((20.0, 22.2, 26.0, 40.0), best, 0.01, dips=False) == (20.0, 22.2)
     assert _confirmed((40.0, 36.0, 20.0), best, 0.01, dips=True) == (40.0, 36.0)
-
-
-@pytest.mark.parametrize(
-    ("end", "std", "stays", "returns"),
-    [
-        (0.5, 0.05, True, False),
-        (0.29, 0.01, False, False),
-        (0.1, 0.05, False, True),
-        (0.5, 0.2, False, False),
-        (0.1, 0.07, False, False),
-    ],
-)
-@pytest.mark.parametrize("sign", [2.0, -2.0])
-def test_a_rate_settles_or_returns_by_three_deviations_of_its_end(
-    end: float, std: float, stays: bool, returns: bool, sign: float
-) -> None:
-    """The step response goes to ±2 and ends at a share of that; one variance is that of the sum."""
-    g = sign * np.array([0.25, 0.75, end - 1.0, 0.0])
-    covariance = np.zeros((4, 4))
-    covariance[1, 1] = (abs(sign) * std) ** 2
-    response: Any = SimpleNamespace(decaying=(g, None), covariance=None, rate_covariance=covariance)
-
-    assert _end_of_step(response) == (pytest.approx(end), pytest.approx(std))
-    assert [_integrates(response, known=known) for known in (False, True)] == [stays, not returns]
 
 
 def test_long_data_are_shortened_to_the_part_with_input_changes() -> None:

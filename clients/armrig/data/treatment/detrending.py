@@ -54,7 +54,7 @@ def detrend(data: Signals, order: int = 0) -> Signals:
     IntegratingOutputWarning
         The order is 1 and the output integrates. The line is then the response to the mean of the
         input, not a drift, and a model of data without the line is wrong. The name of the output
-        (theta_1) or a unit root test decides whether the output integrates: see
+        (theta_1) or a test of the data decides whether the output integrates: see
         `armrig.data.treatment.integrating`.
 
     Raises
@@ -240,8 +240,8 @@ def drift(
     order : int, default 10
         Order of A and B.
     integrator : bool, optional
-        True if the output integrates. By default, the name of the output (theta_1) or a unit root
-        test decides. On a short record the test can mistake a stable output for an integrator. If
+        True if the output integrates. By default, the name of the output (theta_1) or a test of the
+        data decides. On a short record the test can mistake a stable output for an integrator. If
         the output is known to be stable, give False.
 
     Returns

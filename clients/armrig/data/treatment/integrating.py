@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from armrig_core.telemetry import telemetry
@@ -14,21 +13,27 @@ from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Trend
 from armrig.data.finding import Finding, warning
-from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.regressors import complete, past
-from armrig.numerics.stretches import Mask, pieces
+from armrig.numerics.criteria import mdl
+from armrig.numerics.least_squares import least_squares, orthonormal
+from armrig.numerics.polynomial import Array, filtered, lagged
+from armrig.numerics.regressors import Whitening, whitening
+from armrig.numerics.whiteness import BAND_99_PERCENT, autoregression
 
 # Outputs that integrate by construction, whatever the result of a test on a short record.
 INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
-DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
-_TEST_LAGS = 5
-# The test must be able to detect a return to the trend line by this share of the distance per
-# sample. Otherwise the data are too few for the test.
-MIN_SEEN_PULL = 0.2
-_MIN_HOLD_SAMPLES = 8  # least length of a hold of u before and after a step
-_MIN_END_SAMPLES = 4  # least number of known samples at the end of a hold
-_MAX_REST_SHARE = 0.25  # of an integrator's change of level, at least 0.4 is in the last third
+_ORDER = 8  # order of the ARX model whose poles, except the slowest, shape the fast response
+_MAX_FAST_POLE = 0.99  # modulus to which the poles of the fast response are limited
+_LAGS = 30  # lags of u that describe the fast response
+_PASSES = 2  # estimates of the noise model
+_POLES = 40  # poles that are compared with 1
+_MAX_RISE = 10.83  # chi-squared, 1 degree of freedom, 99.9 %
+_MAX_EFFECT_P = 1e-5  # p value of the integrated response to u above which u moves nothing
+_MIN_RECORD_SHARE = 0.1  # least time constant of a pole that counts as 1, as a share of the record
+_POLE_ROUNDING = 1e-9
+_UNSTABLE_SIGMAS = 4.0  # distance of an unstable pole from 1
+_MIN_DEGREES = 10  # degrees of freedom below which the data are too few for a test
+_MAX_SAMPLES = 6000  # longer data are averaged over blocks of samples
 
 
 class IntegratingOutputWarning(UserWarning):
@@ -38,86 +43,209 @@ class IntegratingOutputWarning(UserWarning):
 def integrating(data: Dataset | Signals, output: str | None = None) -> Finding | None:
     """Return the evidence that an output integrates; None without evidence.
 
-    An output whose name is in `INTEGRATING_OUTPUTS` integrates. Any other output is tested with a
-    Dickey-Fuller regression, which contains a trend, lags, and the inputs as covariates ::
-
-        y(t) - y(t-1) = c + d t + g y(t-1) + lags of the difference and of u + e(t)
-
-    The output integrates if g is not significantly negative at the 5 % level. With inputs as
-    covariates, the exact critical value is smaller in magnitude (Hansen 1995). The critical value
-    without covariates, used here, therefore favours an integrator.
-
-    If the data are too few for this test, the result is None. The data are too few if fewer than 10
-    degrees of freedom remain, or if g = -0.2 would not be significant. With g = -0.2, the distance
-    of the output from its trend line decreases by 20 % per sample. The result is also None if the
-    output rests at different values of u (`_rests`).
-
-    References
-    ----------
-    .. [1] D. A. Dickey, W. A. Fuller, J. Amer. Statist. Assoc. 74 (1979) 427-431.
-    .. [2] B. E. Hansen, Econometric Theory 11 (1995) 1148-1171.
+    An output whose name is in `INTEGRATING_OUTPUTS` integrates. For any other output, `PoleTest`
+    compares a pole at 1 with smaller poles.
     """
     signals = data.signals()
     i = signals.output(output)
     name = signals.outputs[i]
     if name in INTEGRATING_OUTPUTS:
         return warning("integrator", f"{name} integrates its input")
-    lags = range(1, _TEST_LAGS + 1)
-    rows, targets = [], []
-    for part in signals.experiments():
-        y = part.y[:, i]
-        change = np.diff(y, prepend=np.nan)
-        trend = np.column_stack([np.ones(part.N), np.arange(part.N) / max(part.N, 1)])
-        inputs = [past(u, lags) for u in part.u.T]
-        Phi = np.hstack([past(y, [1]), trend, past(change, lags), *inputs])
-        usable = complete(Phi, change)
-        rows.append(Phi[usable])
-        targets.append(change[usable])
-    target = np.concatenate(targets)
-    basis = orthonormal(np.vstack(rows))
-    degrees = target.size - basis.rank
-    if degrees < 10 or not basis.W[0].any():
-        return None  # too few rows, or y is constant
-    variance = float(np.sum(basis.without(target) ** 2)) / degrees
-    g, std = basis.coefficients(target)[0], np.sqrt(variance * np.sum(basis.W[0] ** 2))
-    limit = DICKEY_FULLER_TREND_5_PERCENT * std
-    if g < limit or limit < -MIN_SEEN_PULL or _rests(signals, i):
-        return None
-    text = f"{name} behaves as an integrating output (no return to a trend line is visible)"
-    return warning("integrator", text, pull=float(g), std=float(std))
+    tested = pole_test(signals, i)
+    return _evidence(name, tested) if tested and tested.integrates else None
 
 
-def _rests(data: Signals, i: int) -> bool:
-    """Return whether y moves from rest to rest at the long steps of u, which refutes an integrator.
+def _evidence(name: str, tested: PoleTest) -> Finding:
+    text = f"{name} behaves as an integrating output (its response to u is not seen to return)"
+    return warning("integrator", text, rise=tested.rise, share=tested.share)
 
-    The change of output i in the last third of a hold of all inputs is compared with the change of
-    its level from hold to hold. For an integrator, the ratio is 0.4 or more. One standard deviation
-    is added to each change, and the ratio is computed from the sums over all steps.
+
+def may_be_one(pole: float, std: float, N: int) -> bool:
+    """Return whether a real pole is 1 within its accuracy, and no faster pole is in the interval.
+
+    A wide interval is no evidence for 1: N samples must be too few for each pole in it to return.
     """
-    steps = []
-    for part in data.experiments():
-        for holds in pairwise(pieces(np.any(np.diff(part.u, axis=0), axis=1))):
-            ends = [_end_of_hold(part.y[s, i], part.valid[s, i]) for s in holds]
-            length = min(s.stop - s.start for s in holds)
-            if length >= _MIN_HOLD_SAMPLES:
-                steps.append((length, abs(ends[1][0] - ends[0][0]), ends[0][1] + ends[1][1]))
-    longest = max((n for n, _, _ in steps), default=0)
-    used = [(moved, drifted) for n, moved, drifted in steps if 2 * n >= longest]
-    moved, drifted = np.sum(used, axis=0) if used else (0.0, np.inf)
-    return bool(drifted < _MAX_REST_SHARE * moved)
+    width = BAND_99_PERCENT * std + _POLE_ROUNDING
+    return abs(pole - 1) < width and (1 - pole + width) * _MIN_RECORD_SHARE * N < 1
 
 
-def _end_of_hold(y: Vector, valid: Mask) -> tuple[float, float]:
-    """Return the level of the last third of a hold, and the likely change of y there."""
-    n = max(y.size // 3, _MIN_END_SAMPLES)
-    known = np.flatnonzero(valid[-n:])
-    if known.size < _MIN_END_SAMPLES:
-        return 0.0, np.inf
-    y = y[-n:][known]
-    x = (known - known.mean()) / n
-    slope = float(x @ y) / float(x @ x)
-    std = float(np.std(y - slope * x, ddof=2)) / float(np.linalg.norm(x))
-    return float(y.mean()), abs(slope) + std
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoleTest:
+    """Likelihood of a pole at 1 in the response to u, compared with smaller poles."""
+
+    rise: float
+    """Rise of -2 log likelihood if the slowest pole is fixed at 1; inf for an unstable pole."""
+    share: float
+    """Shortest time constant that the data do not reject, divided by the length of the record."""
+    p_effect: float
+    """p value of the hypothesis that the pole at 1 has no effect on y."""
+
+    @property
+    def possible(self) -> bool:
+        """True if u has an effect through a slow pole, and the pole may be 1."""
+        return self.rise < _MAX_RISE and self.p_effect < _MAX_EFFECT_P
+
+    @property
+    def integrates(self) -> bool:
+        """True if the pole may be 1, and each other possible pole is as good as 1 in the record."""
+        return self.possible and self.share >= _MIN_RECORD_SHARE
+
+
+def pole_test(data: Signals, i: int) -> PoleTest | None:
+    """Compare a pole at 1 in the response of output i to the inputs with smaller poles.
+
+    The response to u is a slow pole p and a fast response, in additive noise ::
+
+        y(t) = r w(t)/(1 - p q^-1) + sum_k h_k w(t-k) + c + d (1 - p^t)/(1 - p) + v(t)
+
+    w is u filtered by the poles, except the slowest, of an ARX model. For each p the model is a
+    linear regression. v is whitened by an autoregression of the residuals at the best p and at 1,
+    of v or of its differences, so that a random walk v is no integrator. Each p has its best noise
+    model. A time-invariant regression of y on its past would need many lags instead, because the
+    noise of a measurement is added to y.
+
+    The result is None for fewer than 40 samples, or 10 degrees of freedom, and if y is constant.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.4 (likelihood ratio).
+    """
+    parts = [_averaged(part.u, part.y[:, i], data.N) for part in data.experiments()]
+    parts = [(u, y) for u, y in parts if y.size > 1]
+    known = sum(int(np.isfinite(y).sum()) for _, y in parts)
+    order, lags = min(_ORDER, known // 20), min(_LAGS, known // 5) // data.nu + 1
+    if order < 2 or not np.nanstd(np.concatenate([y for _, y in parts])):
+        return None
+    longest = max(y.size for _, y in parts)
+    if all(_unstable(whitening(parts, n)) for n in (order, order // 2 + 1)):
+        return PoleTest(rise=np.inf, share=0.0, p_effect=0.0)
+    F, marks = _fast_poles(whitening(parts, order).A), np.eye(len(parts))
+    model = [_Experiment.of(*part, F, lags, mark) for part, mark in zip(parts, marks, strict=True)]
+    poles = np.append(np.exp(-1 / np.geomspace(2, 20 * longest, _POLES)), 1.0)
+    curves, effects = [], []
+    slow = [part.slow(poles) for part in model]
+    start, degrees, _ = _curve(model, np.ones(1), slow)
+    if degrees < _MIN_DEGREES:
+        return None
+    for first in {int(np.argmin(start)), poles.size - 1}:
+        for fixed in ([1.0], [1.0, -1.0]):
+            k, D = first, np.array(fixed)
+            for _ in range(_PASSES):
+                D = np.convolve(fixed, _noise(model, D, [x[:, k] for x in slow], np.array(fixed)))
+                costs, degrees, effect = _curve(model, D, slow)
+                k = int(np.argmin(costs)) if first < poles.size - 1 else first
+            curves.append(costs)
+            effects.append(effect)
+    if degrees < _MIN_DEGREES:
+        return None
+    best = np.min(curves, axis=0)
+    rises = degrees * np.log(best / best.min())
+    slowest = poles[int(np.argmax(rises < _MAX_RISE))]
+    tau = np.inf if slowest == 1 else -1 / np.log(slowest)
+    p_effect = effects[int(np.argmin([c[-1] for c in curves]))]
+    return PoleTest(rise=float(rises[-1]), share=float(tau / longest), p_effect=p_effect)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Experiment:
+    """Regressors of one experiment for a given slow pole."""
+
+    w: Array
+    """Inputs through the fast poles, (n, nu)."""
+    fixed: Array
+    """Columns that do not depend on the slow pole, (n, d)."""
+    y: Vector
+    """Output, NaN where it is missing."""
+    mark: Vector
+    """1 at the index of this experiment, else 0."""
+
+    @classmethod
+    def of(cls, u: Array, y: Vector, F: Array, lags: int, mark: Vector) -> _Experiment:
+        """Return the regressors; the free response of the fast poles has its own coefficients."""
+        w = filtered([1.0], F, (u - u[0]).T).T
+        pulse = filtered([1.0], F, np.eye(1, y.size)[0])
+        own = np.column_stack([lagged(pulse, range(F.size - 1)), np.ones(y.size)])
+        fixed = np.hstack([*(lagged(x, range(lags)) for x in w.T), np.kron(mark, own)])
+        # The inputs before the start are not known.
+        known = np.arange(y.size) >= min(lags, y.size // 10)
+        return cls(w=w, fixed=fixed, y=np.where(known, y, np.nan), mark=mark)
+
+    def slow(self, poles: Vector) -> Array:
+        """Return each pole's response to the initial state, and to each input, (n, poles, d)."""
+        t = np.arange(self.y.size, dtype=np.float64)
+        columns = []
+        for pole in poles:
+            free = t if pole == 1 else np.expm1(t * np.log(pole)) / (pole - 1)
+            response = filtered([1.0], [1.0, -pole], self.w.T).T
+            columns.append(np.hstack([np.outer(free, self.mark), response]))
+        return np.stack(columns, axis=1)
+
+
+def _whitened(model: list[_Experiment], D: Vector, columns: list[Array]) -> tuple[Array, Vector]:
+    """Return the columns and y of all experiments, filtered by D, where y is known."""
+    rows, targets = [], []
+    for part, M in zip(model, columns, strict=True):
+        y = np.convolve(part.y, D)[: part.y.size]
+        known = np.isfinite(y) & (np.arange(y.size) >= D.size - 1)
+        rows.append(filtered(D, [1.0], M.T).T[known])
+        targets.append(y[known])
+    return np.vstack(rows), np.concatenate(targets)
+
+
+def _curve(model: list[_Experiment], D: Vector, slow: list[Array]) -> tuple[Vector, int, float]:
+    """Return the loss for each slow pole, the degrees of freedom, and the p value at the last."""
+    from scipy.special import chdtrc
+
+    _, count, d = slow[0].shape
+    M, y = _whitened(model, D, [part.fixed for part in model])
+    X, _ = _whitened(model, D, [x.reshape(-1, count * d) for x in slow])
+    basis = orthonormal(M)
+    degrees = y.size - basis.rank - d
+    if degrees < _MIN_DEGREES:
+        return np.zeros(count), degrees, 1.0
+    rounding = np.finfo(np.float64).eps * float(y @ y) + np.finfo(np.float64).tiny
+    y, X = basis.without(y), basis.without(X).reshape(-1, count, d)
+    explained = (np.linalg.qr(X.transpose(1, 0, 2))[0].transpose(0, 2, 1) @ y) ** 2
+    losses = np.maximum(y @ y - explained.sum(axis=1), rounding)
+    effect = degrees * explained[-1, len(model) :].sum() / losses[-1]
+    return losses / y.size, degrees, float(chdtrc(d - len(model), effect))
+
+
+def _noise(model: list[_Experiment], D: Vector, slow: list[Array], fixed: Vector) -> Vector:
+    """Return the autoregression of the noise, filtered by `fixed`, at a slow pole."""
+    columns = [np.hstack([part.fixed, x]) for part, x in zip(model, slow, strict=True)]
+    M, y = _whitened(model, D, columns)
+    theta = least_squares(M, y[:, None])[:, 0]
+    errors = (part.y - X @ theta for part, X in zip(model, columns, strict=True))
+    return autoregression([np.convolve(e, fixed)[fixed.size - 1 : e.size] for e in errors], mdl)[0]
+
+
+def _averaged(u: Array, y: Vector, N: int) -> tuple[Array, Vector]:
+    """Return the signals of an experiment; means over blocks if the data have many samples."""
+    n = -(-N // _MAX_SAMPLES)
+    stop = y.size - y.size % n
+    return u[:stop].reshape(-1, n, u.shape[1]).mean(axis=1), y[:stop].reshape(-1, n).mean(axis=1)
+
+
+def _unstable(noise: Whitening) -> bool:
+    """Return whether an ARX model has a real pole significantly larger than 1."""
+    n, roots = noise.A.size - 1, np.roots(noise.A)
+    z = float(np.max(roots.real[roots.imag == 0], initial=0.0))
+    if z <= 1:
+        return False
+    # dz = -sum da_k z^(n-k) / A'(z)
+    by_a = z ** np.arange(n - 1, -1, -1) / np.polyval(np.polyder(noise.A), z)
+    return bool(z - 1 > _UNSTABLE_SIGMAS * np.sqrt(by_a @ noise.covariance[:n, :n] @ by_a))
+
+
+def _fast_poles(A: Array) -> Array:
+    """Return the polynomial of the roots of A except the root nearest to 1, all inside."""
+    z = np.roots(A)
+    z = np.delete(z, np.argmin(np.abs(z - 1)))
+    size = np.maximum(np.abs(z), np.finfo(np.float64).tiny)
+    return np.atleast_1d(
+        np.real(np.poly(z * np.minimum(1, np.minimum(1 / size, _MAX_FAST_POLE) / size)))
+    )
 
 
 # Rate of an output, such as an angle's velocity.
@@ -178,7 +306,11 @@ class Integration:
     integrates: bool
     """True if the model treats y as the integral of its rate."""
     reason: str = ""
-    """Evidence from the unit root test; "" if the test finds no integrator or is not needed."""
+    """Evidence from the test; "" if the test finds no integrator or is not needed."""
+    undecided: bool = False
+    """True if the data do not distinguish an integrator from a slow pole."""
+    unstable: bool = False
+    """True if the response of y to u has a real pole outside the unit circle."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -193,12 +325,19 @@ def integration(data: Dataset, integrator: bool | None) -> Integration:
     """Decide whether the output is taken as integrating.
 
     If `integrator` is given, its value is the decision. Otherwise an output integrates if its name
-    is theta_1, or if the unit root test of `integrating` finds an integrator. In this last case,
-    the notes report the result of the test.
+    is theta_1, or if `pole_test` finds an integrator. In this last case, the notes report the
+    result of the test.
     """
     if integrator is not None:
         return Integration(integrates=integrator)
     if data.output in INTEGRATING_OUTPUTS:
         return Integration(integrates=True)
-    found = integrating(data)
-    return Integration(integrates=found is not None, reason=found.text if found else "")
+    found = pole_test(data.signals(), 0)
+    if found is None:
+        return Integration(integrates=False, undecided=True)
+    return Integration(
+        integrates=found.integrates,
+        reason=_evidence(data.output, found).text if found.integrates else "",
+        undecided=found.possible and not found.integrates,
+        unstable=bool(np.isinf(found.rise)),
+    )
