@@ -97,7 +97,8 @@ def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     state, done = _check_echo(state, now_ns, m)
     # The device's state is handled before the sample, because the state RUN confirms START and
     # thereby determines k.
-    state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
+    state = state if done else note_echo(state, m.echo)
+    state, actions = transitions.note_state(state, now_ns, m.state)
     done += actions
     state, actions = _handle_of_run(state, now_ns, m)
     return state, done + actions

@@ -201,10 +201,8 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
 def test_an_echo_of_an_unsent_frame_stops_a_run_before_its_setpoints() -> None:
     """S4: also for a run that the device has just been armed for."""
     bench = _playing()
-    state, play = (
-        bench.loop.state,
-        pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0)),
-    )
+    state = bench.loop.state
+    play = pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0))
     arming = awaiting(
         changed(state, phase=Phase.ARMED, run=None, queue=None), RequestKind.ARM, play
     )
@@ -216,6 +214,7 @@ def test_an_echo_of_an_unsent_frame_stops_a_run_before_its_setpoints() -> None:
     assert [type(m) for m in ours.sent] == [Setpoints]
     assert [type(m) for m in foreign.sent] == [Stop]
     assert foreign.told(Answer)[0].error.startswith("not begun: the device has received frame")
+    assert foreign.state.link.last_round_trip_ns == state.link.last_round_trip_ns
 
 
 def test_clocks_are_compared_only_by_exchanges() -> None:
