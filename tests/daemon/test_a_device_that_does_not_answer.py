@@ -8,7 +8,7 @@ from random import Random
 import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.decisions import step
-from armrig_daemon.decisions.requests import unanswered
+from armrig_daemon.decisions.outcomes import unanswered
 from armrig_daemon.decisions.state import (
     Action,
     Emit,

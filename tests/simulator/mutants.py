@@ -8,16 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
 
-from armrig_daemon.decisions import (
-    gaps,
-    orders,
-    replies,
-    sampling,
-    setpoints,
-    step,
-    stopping,
-    transitions,
-)
+from armrig_daemon.decisions import gaps, orders, step, transitions
 from armrig_daemon.decisions.state import Phase, Rules
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
@@ -50,7 +41,7 @@ def planted(mutant: Mutant) -> Iterator[None]:
         yield
 
 
-_leased, _report_missing, _trip = orders._leased, gaps.report_missing, stopping.trip
+_leased, _report_missing, _carry_out = orders._leased, gaps.report_missing, step.carry_out
 _volts, _feed = board.volts, decoder.feed
 
 
@@ -87,9 +78,9 @@ def _never_bites(fw: Any) -> None:
     fw.watchdog_ns = NEVER
 
 
-def _unlatched(state: Any, now_ns: int, reason: str) -> Any:
-    state, done = _trip(state, now_ns, reason)
-    return replace(state, phase=Phase.SAFE), done
+def _unlatched(now_ns: int, decided: Any) -> Any:
+    state, done = _carry_out(now_ns, decided)
+    return (replace(state, phase=Phase.SAFE) if state.phase is Phase.FAULT else state), done
 
 
 def _kept(pending: bytes, data: bytes) -> Any:
@@ -149,10 +140,7 @@ MUTANTS = (
     ),
     Mutant(
         name="a trip that does not latch",
-        puts=tuple(
-            (module, "trip", _unlatched)
-            for module in (step, replies, sampling, setpoints, transitions)
-        ),
+        puts=((step, "carry_out", _unlatched),),
         breaks=frozenset({"S6"}),
     ),
     Mutant(

@@ -13,7 +13,7 @@ from traceback import extract_tb
 from typing import Any, NamedTuple
 
 from armrig_core.rig.calibration import Calibration
-from armrig_daemon.decisions.requests import report_state
+from armrig_daemon.decisions.outcomes import report_state
 from armrig_daemon.decisions.state import (
     Emit,
     Event,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
 from armrig_protocol.messages import Cause
@@ -84,9 +84,14 @@ OF_DEVICE: dict[int, str] = {
 """Meaning of each cause for which a device stops by itself."""
 
 
+def name_of(kind: type[IntEnum], number: int) -> str:
+    """Return the name of a number that the device reported, or the number if it has no name."""
+    return kind(number).name if number in set(kind) else str(number)
+
+
 def of_device(cause: int) -> str:
     """Return the name (or number) and the meaning of a cause that the device reported."""
-    name = Cause(cause).name if cause in set(Cause) else str(cause)
+    name = name_of(Cause, cause)
     return f"{name}, {OF_DEVICE[cause]}" if cause in OF_DEVICE else name
 
 

@@ -1,17 +1,30 @@
-"""Gaps: each sample is either published, or reported as missing with the voltage that was held.
+"""Samples and their gaps, up to the end of a run.
 
-This is invariant L2 of ARCHITECTURE.md.
+Each sample is either published, or reported as missing with the voltage that was held. This is
+invariant L2 of ARCHITECTURE.md.
 """
 
 from __future__ import annotations
 
-from armrig_core.commands.codes import GapCode
-from armrig_core.rig.volts import volts_of
+from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.rig.volts import applied_code, volts_of
+from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 
-from armrig_daemon.decisions.requests import Step
-from armrig_daemon.decisions.state import Action, Emit, MissingSamples, Sent, State
-from armrig_daemon.pipe import Gap
+from armrig_daemon.decisions.outcomes import refuse
+from armrig_daemon.decisions.state import (
+    Action,
+    ActiveRun,
+    Arrived,
+    Emit,
+    MissingSamples,
+    Phase,
+    Publish,
+    Sent,
+    SetPeriod,
+    State,
+)
+from armrig_daemon.pipe import Gap, RunEnded
 
 MAX_MISSING_PIECES = 1000  # most gaps of one outage; all samples before these are one more gap
 
@@ -33,7 +46,9 @@ def lost(sent: Sent, now_ns: int) -> MissingSamples:
     return missing(sent.k, 1, GapCode.FRAME_LOST, sent.code, sent.sent_ns, now_ns)
 
 
-def report_missing(state: State, end: int, now_ns: int, u_before: int | None = None) -> Step:
+def report_missing(
+    state: State, end: int, now_ns: int, u_before: int | None = None
+) -> tuple[State, list[Action]]:
     """Report the missing samples between the last reported sample and `end`.
 
     Parameters
@@ -100,3 +115,77 @@ def _gap(piece: MissingSamples, code: int) -> Gap:
         reason=piece.reason,
         code=piece.reason_code,
     )
+
+
+def publish(
+    state: State, now_ns: int, m: DeviceSample, arrived: Arrived
+) -> tuple[State, list[Action]]:
+    """Publish the gaps before a sample, then the sample."""
+    for sent in arrived.unanswered:
+        state = note(state, lost(sent, now_ns))
+    if arrived.answered is None and state.run is not None:
+        state = _note_missing(state, state.run, m.k, now_ns)
+    sample = arrived.sample
+    state, done = report_missing(state, sample.k, now_ns, m.u_km1)
+    done.append(Publish(sample, m.queued if arrived.answered is None else -1))
+    state = replace(
+        state,
+        link=arrived.link,
+        run=arrived.run,
+        sampled_ns=sample.t_host_ns,
+        t_us=sample.t_device_us,
+        applied=m.u_k,
+        last_reported_k=sample.k,
+    )
+    return state, done
+
+
+def end_run(state: State, now_ns: int, *, complete: bool = False) -> tuple[State, list[Action]]:
+    """Report the end of the run; call this when no further sample of the run can arrive.
+
+    If the run is `complete`, the device has taken all samples: those that have not arrived are
+    missing.
+    """
+    queue, run = state.queue, state.run
+    if complete and run is not None:
+        state = _note_missing(state, run, run.samples, now_ns)
+        run = replace(run, due=run.samples)
+        state = replace(state, run=run).ending_with("complete", OutcomeCode.COMPLETE)
+    done = refuse(queue.order, state.outcome or "stopped", RefusalCode.OVERTAKEN) if queue else []
+    state = replace(state.linked(beats=()), queue=None)
+    if run is None:
+        return replace(state, outcome="", outcome_code=None), done
+    if run.k_first >= 0:
+        end = run.k_first + min(run.due, run.samples)
+        waiting = state.link.sent if state.link else ()
+        for sent in (s for s in waiting if s.k < end):
+            state = note(state, lost(sent, now_ns))
+        if run.scheduled and state.phase is Phase.FAULT:
+            # Report the samples that the device would have taken by now without the fault.
+            by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
+            n = max(0, min(by_now, run.samples) - run.due)
+            due = due_ns(state, end)
+            untaken = MissingSamples(end, n, state.outcome, 0, due, now_ns, GapCode.FAULT)
+            state = note(state, untaken)
+            run, end = replace(run, due=run.due + n), end + n
+        state, reports = report_missing(state, end, now_ns)
+        done += reports
+        state = state.linked(sent=tuple(s for s in waiting if s.k >= end))
+    if run.scheduled and run.k_first >= 0:
+        # The device has paced the samples: number the loop's next tick after the last sample.
+        k = run.k_first + run.due - 1
+        state = replace(state, k=k, pace_us=state.rules.ts_us)
+        done.append(SetPeriod(state.rules.ts_us, k + 1))
+    code, text = state.ending
+    done.append(Emit(RunEnded(run_id=run.run_id, outcome=text, outcome_code=code)))
+    return replace(state, run=None, outcome="", outcome_code=None), done
+
+
+def _note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
+    """Store the missing samples of a run before `end`; their inputs are the setpoints' codes."""
+    bits = state.device.pwm_bits if state.device else 16
+    for i in range(max(run.due, end - MAX_MISSING_PIECES), end):
+        code = applied_code(run.code(i), bits)
+        absent = missing(run.k_first + i, 1, GapCode.FRAME_LOST, code, now_ns, now_ns)
+        state = note(state, absent)
+    return state

@@ -8,23 +8,12 @@ from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.decisions.requests import NO_DEVICE, Step, answer, ask, refuse
+from armrig_daemon import pipe
+from armrig_daemon.decisions import outcomes
+from armrig_daemon.decisions.budget import check, exchange_us
+from armrig_daemon.decisions.faults import name_of
+from armrig_daemon.decisions.outcomes import NO_DEVICE, Step, Then, answer, refuse
 from armrig_daemon.decisions.state import Action, Lease, PendingRequest, Phase, RequestKind, State
-from armrig_daemon.decisions.stopping import end_run, leave, stop
-from armrig_daemon.decisions.transitions import begin_arming, state_name
-from armrig_daemon.pipe import (
-    Alive,
-    Arm,
-    Calibrate,
-    Disarm,
-    Leased,
-    Order,
-    Quit,
-    Reset,
-    Run,
-    Set,
-    Stop,
-)
 
 NOT_HELD = "not the lease in force: arm first"
 """Refusal of a command from a client that does not hold the rig."""
@@ -32,23 +21,23 @@ BY_HAND = "the motor is driven by hand: disarm first"
 _AT_REST = (DeviceState.IDLE, DeviceState.READY)
 
 
-def handle(state: State, now_ns: int, order: Order) -> Step:
+def handle(state: State, now_ns: int, order: pipe.Order) -> Step:
     """Carry out an order, or refuse it."""
     state = replace(state, service_ns=now_ns)
     match order:
-        case Alive():
+        case pipe.Alive():
             return state, []
-        case Stop():
-            return _stop(state, now_ns, order)
-        case Quit():
-            return quit_(state, now_ns)
-        case Reset():
-            return _reset(state, now_ns, order)
-        case Calibrate():
+        case pipe.Stop():
+            return _stop(state, order)
+        case pipe.Quit():
+            return quit_(state)
+        case pipe.Reset():
+            return _reset(state, order)
+        case pipe.Calibrate():
             return _calibrate(state, order)
-        case Arm():
+        case pipe.Arm():
             return _arm(state, now_ns, order)
-        case Leased():
+        case pipe.Leased():
             return _leased(state, now_ns, order)
     return state, refuse(order, "not an order that this daemon knows")
 
@@ -63,26 +52,24 @@ def held_by(owner: str) -> str:
     return f"{owner} has the rig: wait until it is free, or end it with `armrig stop`"
 
 
-def quit_(state: State, now_ns: int) -> Step:
+def quit_(state: State) -> Step:
     """Stop the motor and exit; if a device answers, exit only after it has confirmed the stop."""
     if state.quitting:
         return state, []
     state = replace(state, quitting=True)
     if state.link is None or state.device is None:
-        state, done = end_run(state, now_ns)
-        state, actions = leave(state)
-        return state, done + actions
-    return stop(state, now_ns, "the daemon was ended", code=OutcomeCode.DAEMON_ENDED)
+        return state, [outcomes.EndRun(), Then.LEAVE]
+    return state, [outcomes.Halt("the daemon was ended", code=OutcomeCode.DAEMON_ENDED)]
 
 
-def _stop(state: State, now_ns: int, order: Stop) -> Step:
+def _stop(state: State, order: pipe.Stop) -> Step:
     may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
     if state.device is None or state.phase is Phase.FAULT or not may_turn:
         return state, answer(order, {"done": True})  # at 0 V, or out of reach
-    return stop(state, now_ns, order.reason, order, order.outcome_code)
+    return state, [outcomes.Halt(order.reason, order, order.outcome_code)]
 
 
-def _reset(state: State, now_ns: int, order: Reset) -> Step:
+def _reset(state: State, order: pipe.Reset) -> Step:
     if state.phase is not Phase.FAULT:
         return state, answer(order, {"done": False})  # nothing is latched
     if state.device is None:
@@ -90,10 +77,10 @@ def _reset(state: State, now_ns: int, order: Reset) -> Step:
     if state.asked is not None:
         return state, _refuse_as_busy(order, state.asked)
     latched = state.device_state in (DeviceState.FAULT, DeviceState.ESTOP)
-    return ask(state, now_ns, RequestKind.CLEAR if latched else RequestKind.HELLO, order)
+    return state, [outcomes.Ask(RequestKind.CLEAR if latched else RequestKind.HELLO, order)]
 
 
-def _calibrate(state: State, order: Calibrate) -> Step:
+def _calibrate(state: State, order: pipe.Calibrate) -> Step:
     """Replace the calibration, at rest only: each run has a single calibration.
 
     Only the conversion of samples uses the calibration. It changes no frame and no limit.
@@ -111,7 +98,7 @@ def _calibrate(state: State, order: Calibrate) -> Step:
     return replace(state, rules=rules), answer(order, {"done": True})
 
 
-def _arm(state: State, now_ns: int, order: Arm) -> Step:
+def _arm(state: State, now_ns: int, order: pipe.Arm) -> Step:
     if state.quitting:
         return state, refuse(order, "the daemon is ending", RefusalCode.ENDING)
     if state.phase is Phase.FAULT:
@@ -132,13 +119,37 @@ def _arm(state: State, now_ns: int, order: Arm) -> Step:
         return state, refuse(order, text, RefusalCode.STALE, limit_ms=limit_ns / 1e6)
     if link.device_state not in _AT_REST:
         # HELLO requests the device's state, after which the device is brought to rest.
-        error = f"the device is in {state_name(link.device_state)}, not at rest: try again"
-        state, actions = ask(state, now_ns, RequestKind.HELLO)
-        return state, [*refuse(order, error, RefusalCode.NOT_AT_REST), *actions]
-    return begin_arming(state, now_ns, order)
+        name = name_of(DeviceState, link.device_state)
+        error = f"the device is in {name}, not at rest: try again"
+        refusal = refuse(order, error, RefusalCode.NOT_AT_REST)
+        return state, [*refusal, outcomes.Ask(RequestKind.HELLO)]
+    return begin_arming(state, order)
 
 
-def _leased(state: State, now_ns: int, order: Leased) -> Step:
+def begin_arming(state: State, order: pipe.Arm) -> Step:
+    """Configure the device for the owner's sampling time, then arm it."""
+    device = state.device
+    ts_us = order.ts_us or state.rules.ts_us
+    if device is None:
+        return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
+    scheduled = bool(device.capabilities & Capability.SCHEDULED)
+    baud, m = state.rules.baud, state.rules.oversampling
+    try:
+        check(ts_us, baud, device.skew_us, scheduled=scheduled, oversampling=m)
+    except ValueError as err:
+        return state, refuse(order, str(err))
+    least_us = device.ts_min_us + 2 * (m - 1) * device.skew_us
+    if ts_us < least_us:
+        error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
+        return state, refuse(order, f"{error} {least_us / 1e6:g} s")
+    # Until a run begins, the host paces the samples: at this Ts if the line is fast enough for it,
+    # otherwise at the default Ts.
+    fits = ts_us >= exchange_us(baud, device.skew_us, m)
+    paced_us = ts_us if fits else state.rules.ts_us
+    return state, [outcomes.Ask(RequestKind.CONFIGURE, order, paced_us)]
+
+
+def _leased(state: State, now_ns: int, order: pipe.Leased) -> Step:
     lease = state.lease
     held = lease is not None and state.phase in (Phase.ARMED, Phase.ACTIVE)
     if lease is None or not held or order.lease != lease.lease:
@@ -146,48 +157,48 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
     if order.n <= lease.n:
         text = not_newer(order.n, lease.n)
         return state, refuse(order, text, RefusalCode.NOT_NEWER, n=order.n, last=lease.n)
-    if state.asked is not None and not isinstance(order, Disarm):
+    if state.asked is not None and not isinstance(order, pipe.Disarm):
         return state, _refuse_as_busy(order, state.asked)
     refusal = _refusal(state, order)
     if refusal:
         return state, refusal
     state = replace(state, lease=replace(lease, n=order.n, renewed_ns=now_ns))
-    if isinstance(order, Disarm):
-        return stop(state, now_ns, "disarmed", order, OutcomeCode.DISARMED)
-    if isinstance(order, Set) and state.phase is Phase.ACTIVE:
+    if isinstance(order, pipe.Disarm):
+        return state, [outcomes.Halt("disarmed", order, OutcomeCode.DISARMED)]
+    if isinstance(order, pipe.Set) and state.phase is Phase.ACTIVE:
         return replace(state, code=order.code), answer(order, {"done": True})
-    if isinstance(order, Run) and order.scheduled:
+    if isinstance(order, pipe.Run) and order.scheduled:
         # First a stop: a device accepts another mode in IDLE and READY only.
-        return ask(state, now_ns, RequestKind.STOP, order)
-    return ask(state, now_ns, RequestKind.START, order)
+        return state, [outcomes.Ask(RequestKind.STOP, order)]
+    return state, [outcomes.Ask(RequestKind.START, order)]
 
 
-def _refuse_as_busy(order: Order, asked: PendingRequest) -> list[Action]:
+def _refuse_as_busy(order: pipe.Order, asked: PendingRequest) -> list[Action]:
     text = f"busy with {asked.want}: try again"
     return refuse(order, text, RefusalCode.BUSY, want=asked.want)
 
 
-def _refuse_as_held(order: Order, lease: Lease) -> list[Action]:
+def _refuse_as_held(order: pipe.Order, lease: Lease) -> list[Action]:
     return refuse(order, held_by(lease.owner), RefusalCode.HELD, owner=lease.owner)
 
 
-def _refuse_in_fault(order: Order, state: State) -> list[Action]:
+def _refuse_in_fault(order: pipe.Order, state: State) -> list[Action]:
     text = f"in fault ({state.reason}): correct the cause, then reset"
     fault = state.fault.id if state.fault else ""
     return refuse(order, text, RefusalCode.IN_FAULT, fault=fault, reason=state.reason)
 
 
-def _refusal(state: State, order: Leased) -> list[Action]:
+def _refusal(state: State, order: pipe.Leased) -> list[Action]:
     """Return the refusal of an order of the lease's holder; [] for an allowed order."""
     match order:
-        case Set():
+        case pipe.Set():
             if state.run is not None:
                 text = f"the experiment {state.run.run_id} is running: stop it first"
                 return refuse(order, text, RefusalCode.RUNNING)
             if state.lease is not None and state.ts_us != state.lease.ts_us:
                 return _refuse_as_too_short(state, order)
             return _out_of_range(state, order)
-        case Run():
+        case pipe.Run():
             if state.phase is not Phase.ARMED:
                 return refuse(order, BY_HAND, RefusalCode.BY_HAND)
             if state.run is not None:
@@ -201,7 +212,7 @@ def _refusal(state: State, order: Leased) -> list[Action]:
     return []
 
 
-def _cannot_pace(state: State, order: Run) -> list[Action]:
+def _cannot_pace(state: State, order: pipe.Run) -> list[Action]:
     """Return the refusal of a run that the device cannot pace; [] for any other run."""
     if order.scheduled:
         if state.device is not None and state.device.capabilities & Capability.SCHEDULED:
@@ -213,7 +224,7 @@ def _cannot_pace(state: State, order: Run) -> list[Action]:
     return []
 
 
-def _refuse_as_too_short(state: State, order: Order) -> list[Action]:
+def _refuse_as_too_short(state: State, order: pipe.Order) -> list[Action]:
     ts_s = state.lease.ts_us / 1e6 if state.lease else 0
     text = (
         f"Ts={ts_s:g} s cannot be carried in exchange mode: run scheduled, or arm with a longer Ts"
@@ -221,7 +232,7 @@ def _refuse_as_too_short(state: State, order: Order) -> list[Action]:
     return refuse(order, text, RefusalCode.CANNOT_PACE)
 
 
-def _out_of_range(state: State, order: Set) -> list[Action]:
+def _out_of_range(state: State, order: pipe.Set) -> list[Action]:
     """Return the refusal of a voltage outside the limits; [] for an allowed voltage."""
     rules, before, code = state.rules, state.code, order.code
     low, high = volts_of(rules.code_min), volts_of(rules.code_max)

@@ -1,142 +1,100 @@
-"""Messages of the device, and the core's reactions to them."""
+"""Replies of the device, except samples, and the checks of each frame's sender."""
 
 from __future__ import annotations
 
-from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    TYPES,
-    Ack,
-    Arm,
-    Cause,
-    ClearFault,
-    Code,
-    Config,
-    ConfigReply,
-    Hello,
-    HelloReply,
-    Message,
-    Pong,
-    Start,
-    Stop,
-)
-from armrig_protocol.messages import Event as DeviceEvent
-from armrig_protocol.messages import Sample as DeviceSample
-from armrig_protocol.messages import State as DeviceState
+from armrig_protocol import messages as wire
 from msgspec.structs import replace
 
-from armrig_daemon.decisions import clock_comparison, sampling, transitions
-from armrig_daemon.decisions.faults import Fault, Id, of_device
+from armrig_daemon.decisions import outcomes
+from armrig_daemon.decisions.faults import Fault, Id, name_of, of_device
+from armrig_daemon.decisions.outcomes import Step, Then, log
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import (
-    Step,
-    ask,
-    is_newer,
-    linked,
-    log,
-    report_state,
-    send,
-)
-from armrig_daemon.decisions.state import Action, Phase, RequestKind, RoundTrip, State
-from armrig_daemon.decisions.stopping import end_run, trip
+from armrig_daemon.decisions.state import Phase, RequestKind, RoundTrip, State
 
 _TYPES = {
-    RequestKind.HELLO: TYPES[Hello],
-    RequestKind.CONFIGURE: TYPES[Config],
-    RequestKind.ARM: TYPES[Arm],
-    RequestKind.START: TYPES[Start],
-    RequestKind.STOP: TYPES[Stop],
-    RequestKind.CLEAR: TYPES[ClearFault],
+    RequestKind.HELLO: wire.TYPES[wire.Hello],
+    RequestKind.CONFIGURE: wire.TYPES[wire.Config],
+    RequestKind.ARM: wire.TYPES[wire.Arm],
+    RequestKind.START: wire.TYPES[wire.Start],
+    RequestKind.STOP: wire.TYPES[wire.Stop],
+    RequestKind.CLEAR: wire.TYPES[wire.ClearFault],
 }
 
 
-def handle(state: State, now_ns: int, message: Message) -> Step:
-    """Return the state after one message of the device."""
-    known = None if state.link is None else state.link.device_seq
-    # A device that was reset begins its numbers again.
-    if known is None or isinstance(message, HelloReply) or is_newer(message.seq, known):
-        state = linked(state, device_seq=message.seq)
-    match message:
-        case DeviceSample():
-            if _is_other_boot(state, message.boot):
-                return _rebooted(state, now_ns)
-            return sampling.handle(state, now_ns, message)
-        case HelloReply():
-            return transitions.handle_hello(state, now_ns, message)
-        case ConfigReply():
-            return transitions.handle_config(state, now_ns, message)
-        case Ack():
-            return _ack(state, now_ns, message)
-        case DeviceEvent():
-            return _event(state, now_ns, message)
-        case Pong():
-            return _pong(state, now_ns, message)
-    return state, []
+def note_echo(state: State, echo: int) -> Step:
+    """Store that the device has received the frame `echo`, which proves a round trip.
 
-
-def _pong(state: State, now_ns: int, pong: Pong) -> Step:
+    If another host has sent this frame to a driven device, stop with a fault.
+    """
     link = state.link
-    if link is None or pong.host_ns != link.ping_ns:
+    ahead = link is not None and link.is_ahead(echo)
+    if link is not None and ahead and state.phase in (Phase.ARMED, Phase.ACTIVE):
+        cause = f"the device has received frame {echo}, but this daemon sends {link.seq} next"
+        return state, [outcomes.Trip(Fault(Id.STATE, cause))]
+    beats = () if link is None or ahead else link.beats
+    newest = [b for b in beats if (echo - b.seq) & 0xFFFF < 0x8000]
+    if link is None or not newest:
+        return state, []
+    link = replace(link, beats=link.beats[len(newest) :], last_round_trip_ns=newest[-1].sent_ns)
+    return replace(state, link=link), []
+
+
+def pong(state: State, now_ns: int, reply: wire.Pong) -> Step:
+    """Handle the answer to the last PING, which proves a round trip; ignore any other PONG."""
+    link = state.link
+    if link is None or reply.host_ns != link.ping_ns:
         return state, []  # the answer to an earlier PING
-    round_trip = RoundTrip(now_ns - pong.host_ns)
-    state = linked(state, last_round_trip_ns=max(link.last_round_trip_ns, pong.host_ns))
-    state = clock_comparison.by_pong(state, now_ns, pong)
-    state, done = transitions.note_state(state, now_ns, pong.state)
-    return state, [round_trip, *done]
+    state = state.linked(last_round_trip_ns=max(link.last_round_trip_ns, reply.host_ns))
+    return state, [RoundTrip(now_ns - reply.host_ns), outcomes.NoteState(reply.state)]
 
 
-def _is_other_boot(state: State, boot: int) -> bool:
-    return state.device is not None and boot != state.device.boot_id & 0xFFFF
-
-
-def _rebooted(state: State, now_ns: int) -> Step:
+def rebooted(state: State, now_ns: int) -> Step:
     """Handle a restart of the device, after which the device is at 0 V without a configuration."""
     was_driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
-    state = replace(linked(state, sent=(), device_state=0), device=None)
-    done: list[Action] = []
+    state = replace(state.linked(sent=(), device_state=0), device=None)
+    done: list[outcomes.Outcome] = []
     if was_driving:
-        state, done = trip(state, now_ns, Fault(Id.RESET, "the device was reset"))
+        done = [outcomes.Trip(Fault(Id.RESET, "the device was reset"))]
     elif state.phase is not Phase.FAULT:
         state = moved(state, On.LOST)
-        done = [log(now_ns, "warning", "the device was reset"), report_state(state, now_ns)]
+        done = [log(now_ns, "warning", "the device was reset"), Then.REPORT]
     # The run is over. HELLO replaces a STOP, which the restarted device will not confirm.
-    state, ended = end_run(state, now_ns)
-    state, actions = ask(state, now_ns, RequestKind.HELLO)
-    return state, [*done, *ended, *actions]
+    return state, [*done, outcomes.EndRun(), outcomes.Ask(RequestKind.HELLO)]
 
 
-def _ack(state: State, now_ns: int, ack: Ack) -> Step:
+def ack(state: State, reply: wire.Ack) -> Step:
+    """Handle the acknowledgement of a request, or its refusal."""
     asked, link = state.asked, state.link
-    if asked is None or link is None or ack.of_seq != asked.seq:
-        return transitions.note_state(state, now_ns, ack.state)
-    if ack.code == Code.OK:
-        if ack.of_type == _TYPES[asked.want]:
-            state = linked(state, last_round_trip_ns=max(link.last_round_trip_ns, asked.sent_ns))
-        return transitions.note_state(state, now_ns, ack.state)
-    if ack.code == Code.STALE:
-        if asked.want is RequestKind.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
+    if asked is None or link is None or reply.of_seq != asked.seq:
+        return state, [outcomes.NoteState(reply.state)]
+    if reply.code == wire.Code.OK:
+        if reply.of_type == _TYPES[asked.want]:
+            state = state.linked(last_round_trip_ns=max(link.last_round_trip_ns, asked.sent_ns))
+        return state, [outcomes.NoteState(reply.state)]
+    if reply.code == wire.Code.STALE:
+        if asked.want is RequestKind.HELLO and reply.state in (wire.State.ARMED, wire.State.RUN):
             # Repeated old frames keep the device in this state: send STOP at once, before HELLO.
-            return send(state, now_ns, encode(Stop(0, link.seq)))
+            return state, [outcomes.Transmit((wire.Stop(0, 0),))]
         return state, []  # the request will be sent again, with a newer seq
     if (
         asked.want is RequestKind.STOP
         and state.phase is Phase.FAULT
-        and ack.code == Code.WRONG_STATE
+        and reply.code == wire.Code.WRONG_STATE
     ):
         # If the state shows that the device has stopped by itself, STOP is done; otherwise repeat
         # STOP.
-        return transitions.note_state(state, now_ns, ack.state)
-    text = f"the device refuses {asked.want}: {transitions.name_of(ack.code)}"
-    return transitions.give_up(state, now_ns, text)
+        return state, [outcomes.NoteState(reply.state)]
+    text = f"the device refuses {asked.want}: {name_of(wire.Code, reply.code)}"
+    return state, [outcomes.GiveUp(text)]
 
 
-def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
-    if _is_other_boot(state, event.boot):
-        return _rebooted(state, now_ns)
-    state = linked(state, token=event.token)
-    if event.token and state.phase is not Phase.FAULT:
-        unit = "{} mV" if event.cause == Cause.VCC_LOW else "code {}"
-        detail = f" ({unit.format(event.detail)})" if event.detail else ""
-        state = linked(state, device_state=event.state)
-        cause = f"the device stopped by itself: {of_device(event.cause)}{detail}"
-        return trip(state, now_ns, Fault(Id.DEVICE, cause, event.cause))
-    return transitions.note_state(state, now_ns, event.state, ended=event.cause == Cause.END)
+def event(state: State, reply: wire.Event) -> Step:
+    """Handle an event of the device, which may have stopped the motor by itself."""
+    state = state.linked(token=reply.token)
+    if reply.token and state.phase is not Phase.FAULT:
+        unit = "{} mV" if reply.cause == wire.Cause.VCC_LOW else "code {}"
+        detail = f" ({unit.format(reply.detail)})" if reply.detail else ""
+        cause = f"the device stopped by itself: {of_device(reply.cause)}{detail}"
+        state = state.linked(device_state=reply.state)
+        return state, [outcomes.Trip(Fault(Id.DEVICE, cause, reply.cause))]
+    return state, [outcomes.NoteState(reply.state, reply.cause == wire.Cause.END)]

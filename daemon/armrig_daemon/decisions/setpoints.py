@@ -8,21 +8,18 @@ Setpoints have no other acknowledgement.
 
 from __future__ import annotations
 
-from armrig_core.commands.codes import GapCode, OutcomeCode
-from armrig_core.rig.volts import applied_code
-from armrig_protocol.frame import encode
-from armrig_protocol.messages import SETPOINTS_PER_FRAME, Ping, Setpoints
+from armrig_core.commands.codes import OutcomeCode
+from armrig_protocol.messages import SETPOINTS_PER_FRAME, Message, Ping, Setpoints
 from msgspec.structs import replace
 
-from armrig_daemon.decisions import gaps
+from armrig_daemon.decisions import outcomes
 from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import Step, ask, linked, send
-from armrig_daemon.decisions.state import Action, ActiveRun, Phase, Queue, RequestKind, State
-from armrig_daemon.decisions.stopping import ending, stop, trip
+from armrig_daemon.decisions.outcomes import Step
+from armrig_daemon.decisions.state import ActiveRun, Phase, Queue, RequestKind, State
 from armrig_daemon.pipe import Run
 
-_ARMED, _FAULT = Phase.ARMED, Phase.FAULT
+_ARMED = Phase.ARMED
 
 RESEND_NS = 30_000_000
 """Time without progress of the device's queue after which setpoints are sent again, in ns."""
@@ -42,32 +39,28 @@ def begin(state: State, now_ns: int, order: Run) -> Step:
 def refill(state: State, now_ns: int) -> Step:
     """Send the setpoints that the device has room for."""
     queue, run = state.queue, state.run
-    if queue is None or run is None or state.device is None or is_stopping(state):
+    if queue is None or run is None or state.device is None or state.is_stopping:
         return state, []
     sent, moved_ns = queue.sent, queue.moved_ns
     if queue.held < sent and now_ns - moved_ns > RESEND_NS:
         sent, moved_ns = queue.held, now_ns
     end = min(run.samples, queue.base + state.device.queue)
-    done: list[Action] = []
-    while len(done) < MAX_FRAMES and (
+    frames: list[Message] = []
+    while len(frames) < MAX_FRAMES and (
         end - sent >= SETPOINTS_PER_FRAME or sent < end == run.samples
     ):
         codes = [run.code(i) for i in range(sent, min(sent + SETPOINTS_PER_FRAME, end))]
         if not all(map(state.rules.allows, [run.code(sent - 1), *codes], codes)):
             fault = Fault(Id.LIMITS, f"a voltage from u[{sent}] on is not within the limits")
-            state, actions = trip(state, now_ns, fault)
-            return state, done + actions
+            return state, [outcomes.Transmit(tuple(frames)), outcomes.Trip(fault)]
         n = len(codes)
         codes += [0] * (SETPOINTS_PER_FRAME - n)
-        seq = state.link.seq if state.link else 0
-        frame = encode(Setpoints(0, seq, sent, n, 0, tuple(codes)))
-        state, sending = send(state, now_ns, frame)
-        done += sending
+        frames.append(Setpoints(0, 0, sent, n, 0, tuple(codes)))
         moved_ns = now_ns if sent == queue.held else moved_ns
         sent += n
     if sent != queue.sent or moved_ns != queue.moved_ns:  # usually nothing was sent
         state = replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns))
-    return state, done
+    return state, [outcomes.Transmit(tuple(frames))] if frames else []
 
 
 def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
@@ -82,10 +75,10 @@ def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
     state = replace(state, queue=queue)
     if state.phase is _ARMED and state.asked is None:
         if _is_filled(state):
-            return ask(state, now_ns, RequestKind.START, queue.order)
+            return state, [outcomes.Ask(RequestKind.START, queue.order)]
         if now_ns - queue.asked_ns > FILL_NS:
             text = "the device does not take the setpoints"
-            return stop(state, now_ns, text, code=OutcomeCode.DEVICE)
+            return state, [outcomes.Halt(text, code=OutcomeCode.DEVICE)]
     return refill(state, now_ns)
 
 
@@ -97,42 +90,15 @@ def _is_filled(state: State) -> bool:
     return queue.held >= enough
 
 
-def is_stopping(state: State) -> bool:
-    """Return whether the device must stop; it must then get no setpoint and no KEEPALIVE."""
-    asked = state.asked
-    return state.phase is _FAULT or (asked is not None and asked.want is RequestKind.STOP)
-
-
 def tick(state: State, now_ns: int) -> Step:
     """Fill the device's queue and compare the clocks during a scheduled run."""
-    if is_stopping(state):
+    if state.is_stopping:
         # No STOP was confirmed, and the device still drives the motor: repeat STOP until the
         # device's watchdog stops the motor.
-        return (state, []) if state.asked is not None else ask(state, now_ns, RequestKind.STOP)
-    state, done = refill(state, now_ns)
+        return state, [] if state.asked is not None else [outcomes.Ask(RequestKind.STOP)]
+    state, follow = refill(state, now_ns)
     link = state.link
     if link is not None and now_ns - link.ping_ns >= PING_INTERVAL_US * 1000:
-        ping = encode(Ping(0, link.seq, now_ns))
-        state, sending = send(linked(state, ping_ns=now_ns), now_ns, ping)
-        done += sending
-    return state, done
-
-
-def complete(state: State, now_ns: int) -> Step:
-    """Store that the run has ended with its last sample; also store the missing samples."""
-    run = state.run
-    if run is None:
-        return state, []
-    state = note_missing(state, run, run.samples, now_ns)
-    run = replace(run, due=run.samples)
-    return ending(replace(state, run=run), "complete", OutcomeCode.COMPLETE), []
-
-
-def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
-    """Store the missing samples of a run before `end`; their inputs are the setpoints' codes."""
-    bits = state.device.pwm_bits if state.device else 16
-    for i in range(max(run.due, end - gaps.MAX_MISSING_PIECES), end):
-        code = applied_code(run.code(i), bits)
-        absent = gaps.missing(run.k_first + i, 1, GapCode.FRAME_LOST, code, now_ns, now_ns)
-        state = gaps.note(state, absent)
-    return state
+        state = state.linked(ping_ns=now_ns)
+        follow = [*follow, outcomes.Transmit((Ping(0, 0, now_ns),))]
+    return state, follow

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
 from armrig_core.rig.calibration import Calibration
 from armrig_core.telemetry.telemetry import Sample
-from armrig_protocol.messages import HelloReply
+from armrig_protocol.messages import Config, HelloReply, Mode, Underrun
+from msgspec.structs import replace
 
 from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.faults import Fault
@@ -93,6 +94,26 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     def lease_ns(self, ts_us: int) -> int:
         """Return the time, in ns, for which a voltage set by hand is held without a new command."""
         return max(100_000_000, 5_000 * ts_us)
+
+    def config(self, ts_us: int, seq: int, *, scheduled: bool) -> Config:
+        """Return the CONFIG message that requests a configuration of the device."""
+        return Config(
+            state=0,
+            seq=seq,
+            ts_us=ts_us,
+            # 0 V is always allowed, because the input is 0 V between START and the first sample.
+            u_min=0,
+            u_max=self.code_max,
+            u_rest=0,
+            slew=self.slew,
+            watchdog_ms=self.watchdog_ms,
+            mode=Mode.SCHEDULED if scheduled else Mode.EXCHANGE,
+            underrun=Underrun.ZERO,
+            hold=0,
+            oversampling=self.oversampling,
+            rail_ticks=self.rail_ticks,
+            turns=self.turns,
+        )
 
 
 class PendingRequest(NamedTuple):
@@ -231,6 +252,15 @@ class Link(msgspec.Struct, frozen=True, gc=False):
     """Number of the state that the device last reported."""
     token: int = 0
 
+    def is_ahead(self, echo: int) -> bool:
+        """Return whether another host sent the frame `echo`, or this host on an earlier link."""
+        return (echo - self.seq) & 0xFFFF < 0x8000
+
+
+def is_newer(seq: int, known: int) -> bool:
+    """Return whether a frame was sent after another one of the same sender, by their numbers."""
+    return 0 < (seq - known) & 0xFFFF < 0x8000
+
 
 class Configuration(msgspec.Struct, frozen=True, gc=False):
     """Configuration that the device accepted last."""
@@ -321,9 +351,43 @@ class State(msgspec.Struct, frozen=True, gc=False):
         return 0 if self.link is None else self.link.device_state
 
     @property
+    def is_stopping(self) -> bool:
+        """Return whether the device must stop; it must then get no setpoint and no KEEPALIVE."""
+        asked = self.asked
+        return self.phase is Phase.FAULT or (asked is not None and asked.want is RequestKind.STOP)
+
+    @property
     def reason(self) -> str:
         """Return the cause of the fault, or an empty text."""
         return self.fault.cause if self.fault else ""
+
+    def linked(self, **changes: Any) -> State:
+        """Return the state with changes in its link; a state without a link does not change."""
+        link = self.link
+        return self if link is None else replace(self, link=replace(link, **changes))
+
+    def ending_with(self, outcome: str, code: OutcomeCode) -> State:
+        """Return the state with the outcome of its run; an outcome that is stored is kept."""
+        if self.outcome or not outcome:
+            return self
+        return replace(self, outcome=outcome, outcome_code=code)
+
+
+class Arrived(NamedTuple):
+    """Sample that was due and has arrived."""
+
+    sample: Sample
+    code: int
+    """Code that was commanded for the sample."""
+    expected: int
+    """Code that the device must have applied."""
+    link: Link
+    run: ActiveRun | None
+    """Run after this sample."""
+    answered: Sent | None = None
+    """EXCHANGE that the sample answers; None in a scheduled run."""
+    unanswered: tuple[Sent, ...] = ()
+    """Earlier EXCHANGEs, which the device will not answer any more."""
 
 
 class Send(NamedTuple):

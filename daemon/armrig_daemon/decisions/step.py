@@ -8,19 +8,30 @@ fault stays latched until a reset (S6).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.rig.volts import volts_of
+from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import Spoilt, Unknown, encode
-from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
-from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.decisions import gaps, orders, replies, setpoints, transitions
+from armrig_daemon.decisions import (
+    clock_comparison,
+    gaps,
+    orders,
+    outcomes,
+    replies,
+    requests,
+    sampling,
+    setpoints,
+    stopping,
+    transitions,
+)
 from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.outcomes import Step, Then, log, refuse, report_state, silence
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, linked, log, refuse, report_state, send
 from armrig_daemon.decisions.state import (
     Action,
     Emit,
@@ -32,6 +43,7 @@ from armrig_daemon.decisions.state import (
     Phase,
     Received,
     RequestKind,
+    RoundTrip,
     Rules,
     Sent,
     ServiceGone,
@@ -39,8 +51,8 @@ from armrig_daemon.decisions.state import (
     Tick,
     Traffic,
     Wakeup,
+    is_newer,
 )
-from armrig_daemon.decisions.stopping import end_run, leave, stop, trip
 from armrig_daemon.pipe import RunStarted
 
 ARMED_NS = 10_000_000_000
@@ -48,8 +60,11 @@ ARMED_NS = 10_000_000_000
 _NEVER = 1 << 62
 _NOISE = (Spoilt, Unknown)
 # Names at module level: the lookup of a member in its enum takes 0.08 µs each time.
-_RUN, _ARMED, _ACTIVE = DeviceState.RUN, Phase.ARMED, Phase.ACTIVE
+_RUN, _ARMED, _ACTIVE, _FAULT = wire.State.RUN, Phase.ARMED, Phase.ACTIVE, Phase.FAULT
 _DRIVING = (_ARMED, _ACTIVE)
+# int: `&` of two Flags takes 0.5 µs.
+_FLAG_RUN, _FLAG_UNDERRUN = int(wire.Flag.RUN), int(wire.Flag.UNDERRUN)
+Decided = tuple[State, list[Action]]
 
 
 def start(rules: Rules) -> State:
@@ -57,7 +72,7 @@ def start(rules: Rules) -> State:
     return State(rules=rules, pace_us=rules.ts_us)
 
 
-def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
+def step(state: State, now_ns: int, events: Iterable[Event]) -> Decided:
     """Return the state after `events`, and the actions; `now_ns` is the time after the events."""
     done: list[Action] = []
     for event in events:
@@ -74,22 +89,63 @@ def wake_ns(state: State) -> int:
     return _NEVER if link is None else link.last_send_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
-def _one(state: State, now_ns: int, event: Event) -> Step:
+def _one(state: State, now_ns: int, event: Event) -> Decided:
     match event:
         case Received():
             return _received(state, now_ns, event.data)
         case Tick():
             return _tick(state, now_ns, event)
         case Wakeup():
-            return _wakeup(state, now_ns)
+            return carry_out(now_ns, _wakeup(state, now_ns))
         case Ordered():
-            return orders.handle(state, now_ns, event.order)
+            return carry_out(now_ns, orders.handle(state, now_ns, event.order))
         case LinkUp():
-            return ask(replace(state, link=Link()), now_ns, RequestKind.HELLO)
+            up = replace(state, link=Link())
+            return carry_out(now_ns, (up, [outcomes.Ask(RequestKind.HELLO)]))
         case LinkDown():
-            return _link_down(state, now_ns, event.reason)
+            return carry_out(now_ns, _link_down(state, now_ns, event.reason))
         case ServiceGone():
-            return orders.quit_(state, now_ns)
+            return carry_out(now_ns, orders.quit_(state))
+
+
+def carry_out(now_ns: int, decided: Step) -> Decided:
+    """Return the state after the follow-ups of a decision, in their order, and the actions."""
+    state, follow = decided
+    done: list[Action] = []
+    waiting = [*reversed(follow)]
+    while waiting:
+        following = waiting.pop()
+        more: Sequence[outcomes.Outcome] = ()
+        match following:
+            case outcomes.Ask():
+                state, more = requests.ask(state, now_ns, following)
+            case outcomes.Transmit():
+                state, more = requests.transmit(state, now_ns, following.messages)
+            case outcomes.NoteState():
+                reported, ended = following
+                state, more = transitions.note_state(state, now_ns, reported, ended=ended)
+            case outcomes.Trip():
+                state, more = stopping.trip(state, now_ns, following.fault)
+            case outcomes.Halt():
+                state, more = stopping.stop(state, following)
+            case Then.LEAVE:
+                state, more = stopping.leave(state)
+            case outcomes.GiveUp():
+                state, more = transitions.give_up(state, now_ns, following.error)
+            case Then.FORGET:
+                state = replace(state, asked=None, outcome="", outcome_code=None)
+            case outcomes.EndRun():
+                state, more = gaps.end_run(state, now_ns, complete=following.complete)
+            case outcomes.Fill():
+                state, more = setpoints.begin(state, now_ns, following.order)
+            case Then.REPORT:
+                done.append(report_state(state, now_ns))
+            case Then.REPORT_SILENCE:
+                done += silence(state, now_ns)
+            case _:
+                done.append(following)
+        waiting += reversed(more)
+    return state, done
 
 
 def _link_down(state: State, now_ns: int, reason: str) -> Step:
@@ -97,35 +153,99 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     done = refuse(order, f"link lost: {reason}", RefusalCode.NO_LINK)
     state = replace(state, link=None, device=None, asked=None)
     if state.quitting:
-        state, actions = leave(state)
-        return state, done + actions
+        return state, [*done, Then.LEAVE]
     if state.phase in _DRIVING:
-        state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
-        return state, done + actions
-    state, ended = end_run(state, now_ns)  # without a link, no STOP can be confirmed
-    state = moved(state, On.LOST)
-    said = [log(now_ns, "warning", f"no link: {reason}"), report_state(state, now_ns)]
-    return state, [*done, *ended, *said]
+        return state, [*done, outcomes.Trip(Fault(Id.LINK, f"link lost: {reason}"))]
+    # Without a link, no STOP can be confirmed: the run is over.
+    said = log(now_ns, "warning", f"no link: {reason}")
+    return moved(state, On.LOST), [*done, outcomes.EndRun(), said, Then.REPORT]
 
 
-def _received(state: State, now_ns: int, data: bytes) -> Step:
+def _received(state: State, now_ns: int, data: bytes) -> Decided:
     link = state.link
     if link is None:
         return state, []
     pending, received = feed(link.pending, data)
     if pending != link.pending:
-        state = linked(state, pending=pending)
+        state = state.linked(pending=pending)
     if state.asked is not None and state.asked.want is RequestKind.HELLO:
         sound = sum(not isinstance(message, _NOISE) for message in received)
         came = Traffic(link.came.bytes + len(data), link.came.frames + sound)
-        state = linked(state, came=came)
+        state = state.linked(came=came)
     done: list[Action] = []
     for message in received:
         if isinstance(message, _NOISE):
             # If noise cost a sample, the sample is reported as a gap.
             done.append(log(now_ns, "debug", f"line: {message}"))
             continue
-        state, actions = replies.handle(state, now_ns, message)
+        state, actions = handle_message(state, now_ns, message)
+        done += actions
+    return state, done
+
+
+def handle_message(state: State, now_ns: int, message: wire.Message) -> Decided:
+    """Handle a message of the device."""
+    device, known = state.device, None if state.link is None else state.link.device_seq
+    # A device that was reset begins its numbers again.
+    if known is None or isinstance(message, wire.HelloReply) or is_newer(message.seq, known):
+        state = state.linked(device_seq=message.seq)
+    decided: Step = state, []
+    match message:
+        case wire.Sample() | wire.Event() if device and message.boot != device.boot_id & 0xFFFF:
+            decided = replies.rebooted(state, now_ns)
+        case wire.Sample():
+            return handle_sample(state, now_ns, message)
+        case wire.HelloReply():
+            decided = transitions.handle_hello(state, now_ns, message)
+        case wire.ConfigReply():
+            decided = transitions.handle_config(state, now_ns, message)
+        case wire.Ack():
+            decided = replies.ack(state, message)
+        case wire.Event():
+            decided = replies.event(state, message)
+        case wire.Pong():
+            state, follow = replies.pong(state, now_ns, message)
+            decided = clock_comparison.by_pong(state, now_ns, message) if follow else state, follow
+    return carry_out(now_ns, decided)
+
+
+def handle_sample(state: State, now_ns: int, m: wire.Sample) -> Decided:
+    """Handle a sample: echo, state of the device, number, gaps, clock, queue, applied code."""
+    in_force = state.configuration
+    self_paced = in_force is not None and in_force.scheduled and bool(m.flags & _FLAG_RUN)
+    done: list[Action] = []
+    if self_paced:
+        # The echo is checked first: after this sample the daemon sends setpoints. The echo of
+        # another host's frame could then look like the echo of one of these setpoints.
+        state, done = carry_out(now_ns, replies.note_echo(state, m.echo))
+        # The device's state is handled before the sample, because the state RUN confirms START and
+        # thereby determines k.
+        state, actions = carry_out(now_ns, transitions.note_state(state, now_ns, m.state))
+        done += actions
+        arrived = sampling.of_run(state, now_ns, m)
+    else:
+        state, arrived = sampling.answer(state, m)
+    if arrived is None:
+        return state, done
+    state, actions = gaps.publish(state, now_ns, m, arrived)
+    done += actions
+    if arrived.answered is not None:
+        done.append(RoundTrip(now_ns - arrived.answered.sent_ns))
+        state = clock_comparison.by_sample(state, now_ns, arrived.answered, m)
+        # If the device has stopped, the sample is still valid: handle the state after the sample.
+        state, actions = carry_out(now_ns, transitions.note_state(state, now_ns, m.state))
+        done += actions
+    base = m.k + 1 if self_paced else 0
+    state, actions = carry_out(now_ns, setpoints.note_queue(state, now_ns, base, m.queued))
+    done += actions
+    if self_paced and m.flags & _FLAG_UNDERRUN:
+        u = f"its input was {volts_of(m.u_k):.3g} V"
+        done.append(log(now_ns, "warning", f"sample {arrived.sample.k} had no setpoint: {u}"))
+    elif m.u_k != arrived.expected and (self_paced or state.phase is not _FAULT):
+        # In exchange mode, a fault has set the commanded code to 0, and its cause is kept. In a
+        # scheduled run, a device that still plays its queue gets STOP again at once.
+        text = f"the device applied code {m.u_k}, but code {arrived.code} was commanded"
+        state, actions = carry_out(now_ns, (state, [outcomes.Trip(Fault(Id.APPLIED, text))]))
         done += actions
     return state, done
 
@@ -137,9 +257,10 @@ def _wakeup(state: State, now_ns: int) -> Step:
     if link is None:
         return state, []
     drives = link.device_state == _RUN
-    if drives and (setpoints.is_stopping(state) or _lapsed(state, now_ns)):
-        return linked(state, last_send_ns=now_ns), []  # a KEEPALIVE would feed its watchdog
-    return send(state, now_ns, encode(Keepalive(0, link.seq)))
+    if drives and (state.is_stopping or _lapsed(state, now_ns)):
+        # A KEEPALIVE would feed the device's watchdog.
+        return state.linked(last_send_ns=now_ns), []
+    return state, [outcomes.Transmit((wire.Keepalive(0, 0),))]
 
 
 def _lapsed(state: State, now_ns: int) -> bool:
@@ -166,8 +287,7 @@ def _is_self_paced(state: State) -> bool:
     return in_force.scheduled and link.device_state == _RUN
 
 
-def _tick(state: State, now_ns: int, tick: Tick) -> Step:
-    done: list[Action] = []
+def _tick(state: State, now_ns: int, tick: Tick) -> Decided:
     self_paced = _is_self_paced(state)
     skipped = tick.k - state.k - 1 if state.k >= 0 else 0
     pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
@@ -176,12 +296,12 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     state = replace(state, k=tick.k, tick_ns=now_ns)
     link = state.link
     if link is None:
-        return state, done
+        return state, []
     if state.device is None:
-        if state.asked is not None:
-            return transitions.retry(state, now_ns)  # if events never pause, no Wakeup comes
-        # A STOP may have replaced the pending HELLO: send HELLO again (T1).
-        return ask(state, now_ns, RequestKind.HELLO)
+        # If events never pause, no Wakeup comes. A STOP may have replaced the pending HELLO: send
+        # HELLO again (T1).
+        hello: Step = state, [outcomes.Ask(RequestKind.HELLO)]
+        return carry_out(now_ns, transitions.retry(state, now_ns) if state.asked else hello)
     rules, driving, ts_us = state.rules, state.phase in _DRIVING, state.ts_us
     fault: Fault | None = None
     if pause_ns > rules.pause_ns(ts_us, scheduled=self_paced):
@@ -192,28 +312,26 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     elif rules.service_ns and now_ns - state.service_ns > rules.service_ns:
         fault = Fault(Id.SERVICE, "the service is frozen: nobody could stop the motor")
     if driving and fault:
-        state, actions = trip(state, now_ns, fault)
-        return state, done + actions
-    if now_ns - link.last_round_trip_ns > rules.age_ns(ts_us, scheduled=self_paced):
-        state, actions = _stale(state, now_ns, now_ns - link.last_round_trip_ns, driving=driving)
-        return state, done + actions
+        return carry_out(now_ns, (state, [outcomes.Trip(fault)]))
+    age_ns = now_ns - link.last_round_trip_ns
+    if age_ns > rules.age_ns(ts_us, scheduled=self_paced):
+        return carry_out(now_ns, _stale(state, now_ns, age_ns, driving=driving))
     if self_paced:
-        state, actions = setpoints.tick(state, now_ns)
-        return state, done + actions
+        return carry_out(now_ns, setpoints.tick(state, now_ns))
     if state.run is not None and state.run.scheduled and state.run.k_first >= 0:
         # The device has stopped, but the run has not ended yet. No tick is needed.
-        return state, done
-    if len(link.sent) >= MAX_UNECHOED:
+        return state, []
+    if len(link.sent) >= wire.MAX_UNECHOED:
         # Send nothing, to limit the number of old commands on the line. If no answer comes,
         # `_stale` stops the motor.
-        return _skip(state, tick.k, 1, now_ns, GapCode.DEVICE_LATE), done
-    state, code, actions = _decide(state, now_ns, tick.k)
-    done += actions
+        return _skip(state, tick.k, 1, now_ns, GapCode.DEVICE_LATE), []
+    state, code, follow = _decide(state, now_ns, tick.k)
+    state, done = carry_out(now_ns, (state, follow))
     link = link if state.link is None else state.link
     seq = link.seq
     sent = Sent(seq, tick.k, tick.sched_ns, now_ns, code, link.device_seq)
-    frame = encode(Exchange(0, seq, tick.k & 0xFFFFFFFF, code))
-    state, actions = send(state, now_ns, frame, sent)
+    frame = encode(wire.Exchange(0, seq, tick.k & 0xFFFFFFFF, code))
+    state, actions = requests.send(state, now_ns, frame, sent)
     return state, done + actions
 
 
@@ -225,33 +343,30 @@ def _stale(state: State, now_ns: int, age_ns: int, *, driving: bool) -> Step:
     age_ms = age_ns / 1e6
     if driving:
         cause = f"no answer from the device for {age_ms:.0f} ms"
-        return trip(state, now_ns, Fault(Id.STALE, cause))
+        return state, [outcomes.Trip(Fault(Id.STALE, cause))]
     if state.asked is not None:
         return state, []
-    state = moved(linked(state, sent=()), On.LOST, device=None)
-    state, actions = ask(state, now_ns, RequestKind.HELLO)
+    state = moved(state.linked(sent=()), On.LOST, device=None)
     text = f"no answer from the device for {age_ms:.0f} ms; sending HELLO"
-    return state, [log(now_ns, "warning", text), report_state(state, now_ns), *actions]
+    return state, [log(now_ns, "warning", text), Then.REPORT, outcomes.Ask(RequestKind.HELLO)]
 
 
-def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]]:
+def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcomes.Outcome]]:
     """Return the code for tick `k`: the code of a valid command, or 0 without a valid command."""
     lease = state.lease
     if lease is None or (state.asked is not None and state.asked.want is RequestKind.STOP):
         return state, 0, []
     if state.phase is _ARMED and now_ns - lease.renewed_ns > ARMED_NS:
-        state, actions = stop(state, now_ns, "")
         text = "armed for 10 s without a command: disarmed"
-        return state, 0, [log(now_ns, "info", text), *actions]
+        return state, 0, [log(now_ns, "info", text), outcomes.Halt("")]
     if state.phase is not _ACTIVE:
         return state, 0, []
     if state.run is None:
         if _has_run_out(state, now_ns):
-            fault = Fault(Id.LEASE, "the lease ran out: no command from its holder")
-            state, actions = trip(state, now_ns, fault)
-            return state, 0, actions
+            cause = "the lease ran out: no command from its holder"
+            return state, 0, [outcomes.Trip(Fault(Id.LEASE, cause))]
         return state, state.code, []
-    done: list[Action] = []
+    done: list[outcomes.Outcome] = []
     run = state.run
     if run.k_first < 0:
         run = replace(run, k_first=k)
@@ -259,13 +374,11 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
         started = RunStarted(run_id=run.run_id, k_first=k, count=run.samples, t_host_ns=now_ns)
         done.append(Emit(started))
     i = k - run.k_first
-    if i < run.samples:
-        code = run.code(i)
-        if not state.rules.allows(run.code(i - 1), code):
-            fault = Fault(Id.LIMITS, f"u[{i}] is not within the limits")
-            state, actions = trip(state, now_ns, fault)
-            return state, 0, done + actions
-        return replace(state, run=replace(run, due=i + 1)), code, done
-    state = replace(state, run=replace(run, due=run.samples))
-    state, actions = stop(state, now_ns, "complete", code=OutcomeCode.COMPLETE)
-    return state, 0, done + actions
+    if i >= run.samples:
+        state = replace(state, run=replace(run, due=run.samples))
+        return state, 0, [*done, outcomes.Halt("complete", code=OutcomeCode.COMPLETE)]
+    code = run.code(i)
+    if not state.rules.allows(run.code(i - 1), code):
+        fault = Fault(Id.LIMITS, f"u[{i}] is not within the limits")
+        return state, 0, [*done, outcomes.Trip(fault)]
+    return replace(state, run=replace(run, due=i + 1)), code, done

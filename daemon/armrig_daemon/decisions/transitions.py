@@ -17,23 +17,10 @@ from armrig_protocol.messages import (
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.decisions import setpoints
-from armrig_daemon.decisions.budget import check, exchange_us
-from armrig_daemon.decisions.faults import OF_DEVICE, Fault, Id, of_device, sentence
+from armrig_daemon.decisions import outcomes
+from armrig_daemon.decisions.faults import OF_DEVICE, Fault, Id, name_of, of_device, sentence
+from armrig_daemon.decisions.outcomes import Step, Then, answer, log, refuse
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import (
-    NO_DEVICE,
-    NOTICE_TRIES,
-    Step,
-    answer,
-    ask,
-    config,
-    linked,
-    log,
-    refuse,
-    report_state,
-    unanswered,
-)
 from armrig_daemon.decisions.state import (
     Action,
     ActiveRun,
@@ -47,13 +34,11 @@ from armrig_daemon.decisions.state import (
     SetPeriod,
     State,
 )
-from armrig_daemon.decisions.stopping import end_run, leave, trip
 from armrig_daemon.pipe import Arm, Disarm, Order, Reset, Run, RunStarted, Set, Stop
 
 _RETRY_NS = {RequestKind.HELLO: 100_000_000, RequestKind.STOP: 20_000_000}
 _OTHER_RETRY_NS = 50_000_000
 _MAX_TRIES = 5
-_HELLOS_PER_SECOND, _HELLOS_PER_MINUTE = 10, 600
 CARE_PERIOD_US = 10_000
 """Period of the loop's ticks during a scheduled run, in µs."""
 _EXPECTED = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
@@ -73,28 +58,9 @@ def retry(state: State, now_ns: int) -> Step:
     if asked is None or now_ns < retry_ns(asked):
         return state, []
     if asked.want is RequestKind.HELLO or asked.tries < _MAX_TRIES:
-        state, actions = ask(
-            state,
-            now_ns,
-            asked.want,
-            asked.order,
-            ts_us=asked.ts_us,
-            scheduled=asked.scheduled,
-            tries=asked.tries + 1,
-        )
-        return state, [*actions, *_unanswered_notice(state, now_ns)]
+        again = outcomes.Ask(asked.want, asked.order, asked.ts_us, asked.scheduled, asked.tries + 1)
+        return state, [again, Then.REPORT_SILENCE]
     return give_up(state, now_ns, f"the device does not answer {asked.want}")
-
-
-def _unanswered_notice(state: State, now_ns: int) -> list[Action]:
-    """Return the reports about a silent device: a state each second, a log line each minute."""
-    text, tries = unanswered(state), state.asked.tries if state.asked else 0
-    if not text or (tries - NOTICE_TRIES) % _HELLOS_PER_SECOND:
-        return []
-    notice = [report_state(state, now_ns)]
-    if (tries - NOTICE_TRIES) % _HELLOS_PER_MINUTE == 0:
-        notice.insert(0, log(now_ns, "warning", text))
-    return notice
 
 
 def give_up(state: State, now_ns: int, error: str) -> Step:
@@ -104,21 +70,16 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
     done = refuse(asked.order if asked else None, error, RefusalCode.NO_EFFECT)
     if asked is not None and asked.want is RequestKind.STOP:
         # The host cannot do more: only the device's watchdog can stop the motor now.
-        state, actions = end_run(state, now_ns)
-        done += actions
+        end = outcomes.EndRun()
         if state.quitting:
-            state, actions = leave(state)
-            return state, done + actions
+            return state, [*done, end, Then.LEAVE]
         if state.phase is Phase.FAULT:
-            return state, [*done, log(now_ns, "error", error), report_state(state, now_ns)]
-        state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
+            return state, [*done, end, log(now_ns, "error", error), Then.REPORT]
         # The run is over: its outcome must not be the outcome of a later run.
-        return replace(state, asked=None, outcome="", outcome_code=None), done + actions
+        return state, [*done, end, outcomes.Trip(Fault(Id.REQUEST, error)), Then.FORGET]
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
-        state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
-        return state, done + actions
-    state, actions = ask(state, now_ns, RequestKind.HELLO)
-    return state, [*done, log(now_ns, "warning", error), *actions]
+        return state, [*done, outcomes.Trip(Fault(Id.REQUEST, error))]
+    return state, [*done, log(now_ns, "warning", error), outcomes.Ask(RequestKind.HELLO)]
 
 
 def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
@@ -134,7 +95,7 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
     link = state.link
     before = 0 if link is None else link.device_state
     if reported != before:
-        state = linked(state, device_state=reported)
+        state = state.linked(device_state=reported)
     if state.asked is not None:
         reached = {
             RequestKind.ARM: reported == DeviceState.ARMED,
@@ -148,18 +109,17 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
     idle = reported == DeviceState.IDLE and before == DeviceState.RUN
     if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
         # The device has reached k_stop; its earlier samples have arrived before this frame.
-        state, done = setpoints.complete(state, now_ns)
-        state, actions = rest(state, now_ns, None)
-        return state, done + actions
+        return rest(state, None, outcomes.EndRun(complete=True))
     expected = _EXPECTED.get(state.phase)
     latched = reported in _LATCHED
     strayed = expected is not None and state.asked is None and reported != expected
     if strayed and not latched:
-        cause = f"the device is in {state_name(reported)}, which the daemon did not request"
-        return trip(state, now_ns, Fault(Id.STATE, cause))
+        name = name_of(DeviceState, reported)
+        cause = f"the device is in {name}, which the daemon did not request"
+        return state, [outcomes.Trip(Fault(Id.STATE, cause))]
     if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
         cause = f"the device is in {DeviceState(reported).name}"
-        return trip(state, now_ns, Fault(Id.DEVICE, cause))
+        return state, [outcomes.Trip(Fault(Id.DEVICE, cause))]
     return state, []
 
 
@@ -176,17 +136,17 @@ def _reached(state: State, now_ns: int, asked: PendingRequest) -> Step:
         case RequestKind.START:
             return _started(state, now_ns, asked)
         case RequestKind.CLEAR:
-            return ask(state, now_ns, RequestKind.HELLO, asked.order)
+            return state, [outcomes.Ask(RequestKind.HELLO, asked.order)]
         case _:
-            return _stopped(state, now_ns, asked)
+            return _stopped(state, asked)
 
 
 def _armed(state: State, now_ns: int, asked: PendingRequest) -> Step:
     order = asked.order
     if isinstance(order, Run):
-        return setpoints.begin(state, now_ns, order)
+        return state, [outcomes.Fill(order)]
     if not isinstance(order, Arm):
-        return trip(state, now_ns, Fault(Id.INTERNAL, "armed without an owner"))
+        return state, [outcomes.Trip(Fault(Id.INTERNAL, "armed without an owner"))]
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
     lease = Lease(order.lease, order.owner, ts_us, -1, now_ns, order.owner_checked)
@@ -198,16 +158,16 @@ def _armed(state: State, now_ns: int, asked: PendingRequest) -> Step:
         "u_min": round(volts_of(rules.code_min), 4),
         "u_max": round(volts_of(rules.code_max), 4),
     }
-    return state, [report_state(state, now_ns), *answer(order, granted)]
+    return state, [Then.REPORT, *answer(order, granted)]
 
 
 def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Run | Set):
-        return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
+        return state, [outcomes.Trip(Fault(Id.INTERNAL, "started without an owner"))]
     # The command has renewed the lease; the later effect of START does not renew it.
-    state = moved(linked(state, beats=()), On.STARTED, outcome="", outcome_code=None, code=0)
-    done = [report_state(state, now_ns), *answer(order, {"done": True})]
+    state = moved(state.linked(beats=()), On.STARTED, outcome="", outcome_code=None, code=0)
+    done = [Then.REPORT, *answer(order, {"done": True})]
     if isinstance(order, Set):
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
@@ -222,25 +182,22 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     return replace(state, run=run, queue=queue), [*done, Emit(started)]
 
 
-def _stopped(state: State, now_ns: int, asked: PendingRequest) -> Step:
+def _stopped(state: State, asked: PendingRequest) -> Step:
     if isinstance(asked.order, Run):
         # The device was stopped only to change to scheduled mode: CONFIG and ARM follow.
         ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
-        return ask(state, now_ns, RequestKind.CONFIGURE, asked.order, ts_us=ts_us, scheduled=True)
-    return rest(state, now_ns, asked.order)
+        return state, [outcomes.Ask(RequestKind.CONFIGURE, asked.order, ts_us, scheduled=True)]
+    return rest(state, asked.order, outcomes.EndRun())
 
 
-def rest(state: State, now_ns: int, order: Order | None) -> Step:
+def rest(state: State, order: Order | None, end: outcomes.EndRun) -> Step:
     """Continue at 0 V without a lease, once the device has stopped."""
-    state, done = end_run(state, now_ns)
     if state.quitting:
-        state, actions = leave(state)
-        return state, done + actions
+        return state, [end, Then.LEAVE]
     state = replace(state, lease=None)
     if state.phase is Phase.FAULT and not isinstance(order, Reset):
-        return state, [*done, report_state(state, now_ns)]
-    state, actions = ask(state, now_ns, RequestKind.CONFIGURE, order, ts_us=state.rules.ts_us)
-    return state, done + actions
+        return state, [end, Then.REPORT]
+    return state, [end, outcomes.Ask(RequestKind.CONFIGURE, order, state.rules.ts_us)]
 
 
 def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
@@ -256,8 +213,7 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
         state = replace(state, clock=clock, t_us=0, device=None)
     if state.device is None:
         state = replace(state, sampled_ns=0)  # earlier samples were of another link or boot
-    state = linked(
-        replace(state, asked=None, device=reply),
+    state = replace(state, asked=None, device=reply).linked(
         token=reply.token,
         device_state=reply.state,
         last_round_trip_ns=asked.sent_ns,
@@ -278,10 +234,10 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
         return _latch(state, now_ns, asked, fault)
     if reply.state in _DRIVES:
         # The device still drives the motor, for another host or because each STOP was lost.
-        return ask(state, now_ns, RequestKind.STOP, asked.order)
+        return state, [outcomes.Ask(RequestKind.STOP, asked.order)]
     if state.phase is Phase.FAULT and asked.order is None:
-        return state, [report_state(state, now_ns)]
-    return ask(state, now_ns, RequestKind.CONFIGURE, asked.order, ts_us=state.rules.ts_us)
+        return state, [Then.REPORT]
+    return state, [outcomes.Ask(RequestKind.CONFIGURE, asked.order, state.rules.ts_us)]
 
 
 def _unfit(device: HelloReply) -> Fault | None:
@@ -308,7 +264,7 @@ def _latch(state: State, now_ns: int, asked: PendingRequest, fault: Fault) -> St
         state = moved(state, On.TRIPPED, fault=fault)
         done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
     # The state is reported even for the same fault, because `device` has changed.
-    return state, [*done, report_state(state, now_ns)]
+    return state, [*done, Then.REPORT]
 
 
 def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
@@ -325,11 +281,11 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         if asked.tries >= _MAX_TRIES:
             return state, []
         state = replace(state, configuration=replace(in_force, nonce=reply.nonce))
-        return ask(state, now_ns, RequestKind.ARM, asked.order, tries=asked.tries + 1)
+        return state, [outcomes.Ask(RequestKind.ARM, asked.order, tries=asked.tries + 1)]
     if asked is None or asked.want is not RequestKind.CONFIGURE:
         return state, []
     if reply.code != Code.OK:
-        error = f"the device refuses the configuration: {name_of(reply.code)}"
+        error = f"the device refuses the configuration: {name_of(Code, reply.code)}"
         if state.rules.oversampling > 1:
             error += (
                 f"; it may not permit [device] oversampling = {state.rules.oversampling}, or not "
@@ -338,7 +294,7 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         if isinstance(asked.order, Arm | Run):
             return give_up(state, now_ns, error)
         return _refused_at_rest(state, now_ns, asked, error)
-    wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
+    wanted = state.rules.config(asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
         if asked.tries < _MAX_TRIES:
             return state, []  # a late answer to an earlier CONFIG; CONFIG is sent again later
@@ -353,21 +309,20 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     )
     proven = {} if arms else {"last_round_trip_ns": asked.sent_ns}
     state = replace(
-        linked(state, beats=(), **proven),
+        state.linked(beats=(), **proven),
         asked=None,
         configuration=accepted,
         pace_us=pace_us,
         tick_ns=now_ns,
     )
-    done: list[Action] = [] if before_us == pace_us else [SetPeriod(pace_us, state.k + 1)]
+    done: list[outcomes.Outcome] = [] if before_us == pace_us else [SetPeriod(pace_us, state.k + 1)]
     if arms:
         if done and state.phase is Phase.ARMED:
-            done.append(report_state(state, now_ns))
-        state, actions = ask(state, now_ns, RequestKind.ARM, asked.order)
-        return state, done + actions
+            done.append(Then.REPORT)
+        return state, [*done, outcomes.Ask(RequestKind.ARM, asked.order)]
     on = On.RESET if isinstance(asked.order, Reset) else On.CONFIGURED
     state = moved(state, on, fault=None, lease=None)
-    return state, [*done, report_state(state, now_ns), *answer(asked.order, {"done": True})]
+    return state, [*done, Then.REPORT, *answer(asked.order, {"done": True})]
 
 
 def _refused_at_rest(state: State, now_ns: int, asked: PendingRequest, error: str) -> Step:
@@ -376,44 +331,11 @@ def _refused_at_rest(state: State, now_ns: int, asked: PendingRequest, error: st
     if isinstance(asked.order, Stop | Disarm):  # the device has stopped, so the order is done
         done, asked = answer(asked.order, {"done": True}), asked._replace(order=None)
     state = replace(state, asked=None)
-    state, actions = _latch(state, now_ns, asked, Fault(Id.REQUEST, error))
-    return state, done + actions
+    state, follow = _latch(state, now_ns, asked, Fault(Id.REQUEST, error))
+    return state, [*done, *follow]
 
 
 def _is_renewed(in_force: Configuration, reply: ConfigReply) -> bool:
     """Return whether the configuration in force was accepted again, under another nonce."""
     same = reply.code == Code.OK and reply.config_crc == in_force.config_crc
     return same and reply.nonce != in_force.nonce
-
-
-def begin_arming(state: State, now_ns: int, order: Arm) -> Step:
-    """Configure the device for the owner's sampling time, then arm it."""
-    device = state.device
-    ts_us = order.ts_us or state.rules.ts_us
-    if device is None:
-        return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
-    scheduled = bool(device.capabilities & Capability.SCHEDULED)
-    baud, m = state.rules.baud, state.rules.oversampling
-    try:
-        check(ts_us, baud, device.skew_us, scheduled=scheduled, oversampling=m)
-    except ValueError as err:
-        return state, refuse(order, str(err))
-    least_us = device.ts_min_us + 2 * (m - 1) * device.skew_us
-    if ts_us < least_us:
-        error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
-        return state, refuse(order, f"{error} {least_us / 1e6:g} s")
-    # Until a run begins, the host paces the samples: at this Ts if the line is fast enough for it,
-    # otherwise at the default Ts.
-    fits = ts_us >= exchange_us(baud, device.skew_us, m)
-    paced_us = ts_us if fits else state.rules.ts_us
-    return ask(state, now_ns, RequestKind.CONFIGURE, order, ts_us=paced_us)
-
-
-def name_of(code: int) -> str:
-    """Return the name of an answer's code, or its number if it has no name."""
-    return Code(code).name if code in set(Code) else str(code)
-
-
-def state_name(state: int) -> str:
-    """Return the name of a state of the device, or its number if it has no name."""
-    return DeviceState(state).name if state in set(DeviceState) else str(state)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.budget import exchange_us
-from armrig_daemon.decisions.requests import NO_DEVICE
+from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Answer, Arm

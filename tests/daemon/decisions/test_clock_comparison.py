@@ -10,7 +10,7 @@ from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions import clock_comparison, clockmap
 from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.clockmap import ClockMap
-from armrig_daemon.decisions.conversion import converted, extended
+from armrig_daemon.decisions.sampling import converted, extended
 from armrig_daemon.decisions.state import Sent, State
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Flag, Ping, Pong

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.rig.calibration import Calibration
-from armrig_daemon.decisions import replies, step
+from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (
     Link,
     PendingRequest,
@@ -43,8 +43,8 @@ def test_a_sample_that_was_sent_before_an_exchange_does_not_answer_it(
     waiting = changed(state, sent=(Sent(9, state.k + 1, 5, 6, 0, device_seq=received),))
     sample = device_sample(waiting, k=state.k + 1)
 
-    ignored, _ = replies.handle(waiting, 7, sample._replace(seq=late))
-    answered, _ = replies.handle(waiting, 7, sample._replace(seq=received + 1))
+    ignored, _ = step.handle_message(waiting, 7, sample._replace(seq=late))
+    answered, _ = step.handle_message(waiting, 7, sample._replace(seq=received + 1))
 
     assert (ignored.link.sent, ignored.link.device_seq) == (waiting.link.sent, received)
     assert (answered.link.sent, answered.link.device_seq) == ((), received + 1)
@@ -63,7 +63,7 @@ def test_a_device_frame_with_a_larger_number_causes_only_a_hello() -> None:
 def test_the_answer_to_hello_restarts_the_frame_numbers_of_the_device() -> None:
     state = changed(rested().loop.state, device_seq=500)
 
-    after, _ = replies.handle(state, 7, state.device._replace(seq=0))
+    after, _ = step.handle_message(state, 7, state.device._replace(seq=0))
 
     assert after.link.device_seq == 0
 
@@ -74,9 +74,9 @@ def test_a_driving_device_that_rejects_hello_is_stopped() -> None:
     before = changed(step.start(RULES), phase=Phase.FAULT, link=Link(seq=2), asked=asked)
     stale = Ack(DeviceState.RUN, 9, 1, Code.STALE, 1)
 
-    after, actions = replies.handle(before, 5_000_000, stale)
+    after, actions = step.handle_message(before, 5_000_000, stale)
 
     sent = b"".join(a.data for a in actions if isinstance(a, Send))
     assert [type(m) for m in feed(b"", sent)[1]] == [Stop]
     assert after.asked == asked  # and HELLO is sent again when it is due
-    assert not replies.handle(before, 5_000_000, stale._replace(state=DeviceState.IDLE))[1]
+    assert not step.handle_message(before, 5_000_000, stale._replace(state=DeviceState.IDLE))[1]

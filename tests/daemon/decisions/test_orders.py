@@ -10,7 +10,7 @@ from armrig_core.rig.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import NO_DEVICE
+from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import (
     ActiveRun,
     Event,

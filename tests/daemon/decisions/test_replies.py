@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.decisions import setpoints
+from armrig_daemon.decisions import setpoints, step
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import device_facts
+from armrig_daemon.decisions.outcomes import device_facts
 from armrig_daemon.decisions.state import Phase, RequestKind, RoundTrip, State, Wakeup
 from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
@@ -206,10 +206,14 @@ def test_device_that_latches_after_a_trip_keeps_the_fault() -> None:
 def test_a_queue_report_without_a_device_starts_no_run() -> None:
     bench = armed()
     now = bench.ports.now
-    filling, _ = setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
+    filling, _ = step.carry_out(
+        now, setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
+    )
 
-    gone, actions = setpoints.note_queue(changed(filling, device=None), now, 0, 2)
-    there, (start,) = setpoints.note_queue(filling, now, 0, 2)
+    gone, actions = step.carry_out(
+        now, setpoints.note_queue(changed(filling, device=None), now, 0, 2)
+    )
+    there, (start,) = step.carry_out(now, setpoints.note_queue(filling, now, 0, 2))
 
     assert (gone.asked, actions) == (None, [])
     assert there.asked.want is RequestKind.START
@@ -219,9 +223,11 @@ def test_a_queue_report_without_a_device_starts_no_run() -> None:
 def test_a_start_carries_the_length_of_the_run() -> None:
     bench = armed()
     now = bench.ports.now
-    filling, _ = setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
+    filling, _ = step.carry_out(
+        now, setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
+    )
 
-    started, _ = setpoints.note_queue(filling, now, 0, 2)
+    started, _ = step.carry_out(now, setpoints.note_queue(filling, now, 0, 2))
 
     assert started.asked is not None
     (start,) = Decided(started, now + 50 * MS, Wakeup()).sent

@@ -7,7 +7,7 @@ from armrig_core.commands.codes import GapCode
 from armrig_core.rig.volts import applied_code, code_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
-from armrig_daemon.decisions import sampling
+from armrig_daemon.decisions import replies
 from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.state import (
@@ -484,10 +484,10 @@ def test_echo_proves_the_round_trip_of_its_frame() -> None:
     older, newer = Unechoed(0xFFFF, 11), Unechoed(0, 22)
     waiting = changed(state, beats=(older, newer), last_round_trip_ns=5)
 
-    assert sampling.note_echo(waiting, 0xFFFE) == waiting
+    assert replies.note_echo(waiting, 0xFFFE) == (waiting, [])
     half_a_round_away = changed(waiting, beats=(older,))
-    assert sampling.note_echo(half_a_round_away, 0x7FFF) == half_a_round_away
-    assert sampling.note_echo(waiting, 0xFFFF) == changed(
-        waiting, beats=(newer,), last_round_trip_ns=11
-    )
-    assert sampling.note_echo(waiting, 0) == changed(waiting, beats=(), last_round_trip_ns=22)
+    assert replies.note_echo(half_a_round_away, 0x7FFF)[0] == half_a_round_away
+    first, _ = replies.note_echo(waiting, 0xFFFF)
+    assert first == changed(waiting, beats=(newer,), last_round_trip_ns=11)
+    both, _ = replies.note_echo(waiting, 0)
+    assert both == changed(waiting, beats=(), last_round_trip_ns=22)

@@ -6,7 +6,7 @@ import pytest
 from armrig_core.commands.codes import GapCode
 from armrig_core.rig.volts import applied_code, code_of, volts_of
 from armrig_daemon import pipe
-from armrig_daemon.decisions import gaps, sampling, setpoints
+from armrig_daemon.decisions import gaps, outcomes, setpoints, step
 from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import MAX_REMEMBERED_FRAMES, send
@@ -24,7 +24,6 @@ from armrig_daemon.decisions.state import (
     Tick,
     Unechoed,
 )
-from armrig_daemon.decisions.stopping import trip
 from armrig_daemon.pipe import Answer, Gap, RunEnded, RunStarted
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -48,7 +47,6 @@ from tests.daemon.decision_states import (
     awaiting,
     changed,
     device_sample,
-    rested,
 )
 from tests.daemon.virtual_bench import MS, codes
 
@@ -129,7 +127,7 @@ def test_a_refill_fills_the_free_places_of_the_queue(
 ) -> None:
     state = _state(samples, base=base, held=held, sent=sent)
 
-    after, actions = setpoints.refill(state, NOW)
+    after, actions = step.carry_out(NOW, setpoints.refill(state, NOW))
 
     assert _frames(actions) == frames
     assert after.queue.sent == sent + sum(n for _, n in frames)
@@ -139,7 +137,7 @@ def test_a_refill_fills_the_free_places_of_the_queue(
 def test_unconfirmed_setpoints_are_sent_again(after_ns: int, again: bool) -> None:
     state = _state(100, base=0, held=24, sent=100, moved_ns=NOW - after_ns)
 
-    after, actions = setpoints.refill(state, NOW)
+    after, actions = step.carry_out(NOW, setpoints.refill(state, NOW))
 
     assert _frames(actions) == ([(24, N), (48, N), (72, N), (96, 4)] if again else [])
     assert (after.queue.sent, after.queue.held) == (100, 24)
@@ -151,7 +149,7 @@ def test_time_to_resend_counts_from_the_first_unconfirmed_frame(sent: int, moved
     state = _state(100, base=0, held=24, sent=sent, moved_ns=7)
     with_nothing_late = changed(state, queue=changed(state.queue, moved_ns=7))
 
-    after, _ = setpoints.refill(with_nothing_late, 7 + 30 * MS)
+    after, _ = step.carry_out(NOW, setpoints.refill(with_nothing_late, 7 + 30 * MS))
 
     assert after.queue.moved_ns == (7 + 30 * MS if moved_ns == NOW else 7)
 
@@ -163,9 +161,9 @@ def test_time_to_resend_counts_from_the_first_unconfirmed_frame(sent: int, moved
 def test_refill_without_a_playable_run_sends_nothing(change: dict[str, object]) -> None:
     state = changed(_state(), **change)
 
-    assert setpoints.refill(state, NOW) == (state, [])
+    assert step.carry_out(NOW, setpoints.refill(state, NOW)) == (state, [])
     stopping = awaiting(_state(), RequestKind.STOP)
-    assert setpoints.refill(stopping, NOW) == (stopping, [])
+    assert step.carry_out(NOW, setpoints.refill(stopping, NOW)) == (stopping, [])
 
 
 @pytest.mark.parametrize(
@@ -178,7 +176,7 @@ def test_a_frame_outside_the_limits_is_not_sent(volts: list[float], trips: bool)
     run = ActiveRun("r", codes(*volts), -1, scheduled=True)
     limited = changed(state, run=run, rules=changed(state.rules, slew=SMALL + 1))
 
-    after, actions = setpoints.refill(limited, NOW)
+    after, actions = step.carry_out(NOW, setpoints.refill(limited, NOW))
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert (after.fault is not None) == trips
@@ -195,7 +193,7 @@ def test_a_frame_outside_the_limits_is_not_sent(volts: list[float], trips: bool)
 def test_a_run_begins_by_filling_the_queue_at_0_v() -> None:
     state = changed(_state(), run=None, queue=None)
 
-    after, actions = setpoints.begin(state, NOW, ORDER)
+    after, actions = step.carry_out(NOW, setpoints.begin(state, NOW, ORDER))
 
     assert after.run == ActiveRun("r", ORDER.codes, -1, scheduled=True)
     assert after.run.due == 0
@@ -215,13 +213,15 @@ def test_a_run_starts_when_less_than_a_frame_of_its_queue_is_free(
 ) -> None:
     state = _state(samples, sent=samples)
 
-    after, _ = setpoints.note_queue(state, NOW, 0, queued)
+    after, _ = step.carry_out(NOW, setpoints.note_queue(state, NOW, 0, queued))
 
     asks = after.asked is not None and after.asked.want is RequestKind.START
     assert asks == starts
     if after.asked is not None:
         assert after.asked.order == ORDER
-    busy, _ = setpoints.note_queue(awaiting(state, RequestKind.ARM), NOW, 0, queued)
+    busy, _ = step.carry_out(
+        NOW, setpoints.note_queue(awaiting(state, RequestKind.ARM), NOW, 0, queued)
+    )
     assert busy.asked.want is RequestKind.ARM
 
 
@@ -231,7 +231,7 @@ def test_a_run_is_abandoned_if_its_queue_is_not_full_within_2_s(
 ) -> None:
     state = _state(sent=512, moved_ns=NOW + after_ns)
 
-    after, _ = setpoints.note_queue(state, NOW + after_ns, 0, 3)
+    after, _ = step.carry_out(NOW, setpoints.note_queue(state, NOW + after_ns, 0, 3))
 
     stops = after.asked is not None and after.asked.want is RequestKind.STOP
     assert stops == gives_up
@@ -247,7 +247,9 @@ def test_the_queue_level_follows_the_newest_sample_of_the_device(
 ) -> None:
     state = _state(50, base=0, held=24, sent=50, moved_ns=7)
 
-    after, _ = setpoints.note_queue(changed(state, phase=Phase.FAULT), NOW, base, queued)
+    after, _ = step.carry_out(
+        NOW, setpoints.note_queue(changed(state, phase=Phase.FAULT), NOW, base, queued)
+    )
 
     known = (after.queue.base, after.queue.held, after.queue.sent, after.queue.moved_ns)
     assert known == (base, held, sent, NOW if moved else 7)
@@ -256,13 +258,13 @@ def test_the_queue_level_follows_the_newest_sample_of_the_device(
 @pytest.mark.parametrize("gone", ["queue", "run"])
 def test_queue_report_without_a_run_is_ignored(gone: str) -> None:
     state = changed(_state(), **{gone: None})
-    assert setpoints.note_queue(state, NOW, 5, 6) == (state, [])
+    assert step.carry_out(NOW, setpoints.note_queue(state, NOW, 5, 6)) == (state, [])
 
 
 def test_refill_follows_a_queue_report() -> None:
     state = changed(_state(held=512, sent=512), phase=Phase.ACTIVE)
 
-    _, actions = setpoints.note_queue(state, NOW, 48, 464)
+    _, actions = step.carry_out(NOW, setpoints.note_queue(state, NOW, 48, 464))
 
     assert _frames(actions) == [(512, N), (536, N)]
 
@@ -276,7 +278,7 @@ def test_refill_follows_a_queue_report() -> None:
 def test_ping_interval_of_a_scheduled_run(since_ns: int, pings: int) -> None:
     state = _running(ping_ns=NOW - since_ns)
 
-    after, actions = setpoints.tick(state, NOW)
+    after, actions = step.carry_out(NOW, setpoints.tick(state, NOW))
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert [m.host_ns for m in sent if isinstance(m, Ping)] == [NOW] * pings
@@ -287,8 +289,8 @@ def test_stop_is_repeated_while_the_device_drives_after_a_trip() -> None:
     """S6: the device gets neither setpoint nor PING meanwhile."""
     latched = _running(phase=Phase.FAULT, ping_ns=0)
 
-    after, actions = setpoints.tick(latched, NOW)
-    waiting = setpoints.tick(after, NOW)
+    after, actions = step.carry_out(NOW, setpoints.tick(latched, NOW))
+    waiting = step.carry_out(NOW, setpoints.tick(after, NOW))
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert [type(m) for m in sent] == [Stop]
@@ -334,7 +336,7 @@ def test_a_sample_of_the_run_is_published_with_its_k() -> None:
         state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
     )
 
-    after, actions = sampling.handle(state, NOW + 3, sample)
+    after, actions = step.handle_sample(state, NOW + 3, sample)
 
     (published,) = [a for a in actions if isinstance(a, Publish)]
     s = published.sample
@@ -358,7 +360,7 @@ def test_sample_of_an_earlier_run_is_ignored(back_us: int, taken: bool) -> None:
     )
     sample = sample._replace(t_us=sample.t_us & 0xFFFFFFFF)
 
-    after, actions = sampling.handle(state, NOW, sample)
+    after, actions = step.handle_sample(state, NOW, sample)
 
     assert bool(actions) == taken
     assert (after == state) != taken
@@ -370,7 +372,7 @@ def test_only_outstanding_samples_belong_to_the_run(k: int) -> None:
     u = applied_code(CODES[k], 10)
     sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
 
-    _, actions = sampling.handle(state, NOW, sample)
+    _, actions = step.handle_sample(state, NOW, sample)
 
     assert bool([a for a in actions if isinstance(a, Publish)]) == (k in (10, 99))
 
@@ -382,7 +384,9 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     first = changed(state, run=changed(state.run, k_first=k_first), last_reported_k=-1)
     u = applied_code(CODES[0], 10)
 
-    _, actions = sampling.handle(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
+    _, actions = step.handle_sample(
+        first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN))
+    )
 
     assert [a.sample.k for a in actions if isinstance(a, Publish)] == [0] * (k_first == 0)
 
@@ -396,7 +400,7 @@ def test_sample_before_the_start_of_a_run_is_ignored(change: dict[str, object]) 
     sample = device_sample(state, k=10, flags=int(Flag.RUN))
     without = changed(state, **change)
 
-    assert sampling.handle(without, NOW, sample) == (without, [])
+    assert step.handle_sample(without, NOW, sample) == (without, [])
 
 
 @pytest.mark.parametrize("bits", [8, 10, 16])
@@ -407,7 +411,7 @@ def test_a_duty_one_step_from_the_setpoint_trips(bits: int, steps: int) -> None:
     state = changed(state, device=state.device._replace(pwm_bits=bits))
     u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
 
-    after, actions = sampling.handle(
+    after, actions = step.handle_sample(
         state, NOW, device_sample(state, k=10, u_k=u, flags=int(Flag.RUN))
     )
 
@@ -420,44 +424,48 @@ def test_a_duty_one_step_from_the_setpoint_trips(bits: int, steps: int) -> None:
 
 def test_the_applied_code_of_a_sample_outside_run_is_not_checked() -> None:
     state = _running()
-    after, _ = sampling.handle(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
+    after, _ = step.handle_sample(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
 
     assert after.fault is None
+
+
+def _told_at_the_end(state: State) -> list[Gap]:
+    _, actions = gaps.end_run(state, NOW, complete=True)
+    return [a.record for a in actions if isinstance(a, Emit) and isinstance(a.record, Gap)]
 
 
 def test_end_of_a_run_reports_the_missing_samples() -> None:
     """L2: each with the voltage of its own setpoint, as the duty gives it."""
     state = _running(due=97)
 
-    after, actions = setpoints.complete(state, NOW)
+    told = _told_at_the_end(state)
 
-    assert actions == []
-    bits = 10
-    expected = [
-        gaps.missing(200 + i, 1, GapCode.FRAME_LOST, applied_code(CODES[i], bits), NOW, NOW)
-        for i in (97, 98, 99)
+    assert [(g.k_first, g.count, g.code) for g in told] == [
+        (200 + i, 1, GapCode.FRAME_LOST) for i in (97, 98, 99)
     ]
-    assert list(after.absent) == expected
-    assert after.outcome == "complete"
-    assert after.run.due == 100
-    assert setpoints.complete(changed(state, outcome="stopped"), NOW)[0].outcome == "stopped"
+    assert [g.u_held_v for g in told] == [
+        volts_of(applied_code(CODES[i], 10)) for i in (97, 98, 99)
+    ]
+    assert gaps.end_run(state, NOW, complete=True)[1][-1].record.outcome == "complete"
+    stopped = changed(state, outcome="stopped")
+    assert gaps.end_run(stopped, NOW, complete=True)[1][-1].record.outcome == "stopped"
 
 
 def test_the_voltage_of_a_lost_sample_is_not_rounded_without_a_device() -> None:
-    after, _ = setpoints.complete(_running(due=98, device=None), NOW)
+    told = _told_at_the_end(_running(due=98, device=None))
 
-    assert [a.code for a in after.absent] == CODES[98:100]
+    assert [g.u_held_v for g in told] == [volts_of(code) for code in CODES[98:100]]
 
 
 def test_only_the_last_pieces_of_a_long_outage_are_reported() -> None:
     """R1: the pieces are bounded."""
     state = _running(due=0, samples=1000)
-    state = changed(state, run=changed(state.run, codes=codes(1.0) * 1500))
+    state = changed(state, run=changed(state.run, codes=codes(1.0) * 1500), sent=())
 
-    after, _ = setpoints.complete(state, NOW)
+    told = _told_at_the_end(state)
 
-    assert len(after.absent) == gaps.MAX_MISSING_PIECES
-    assert after.absent[0].k == 200 + 500
+    assert [(g.k_first, g.count) for g in told[:2]] == [(200, 500), (700, 1)]
+    assert len(told) == 1 + gaps.MAX_MISSING_PIECES
 
 
 @pytest.mark.parametrize(
@@ -515,7 +523,8 @@ def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
 
 
 def test_a_trip_while_the_queue_is_filled_refuses_the_run() -> None:
-    latched, _ = trip(_state(), NOW, Fault(Id.PAUSE, "the host paused"))
+    fault = Fault(Id.PAUSE, "the host paused")
+    latched, _ = step.carry_out(NOW, (_state(), [outcomes.Trip(fault)]))
     assert latched.asked is not None
 
     later = Decided(latched, NOW + 5 * MS, IS_IDLE)
@@ -538,9 +547,3 @@ def test_a_scheduled_run_is_prepared_by_a_stop_and_its_configuration() -> None:
     assert configure.state.lease is not None
     assert not [a for a in configure.actions if isinstance(a, Emit)]
     assert not [m for m in configure.sent if isinstance(m, Start)]
-
-
-def test_a_completed_run_is_not_completed_again() -> None:
-    bench = rested()
-
-    assert setpoints.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import sys
+from collections import Counter
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from types import FrameType
+
 import msgspec
 import pytest
-from armrig_core.commands.codes import GapCode, OutcomeCode
+from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
 from armrig_core.rig.volts import code_of
 from armrig_daemon.config import Config
+from armrig_daemon.decisions import gaps, trace
 from armrig_daemon.decisions import step as core_step
-from armrig_daemon.decisions import trace
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.gaps import MAX_MISSING_PIECES, missing, note, report_missing
-from armrig_daemon.decisions.requests import motor
+from armrig_daemon.decisions.outcomes import motor
 from armrig_daemon.decisions.state import (
     ActiveRun,
+    Emit,
     Link,
     LinkDown,
     LinkUp,
     Phase,
+    Queue,
     Received,
     RequestKind,
     Sent,
@@ -26,14 +34,13 @@ from armrig_daemon.decisions.state import (
     Tick,
     Unechoed,
 )
-from armrig_daemon.decisions.stopping import end_run
-from armrig_daemon.pipe import Gap, Log, RunEnded, RunStarted
+from armrig_daemon.pipe import Answer, Gap, Log, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
 
-from tests.daemon.decision_states import Decided, armed, awaiting, changed, driven, rested
+from tests.daemon.decision_states import RUN, Decided, armed, awaiting, changed, driven, rested
 from tests.daemon.virtual_bench import MS, Bench, codes
 
 TS = 10 * MS
@@ -194,7 +201,7 @@ def test_skipped_ticks_are_stored_with_their_number(ahead: int) -> None:
     if ahead == 1:
         assert absent == ()
     else:
-        expected = missing(state.k + 1, ahead - 1, GapCode.HOST_LATE, None, state.tick_ns, now)
+        expected = gaps.missing(state.k + 1, ahead - 1, GapCode.HOST_LATE, None, state.tick_ns, now)
         assert absent == (expected,)
 
 
@@ -435,7 +442,7 @@ def test_lost_samples_of_a_run_are_reported_before_its_end() -> None:
     waiting = tuple(Sent(i, first + i, 0, 100 + i, code_of(1.0)) for i in (1, 2, 3))
     told = changed(state, last_reported_k=first, sent=waiting, absent=())
 
-    after, actions = end_run(told, 999)
+    after, actions = gaps.end_run(told, 999)
 
     records = [a.record for a in actions]
     assert [(r.k_first, r.count, r.code) for r in records[:-1]] == [
@@ -452,7 +459,7 @@ def test_lost_samples_of_a_run_are_reported_before_its_end() -> None:
 
 
 def _told(state: State, end: int, u_before: int | None = None) -> list[tuple[int, int, float]]:
-    _, actions = report_missing(state, end, 777, u_before)
+    _, actions = gaps.report_missing(state, end, 777, u_before)
     told = [a.record for a in actions]
     assert all(isinstance(g, Gap) for g in told)
     return [(g.k_first, g.count, round(g.u_held_v, 3)) for g in told]
@@ -461,10 +468,10 @@ def _told(state: State, end: int, u_before: int | None = None) -> list[tuple[int
 def test_gap_is_reported_in_pieces_of_constant_voltage() -> None:
     """L2: first the previous code, then that of each lost exchange."""
     state = changed(rested().loop.state, last_reported_k=9, applied=code_of(1.0), absent=())
-    lost = missing(12, 1, GapCode.FRAME_LOST, code_of(2.0), 1, 2)
-    late = missing(13, 3, GapCode.HOST_LATE, None, 3, 4)
+    lost = gaps.missing(12, 1, GapCode.FRAME_LOST, code_of(2.0), 1, 2)
+    late = gaps.missing(13, 3, GapCode.HOST_LATE, None, 3, 4)
 
-    known = note(note(state, late), lost)
+    known = gaps.note(gaps.note(state, late), lost)
 
     assert _told(state, 10) == []
     assert _told(known, 17) == [(10, 2, 1.0), (12, 1, 2.0), (13, 3, 2.0), (16, 1, 2.0)]
@@ -473,8 +480,8 @@ def test_gap_is_reported_in_pieces_of_constant_voltage() -> None:
 
 def test_the_sample_after_a_gap_has_the_code_held_last() -> None:
     state = changed(rested().loop.state, last_reported_k=9, applied=code_of(1.0), absent=())
-    three = note(state, missing(10, 3, GapCode.FRAME_LOST, code_of(2.0), 1, 2))
-    one = note(state, missing(10, 1, GapCode.FRAME_LOST, code_of(2.0), 1, 2))
+    three = gaps.note(state, gaps.missing(10, 3, GapCode.FRAME_LOST, code_of(2.0), 1, 2))
+    one = gaps.note(state, gaps.missing(10, 1, GapCode.FRAME_LOST, code_of(2.0), 1, 2))
 
     assert _told(state, 13, code_of(3.0)) == [(10, 3, 3.0)]
     assert _told(three, 13, code_of(3.0)) == [(10, 3, 2.0)]
@@ -485,10 +492,12 @@ def test_the_sample_after_a_gap_has_the_code_held_last() -> None:
 
 def test_missing_samples_after_a_reported_sample_stay_pending() -> None:
     state = changed(rested().loop.state, last_reported_k=9, absent=())
-    before, across, behind = (missing(k, 2, GapCode.HOST_LATE, None, 1, 2) for k in (10, 11, 12))
-    known = note(note(note(state, before), across), behind)
+    before, across, behind = (
+        gaps.missing(k, 2, GapCode.HOST_LATE, None, 1, 2) for k in (10, 11, 12)
+    )
+    known = gaps.note(gaps.note(gaps.note(state, before), across), behind)
 
-    after, _ = report_missing(known, 12, 777)
+    after, _ = gaps.report_missing(known, 12, 777)
 
     assert (after.last_reported_k, after.absent) == (11, (across, behind))
 
@@ -497,10 +506,10 @@ def test_no_gap_is_reported_before_the_first_sample() -> None:
     state = changed(
         rested().loop.state,
         last_reported_k=-1,
-        absent=(missing(3, 1, GapCode.HOST_LATE, None, 1, 2),),
+        absent=(gaps.missing(3, 1, GapCode.HOST_LATE, None, 1, 2),),
     )
 
-    after, actions = report_missing(state, 7, 777)
+    after, actions = gaps.report_missing(state, 7, 777)
 
     assert (after.last_reported_k, after.absent, actions) == (6, (), [])
 
@@ -508,11 +517,11 @@ def test_no_gap_is_reported_before_the_first_sample() -> None:
 def test_the_pieces_of_an_outage_are_bounded() -> None:
     """R1: the newest are kept."""
     state = changed(rested().loop.state, absent=())
-    for k in range(MAX_MISSING_PIECES + 5):
-        state = note(state, missing(k, 1, GapCode.HOST_LATE, None, 0, 0))
+    for k in range(gaps.MAX_MISSING_PIECES + 5):
+        state = gaps.note(state, gaps.missing(k, 1, GapCode.HOST_LATE, None, 0, 0))
 
-    assert [state.absent[0].k, state.absent[-1].k] == [5, MAX_MISSING_PIECES + 4]
-    assert len(state.absent) == MAX_MISSING_PIECES
+    assert [state.absent[0].k, state.absent[-1].k] == [5, gaps.MAX_MISSING_PIECES + 4]
+    assert len(state.absent) == gaps.MAX_MISSING_PIECES
 
 
 # -- the end of a scheduled run ------------------------------------------------------------------
@@ -525,7 +534,9 @@ def _scheduled(due: int, phase: Phase, now_after_ns: int = 0) -> tuple[State, li
     )
     run = ActiveRun("r", codes(*[1.0] * 10), 100, scheduled=True, due=due, t_zero_ns=1000 * MS)
     beats = (Unechoed(1, 2),)
-    after, actions = end_run(changed(state, run=run, beats=beats, k=500), 1000 * MS + now_after_ns)
+    after, actions = gaps.end_run(
+        changed(state, run=run, beats=beats, k=500), 1000 * MS + now_after_ns
+    )
     assert after.link.beats == ()
     return after, list(actions)
 
@@ -538,8 +549,8 @@ def test_trip_reports_the_samples_due_so_far_as_a_gap(now_after_ns: int, missing
     """L2: t_zero + i Ts is past for more samples than the two that came."""
     after, actions = _scheduled(2, Phase.FAULT, now_after_ns)
 
-    gaps = [a.record for a in actions if isinstance(getattr(a, "record", None), Gap)]
-    assert [(g.k_first, g.count, g.reason, g.code) for g in gaps] == [
+    told = [a.record for a in actions if isinstance(getattr(a, "record", None), Gap)]
+    assert [(g.k_first, g.count, g.reason, g.code) for g in told] == [
         (102, missing, "why", GapCode.FAULT)
     ] * bool(missing)
     assert after.last_reported_k == 101 + missing
@@ -568,10 +579,10 @@ def test_run_in_exchange_mode_ends_with_the_last_requested_sample(phase: Phase) 
     run = ActiveRun("r", codes(*[1.0] * 20), 100, due=12)
     sent = tuple(Sent(k, k, k, k, 0) for k in (110, 111, 112))
 
-    after, actions = end_run(changed(state, run=run, sent=sent, k=112), 9_000 * MS)
+    after, actions = gaps.end_run(changed(state, run=run, sent=sent, k=112), 9_000 * MS)
 
-    gaps = [a.record for a in actions if isinstance(getattr(a, "record", None), Gap)]
-    assert [(g.k_first, g.count) for g in gaps] == [(110, 1), (111, 1)]
+    told = [a.record for a in actions if isinstance(getattr(a, "record", None), Gap)]
+    assert [(g.k_first, g.count) for g in told] == [(110, 1), (111, 1)]
     assert (after.last_reported_k, after.k, after.link.sent) == (111, 112, sent[2:])
     assert after.absent == ()
 
@@ -581,12 +592,36 @@ def test_a_run_that_began_at_k_0_restores_the_host_period(k_first: int) -> None:
     run = ActiveRun("r", codes(1.0, 1.0), k_first, scheduled=True, due=1, t_zero_ns=0)
     state = changed(rested().loop.state, run=run, absent=(), last_reported_k=-1, k=50)
 
-    after, actions = end_run(state, 5 * MS)
+    after, actions = gaps.end_run(state, 5 * MS)
 
     begun = [SetPeriod(10_000, k_first + 1)] if k_first >= 0 else []
     assert [a for a in actions if isinstance(a, SetPeriod)] == begun
     assert after.k == (k_first if begun else 50)
     assert after.last_reported_k == (k_first if begun else -1)
+
+
+@pytest.mark.parametrize("run", [None, ActiveRun("r", RUN.codes, -1), ActiveRun("r", RUN.codes, 4)])
+def test_the_outcome_of_a_run_does_not_carry_over_to_the_next(run: ActiveRun | None) -> None:
+    state = changed(rested().loop.state, run=run)
+
+    ended, done = gaps.end_run(state.ending_with("by hand", OutcomeCode.STOPPED), 0)
+
+    told = [a.record for a in done if isinstance(a, Emit) and isinstance(a.record, RunEnded)]
+    assert [(r.outcome, r.outcome_code) for r in told] == [("by hand", "stopped")] * bool(run)
+    assert (ended.run, ended.outcome, ended.outcome_code) == (None, "", None)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "error"), [("the lease ran out", "the lease ran out"), ("", "stopped")]
+)
+def test_a_run_that_never_began_is_refused_with_a_reason(outcome: str, error: str) -> None:
+    state = changed(rested().loop.state, queue=Queue(RUN), outcome=outcome)
+
+    state, done = gaps.end_run(state, 0)
+
+    refusal = Answer(order=73, error=error, code=RefusalCode.OVERTAKEN)
+    assert [a.record for a in done if isinstance(a, Emit)] == [refusal]
+    assert (state.queue, state.outcome) == (None, "")
 
 
 def test_an_orderly_stop_reports_no_gap_of_unsampled_ticks() -> None:
@@ -616,3 +651,26 @@ def test_a_trace_does_not_contain_the_codes_of_the_run() -> None:
     assert restored.lease.lease != state.lease.lease
     assert changed(restored, lease=state.lease) == state
     assert trace.restored(trace.written_state(changed(state, run=None)), b"x").run is None
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_a_sample_enters_each_module_once(scheduled: bool) -> None:
+    """The import contract forbids all other calls between these modules."""
+    entered = [Counter[str]()]
+
+    def count(frame: FrameType, what: str, _: object) -> None:
+        code, caller = frame.f_code, frame.f_back and frame.f_back.f_code
+        if code.co_name == "handle_sample":  # at the call, and at the return
+            entered.append(Counter())
+        elif what == "call" and caller and caller.co_filename == core_step.__file__:
+            entered[-1][Path(code.co_filename).stem] += 1
+
+    bench = armed()
+    bench.order(changed(RUN, scheduled=scheduled, codes=codes(*[1.0] * 50)))
+    sys.setprofile(count)
+    bench.run_for(1000)
+    sys.setprofile(None)
+
+    most = reduce(or_, entered[1::2])
+    assert {module for module, n in most.items() if n > 1} <= {"state", "step"}
+    assert {"sampling", "gaps", "transitions", "setpoints"} <= most.keys()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from armrig_daemon import pipe
-from armrig_daemon.decisions import transitions
+from armrig_daemon.decisions import orders, outcomes, transitions
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import NO_DEVICE, config
+from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import Phase, RequestKind, SetPeriod, State, Tick, Wakeup
 from armrig_daemon.pipe import Answer, Log, Reset
 from armrig_daemon.pipe import State as StateRecord
@@ -144,11 +144,10 @@ def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
     at = awaiting(at, RequestKind.CLEAR, Reset(order=8))
 
     waiting, _ = transitions.note_state(at, bench.ports.now, int(state))
-    cleared, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.IDLE))
+    _, follow = transitions.note_state(at, bench.ports.now, int(DeviceState.IDLE))
 
     assert waiting.asked == at.asked
-    assert cleared.asked.want is RequestKind.HELLO
-    assert cleared.asked.order == Reset(order=8)
+    assert follow == [outcomes.Ask(RequestKind.HELLO, Reset(order=8))]
 
 
 @pytest.mark.parametrize("state", list(DeviceState))
@@ -254,7 +253,7 @@ def test_config_frame_contains_the_rules(scheduled: bool) -> None:
     )
     rules = changed(rules, rail_ticks=8, oversampling=4)
 
-    assert config(rules, 2_000, 33, scheduled=scheduled) == Config(
+    assert rules.config(2_000, 33, scheduled=scheduled) == Config(
         state=0,
         seq=33,
         ts_us=2_000,
@@ -462,7 +461,7 @@ def test_nothing_is_armed_without_a_device() -> None:
     bench = rested()
     state = changed(bench.loop.state, device=None)
 
-    after, (said,) = transitions.begin_arming(state, bench.ports.now, ARM)
+    after, (said,) = orders.begin_arming(state, ARM)
 
     assert after == state
     assert said.record.error == NO_DEVICE
