@@ -3,7 +3,8 @@
 `python tests/rooms.py`. The order of the rooms is that of import-linter's contracts in
 pyproject.toml. All imports count between rooms, also imports inside of functions and for types
 only, which the contracts omit. The package's own `__init__` counts, too; it is above all rooms.
-Inside a room an import for types only makes no circle, because it loads nothing.
+Inside a room an import for types only makes no circle, because it loads nothing. The groups of
+files that import each other in this way are counted; the budget in pyproject.toml is the limit.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import Any
 
 import grimp
 
@@ -27,6 +29,11 @@ def main() -> int:
     """Print the rooms from top to bottom, each with the rooms that it uses, and the faults."""
     graph = grimp.build_graph(*PACKAGES, cache_dir=None)
     wrong = [text for package in PACKAGES for text in _checked(graph, package)]
+    groups = _groups(graph)
+    print(f"{len(groups)} groups of files import each other, also for types:")
+    print(*(f"  {' '.join(group)}" for group in groups), sep="\n")
+    if len(groups) > (most := _settings()["armrig"]["budget"]["file_circles"]):
+        wrong.append(f"{len(groups)} groups of files import each other: at most {most}")
     wrong += _circles(
         grimp.build_graph(*PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
     )
@@ -37,8 +44,7 @@ def main() -> int:
 
 def floors(package: str) -> dict[str, int]:
     """Return the floor of each room, 0 at the bottom."""
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    contracts = settings["tool"]["importlinter"]["contracts"]
+    contracts = _settings()["importlinter"]["contracts"]
     (layers,) = (c["layers"] for c in contracts if c.get("containers") == [package])
     rooms = {
         room.strip(): floor
@@ -46,6 +52,18 @@ def floors(package: str) -> dict[str, int]:
         for room in layer.split("|")
     }
     return rooms | {FACE: len(layers)}
+
+
+def _settings() -> dict[str, Any]:
+    tables: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return tables["tool"]
+
+
+def _groups(graph: grimp.ImportGraph) -> list[list[str]]:
+    """Return the groups of files that import each other, directly or through other files."""
+    used = {module: graph.find_upstream_modules(module) for module in graph.modules}
+    groups = {frozenset({m, *(u for u in used[m] if m in used[u])}) for m in used}
+    return sorted(sorted(group) for group in groups if len(group) > 1)
 
 
 def _room(package: str, module: str) -> str:

@@ -97,8 +97,8 @@ class Estimate:
 
     def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Drawing:
         """Return a figure of the turns: see `armrig.plots.plot_calibration`."""
+        from armrig.plots import plot_calibration
         from armrig.plots.layout import figure_of
-        from armrig.recordings.figures import plot_calibration
 
         return figure_of(plot_calibration(self, turns, ax=ax))
 

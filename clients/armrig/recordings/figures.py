@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.recordings.calibration import Estimate
-    from armrig.recordings.overview import Overview
     from armrig.recordings.recording import Recording
 
 
@@ -114,13 +113,14 @@ def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Ax
     return sign(ax, recording.sha256)
 
 
-def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
+def plot_overview(
+    rec: Recording, outliers: Mapping[str, Vector], *, ax: Axes | None = None
+) -> Axes:
     """Plot u, theta_1, the rate of theta_1 and alpha against time.
 
     In the panels of the angles and of the rate, times without a valid value are shaded. In the
     panel of u, times are shaded where theta_1 or alpha has no valid value. Rings mark outliers.
     """
-    rec = found.recording
     if not rec.N:
         raise InputError(
             f"{rec.path}: contains no samples, so there is nothing to draw; record again"
@@ -140,16 +140,15 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
         panel.plot(rec.t, y, color=BLUE, lw=0.7)
         panel.set_ylabel(label)
         shade(panel, valid, rec.Ts, first=first)
-        _ring(panel, found, name, y)
+        _ring(panel, rec.t, y, outliers.get(name, np.zeros(0)))
     every[-1].set_xlabel("$t$ [s]")
     finish(*every, xlim=(first, last if last > first else first + 1.0))
     return sign(ax, rec.sha256, above=legend(ax))
 
 
-def _ring(panel: Axes, found: Overview, name: str, y: np.ndarray) -> None:
-    """Draw a ring around each outlier of a signal."""
-    times = found.outliers.get(name, np.zeros(0))
-    at = np.searchsorted(found.recording.t, times)
+def _ring(panel: Axes, t: Vector, y: Vector, times: Vector) -> None:
+    """Draw a ring around the sample of a signal at each of the times."""
+    at = np.searchsorted(t, times)
     if at.size:
         label = f"{at.size} outliers" if at.size > 1 else "an outlier"
         panel.plot(times, y[at], "o", mfc="none", mec=VERMILION, ms=7, label=label)

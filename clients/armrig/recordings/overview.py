@@ -91,7 +91,7 @@ class Overview:
         from armrig.plots.layout import figure_of
         from armrig.recordings.figures import plot_overview
 
-        return figure_of(plot_overview(self, ax=ax))
+        return figure_of(plot_overview(self.recording, self.outliers, ax=ax))
 
 
 def overview(recording: Recording) -> Overview:

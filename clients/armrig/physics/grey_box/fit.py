@@ -226,7 +226,7 @@ class GreyFit:
         >>> armrig.greybox(data, armrig.arm).plot(data)
         <Figure size ... with 2 Axes>
         """
-        from armrig.physics.grey_box.figures import plot_greybox
+        from armrig.plots import plot_greybox
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_greybox(self, data, ax=ax))

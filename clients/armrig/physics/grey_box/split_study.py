@@ -184,7 +184,7 @@ class SplitStudy:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the estimates with ±2 standard deviations and the law 1/sqrt(N)."""
-        from armrig.physics.grey_box.figures import plot_split
+        from armrig.plots import plot_split
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_split(self, ax=ax))
