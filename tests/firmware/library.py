@@ -59,7 +59,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 
 class Timer(ctypes.Structure):
-    """The timer of scheduled mode, as `emulator.timer.Timer`."""
+    """The timer of scheduled mode, as `emulator.clock.Timer`."""
 
     _fields_ = [
         (name, c_int64) for name in ("first_ns", "period_ns", "lead_ns", "hold_ns", "k_stop", "k")

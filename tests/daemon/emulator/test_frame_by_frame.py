@@ -9,6 +9,7 @@ from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.converter import latch
 from armrig_daemon.emulator.device import LEAD_NS, Device
 from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSample
+from armrig_daemon.emulator.requests import cal_answer
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import Reception
 from armrig_protocol.frame import encode
@@ -190,6 +191,11 @@ def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
         latch(firmware, 0)
 
     assert firmware.board.volts == 0.0
+
+
+def test_readings_without_a_cal_in_progress_have_no_answer() -> None:
+    with pytest.raises(RuntimeError, match="no CAL is in progress"):
+        cal_answer(_firmware(), [1])
 
 
 def test_the_end_of_a_run_is_visible_at_its_due_time() -> None:
