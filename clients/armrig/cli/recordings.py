@@ -369,11 +369,11 @@ def _lateness(spread: Any, pacing: str) -> str:
 
 
 def timing_figures(recording: Recording) -> dict[str, Draw]:
-    """Return the functions that draw the jitter and the lateness of a recording."""
-    from armrig.recordings.figures import plot_timing
+    """Return the functions that draw the jitter and the lateness of a recording, if they vary."""
+    from armrig.recordings.figures import plot_timing, varying_times
 
-    draw = partial(plot_timing, recording)
-    return {"jitter": draw, "lateness": partial(draw, quantity="lateness")}
+    varying = varying_times(recording)
+    return {name: partial(plot_timing, recording, quantity=name) for name in varying}
 
 
 def replay(file: File, json: Json = False) -> None:

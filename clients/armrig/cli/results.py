@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from armrig_core.errors import InputError
 
 from armrig.cli.options import Group, Json, Verbose, group, option
-from armrig.cli.printing import inform, print_json
+from armrig.cli.printing import inform, print_json, tell
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
@@ -113,6 +113,9 @@ def write_plot(
     figure has enough columns to fit on a screen.
     """
     if path is None:
+        return []
+    if not draw:
+        tell(f"{path}: not written, because there is nothing to draw; the text gives the values")
         return []
     from armrig.plots.captions import named_by_run
     from armrig.plots.layout import save

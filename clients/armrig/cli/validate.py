@@ -441,10 +441,11 @@ def check(
 
     def figures() -> dict[str, Draw]:
         drawn: dict[str, Draw] = {}
-        for channel, found in tests.items():
-            for which, one in zip(_TESTS, found[:2], strict=False):
-                if not isinstance(one, str):
-                    drawn |= of_channel(which.replace(" ", "_"), one.plot, channel)
+        for channel, (loop, late, _) in tests.items():
+            if not isinstance(loop, str) and loop.sims is not None:
+                drawn |= of_channel("open_loop", loop.plot, channel)
+            if not isinstance(late, str):
+                drawn |= of_channel("delay", late.plot, channel)
         return drawn
 
     def say_after() -> None:
@@ -489,7 +490,7 @@ def linearity(
     def figures() -> dict[str, Draw]:
         drawn: dict[str, Draw] = {}
         for channel, one in found.items():
-            if not isinstance(one, str):
+            if not (isinstance(one, str) or one.linear):
                 drawn |= of_channel("linearity", one.plot, channel)
         return drawn
 

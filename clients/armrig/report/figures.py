@@ -178,7 +178,7 @@ def _of_handout(study: HandoutStudy) -> dict[str, Drawing]:
         "sampling": (_HIGH_LEGENDS_HEIGHT, study.sampling),
         "structure": (_HIGH_LEGENDS_HEIGHT, study.hints),
         "split": (_HEIGHT, study.split),
-        "loop": (_LOW_HEIGHT, study.loop),
+        "loop": (_LOW_HEIGHT, study.loop if study.loop and study.loop.sims else None),
         "delay": (_HEIGHT, study.delay),
     }
     found |= {name: (height, [x.plot]) for name, (height, x) in results.items() if x is not None}
