@@ -381,33 +381,23 @@ def _state_space(p: ArmParameters) -> str:
 
 def _model_table(found: dict[str, _Answer]) -> str:
     """Return a table with a column for each model; five columns fit into 80 characters."""
+    from armrig.physics.step_response import root_texts
+
     columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
     columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
     for name, answer in found.items():
         p = answer.predicted
-        poles = _root_texts(p.poles)
+        poles = root_texts(p.poles, 2)
         poles += [""] * (3 - len(poles))
         times = [f"{getattr(p, time):.4f}" for time in _TIMES]
         figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *times, *poles]
-        columns.append([_TOGETHER.get(name, name), *figures, *_root_texts(p.zeros)])
+        columns.append([_TOGETHER.get(name, name), *figures, *root_texts(p.zeros, 2)])
     widths = [max(map(len, column)) for column in columns]
     rows = zip(*columns, strict=True)
     return "\n".join(
         " ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     )
-
-
-def _root_texts(roots: Any) -> list[str]:
-    """Return roots as texts; a pair is one text."""
-    texts = []
-    for z in roots.tolist():
-        real = f"{z.real:.2f}" if z.real else "0"
-        if z.imag > 0:
-            texts.append(f"{real} ± {z.imag:.2f}i" if z.real else f"±{z.imag:.2f}i")
-        elif z.imag == 0:
-            texts.append(real)
-    return texts
 
 
 def _model_facts(answer: _Answer) -> dict[str, Any]:

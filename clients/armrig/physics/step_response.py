@@ -231,14 +231,18 @@ def _stepped(
     return sampled, np.full(times.size, float(u)), states.index(state)
 
 
-def _roots(z: NDArray[np.complex128]) -> str:
+def root_texts(roots: NDArray[np.complex128], decimals: int) -> list[str]:
+    """Return roots as texts; a complex pair is one text."""
     texts = []
-    for x in z:
-        if x.imag < 0:
-            continue
-        real = f"{x.real:.3f}" if x.real else "0"
-        if x.imag == 0:
+    for z in roots.tolist():
+        real = f"{z.real:.{decimals}f}" if z.real else "0"
+        if z.imag > 0:
+            pair = f"±{' ' * bool(z.real)}{z.imag:.{decimals}f}i"
+            texts.append(f"{real} {pair}" if z.real else pair)
+        elif z.imag == 0:
             texts.append(real)
-        else:
-            texts.append(f"{real} ± {x.imag:.3f}i" if x.real else f"±{x.imag:.3f}i")
-    return ", ".join(texts)
+    return texts
+
+
+def _roots(z: NDArray[np.complex128]) -> str:
+    return ", ".join(root_texts(z, 3))
