@@ -668,9 +668,9 @@ def _write_questions(path: Path) -> None:
 
 def _typeset_source(folder: Path, output: Path) -> None:
     from armrig.report.document import TEMPLATE, check_length
-    from armrig.report.typesetting import compiled
+    from armrig.report.typesetting import SHARED, compiled
 
-    sources = sorted(folder.glob("*.typ"))
+    sources = sorted(path for path in folder.glob("*.typ") if path.name != SHARED)
     if len(sources) != 1:
         raise InputError(
             f"--from {folder}: has {len(sources)} files *.typ; give a folder that `armrig report "

@@ -22,6 +22,8 @@ from armrig.recordings.recording import Recording
 
 Places = list[tuple[str, float]]
 """Name and start of each section. A start of 2.3 is on page 2, below 30 % of the page."""
+SHARED = "shared.typ"
+"""File that the templates of both reports import."""
 _UNKNOWN_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -44,7 +46,7 @@ def _started(recording: Recording) -> datetime:
 def typeset(
     root: Path, template: str, values: Mapping[str, Any], made: datetime
 ) -> tuple[bytes, Places]:
-    """Write a template of this package and its values into a folder, and compile them to a PDF.
+    """Write a template, the shared file and the values into a folder, and compile them to a PDF.
 
     The folder contains the figures already. The template reads the values from data.json. The date
     of the document is `made`. If the compiler refuses the document, which is a fault of this
@@ -53,8 +55,9 @@ def typeset(
     made_on = [made.year, made.month, made.day]  # without a date, typst uses the current time
     data = json.dumps({**values, "made_on": made_on}, indent=1, ensure_ascii=False)
     (root / "data.json").write_text(data, encoding="utf-8")
-    text = resources.files("armrig.report").joinpath(template).read_text(encoding="utf-8")
-    (root / template).write_text(text, encoding="utf-8")
+    for name in (SHARED, template):
+        text = resources.files("armrig.report").joinpath(name).read_text(encoding="utf-8")
+        (root / name).write_text(text, encoding="utf-8")
     return compiled(root / template)
 
 

@@ -127,7 +127,7 @@ def test_a_report_writes_a_copy_of_each_figure(
     }
     assert pdf == tmp_path / "r.pdf"
     assert {path.name for path in (tmp_path / "source").iterdir()} == {
-        *("a.svg", "b.svg", "c.svg", "report.typ", "data.json")
+        *("a.svg", "b.svg", "c.svg", "report.typ", "shared.typ", "data.json")
     }
 
 
