@@ -112,6 +112,8 @@ def carry_out(now_ns: int, decided: Step) -> Decided:
     """Return the state after the follow-ups of a decision, in their order, and the actions."""
     state, follow = decided
     done: list[Action] = []
+    if not follow:
+        return state, done  # as for nearly every sample
     waiting = [*reversed(follow)]
     while waiting:
         following = waiting.pop()
@@ -187,7 +189,7 @@ def handle_message(state: State, now_ns: int, message: wire.Message) -> Decided:
     """Handle a message of the device."""
     device, known = state.device, None if state.link is None else state.link.device_seq
     # A device that was reset begins its numbers again.
-    if known is None or isinstance(message, wire.HelloReply) or is_newer(message.seq, known):
+    if known is None or is_newer(message.seq, known) or isinstance(message, wire.HelloReply):
         state = state.linked(device_seq=message.seq)
     decided: Step = state, []
     match message:
