@@ -307,7 +307,8 @@ def test_a_sample_answers_its_exchange_and_abandons_earlier_ones() -> None:
     assert (gap.k_first, gap.count, gap.code) == (first.k, 1, GapCode.FRAME_LOST)
     assert (gap.t_from_ns, gap.t_to_ns) == (first.sent_ns, bench.ports.now)
     (published,) = _published(decided)
-    assert (published.k, published.t_sched_ns, published.t_host_ns) == second[1:4]
+    asked = (second.k, second.sched_ns, second.sent_ns)
+    assert (published.k, published.t_sched_ns, published.t_host_ns) == asked
     assert decided.of(RoundTrip) == [RoundTrip(bench.ports.now - second.sent_ns)]
     after = decided.state
     assert (after.link.sent, after.link.last_round_trip_ns, after.last_reported_k) == (
