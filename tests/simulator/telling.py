@@ -18,7 +18,7 @@ class Silent:
     def _nothing(self, *_: object) -> None:
         return None
 
-    woke = came_back = queued = sampled = forget_device = each_second = _nothing
+    woke = came_back = queued = sampled = forget_device = is_second_over = _nothing
 
 
 class Teller:

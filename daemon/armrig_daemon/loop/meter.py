@@ -52,10 +52,12 @@ class Meter:
         """Forget the last sample, so that no interval includes a change of the period."""
         self._device = None
 
-    def each_second(self, now_ns: int, collections: int) -> Timing | None:
-        """Return the statistics once a second, with the number of garbage collections so far."""
-        if now_ns - self._since_ns < _SECOND_NS:
-            return None
+    def is_second_over(self, now_ns: int) -> bool:
+        """Return whether the statistics are due."""
+        return now_ns - self._since_ns >= _SECOND_NS
+
+    def take_second(self, now_ns: int, collections: int) -> Timing:
+        """Return the statistics, with the number of garbage collections so far; start again."""
         timing = Timing(
             t_host_ns=now_ns,
             wake_lateness_us=self._wake.distribution(1e3),

@@ -20,10 +20,10 @@ def test_statistics_are_reported_after_each_second_and_start_again_at_0() -> Non
     meter.came_back(20 * US)
     meter.queued(7)
 
-    assert meter.each_second(BEGAN + S - 1, 4) is None
-    told = meter.each_second(BEGAN + S, 4)
-    assert meter.each_second(BEGAN + 2 * S - 1, 4) is None
-    nothing = meter.each_second(BEGAN + 2 * S, 4)
+    assert [meter.is_second_over(BEGAN + ns) for ns in (S - 1, S)] == [False, True]
+    told = meter.take_second(BEGAN + S, 4)
+    assert [meter.is_second_over(BEGAN + ns) for ns in (2 * S - 1, 2 * S)] == [False, True]
+    nothing = meter.take_second(BEGAN + 2 * S, 4)
 
     assert (told.t_host_ns, told.collections) == (BEGAN + S, 4)
     wake = told.wake_lateness_us
@@ -42,7 +42,7 @@ def test_the_device_s_error_is_its_distance_from_the_period() -> None:
     meter.sampled(_sample(9, 99_000), 2 * MS)
     meter.sampled(_sample(10, 101_000), 2 * MS)
 
-    told = meter.each_second(BEGAN + S, 0)
+    told = meter.take_second(BEGAN + S, 0)
 
     assert (told.device_tick_error_us.n, told.device_tick_error_us.max) == (4, 10.0)
 
