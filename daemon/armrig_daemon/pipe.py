@@ -13,9 +13,11 @@ from typing import Any
 import msgspec
 from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
 from armrig_core.rig.calibration import Calibration
+from armrig_core.telemetry.telemetry import SAMPLE_LENGTH
 
 _HEAD = Struct("<IB")
 _SAMPLE_KIND, _RECORD_KIND = 0, 1
+_SAMPLE_HEAD = _HEAD.pack(SAMPLE_LENGTH, _SAMPLE_KIND)
 _ENCODER = msgspec.msgpack.Encoder()
 
 
@@ -249,7 +251,7 @@ _ORDERS = msgspec.msgpack.Decoder(Orders)
 
 def sample_bytes(sample: bytes) -> bytes:
     """Return the bytes of the pipe's message that contains an encoded sample."""
-    return _HEAD.pack(len(sample), _SAMPLE_KIND) + sample
+    return _SAMPLE_HEAD + sample
 
 
 def record_bytes(record: Record | Orders) -> bytes:

@@ -52,7 +52,9 @@ class Outbox:
 
     def put_sample(self, sample: Sample) -> None:
         """Pass on a sample now, or count it as missing."""
-        if self._has_room_after_gap() and self._ports.put(sample_bytes(encode_sample(sample))):
+        waits = self._waiting or self._gap is not None or self._dropped
+        has_room = not waits or self._has_room_after_gap()
+        if has_room and self._ports.put(sample_bytes(encode_sample(sample))):
             return
         first = self._gap
         self._gap = Gap(
