@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 
 from armrig_daemon.decisions import step
@@ -32,6 +33,8 @@ from armrig_daemon.loop.outbox import Outbox
 from armrig_daemon.loop.ports import Ports
 from armrig_daemon.pipe import RunEnded, RunStarted
 from armrig_daemon.pipe import Trace as TraceRecord
+
+_RUN = int(Flag.RUN)  # int: `&` of two Flags takes 0.5 µs
 
 
 class Loop:
@@ -107,7 +110,18 @@ class Loop:
         trace = self._trace
         if trace is not None:
             trace.note(now_ns, events, actions)
-        failures = [f for action in actions if (f := self._do(action, now_ns)) is not None]
+        failures: list[Event] = []
+        for action in actions:
+            if type(action) is Send:
+                failure = self.ports.write(action.data)
+                if failure is not None:
+                    failures.append(failure)
+            elif type(action) is RoundTrip:
+                self._meter.came_back(action.ns)
+            elif type(action) is Publish:
+                self._publish(action.sample, action.queued)
+            else:
+                self._do(action, now_ns)
         if trace is not None and trace is self._trace:
             self._put_trace(trace.full(), now_ns)
         if failures:  # after all earlier decisions, so that the last report is the current state
@@ -120,21 +134,17 @@ class Loop:
             )
             self._outbox.put(record)
 
-    def _do(self, action: Action, now_ns: int) -> Event | None:
-        """Carry out an action of the core; return the failure of the line, if any."""
+    def _publish(self, sample: Sample, queued: int) -> None:
+        self._outbox.put_sample(sample)
+        # Outside a run the host requests the samples, even if the device will pace the run.
+        ts_ns = self.state.ts_us * 1000 if sample.flags & _RUN else self._pace.period_ns
+        self._meter.sampled(sample, ts_ns)
+        if queued >= 0:
+            self._meter.queued(queued)
+
+    def _do(self, action: Action, now_ns: int) -> None:
+        """Carry out an action of the core that not every tick has."""
         match action:
-            case Send():
-                return self.ports.write(action.data)
-            case Publish():
-                self._outbox.put_sample(action.sample)
-                # Outside a run the host requests the samples, even if the device will pace the run.
-                is_run = action.sample.flags & Flag.RUN
-                ts_ns = self.state.ts_us * 1000 if is_run else self._pace.period_ns
-                self._meter.sampled(action.sample, ts_ns)
-                if action.queued >= 0:
-                    self._meter.queued(action.queued)
-            case RoundTrip():
-                self._meter.came_back(action.ns)
             case Emit():
                 if self._trace is not None and isinstance(action.record, RunEnded):
                     self._put_trace(self._trace.rest(), now_ns)
@@ -151,7 +161,6 @@ class Loop:
                 self._meter.forget_device()
             case Exit():
                 self.ended = True
-        return None
 
 
 class Pace(NamedTuple):
