@@ -96,10 +96,7 @@ def _decomposed(M: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
 
 
 def _pivoted_qr(M: Array) -> tuple[Array, Array, NDArray[np.int_]]:
-    """Return Q, R and the order of the columns, and overwrite M.
-
-    The function needs half of the time of SciPy's qr.
-    """
+    """Return Q, R and the order of the columns in half of the time of SciPy's qr; overwrite M."""
     n, k = M.shape[1], min(M.shape)
     factored, order, tau, _, _ = dgeqp3(M, lwork=_LAPACK_BLOCK_COLUMNS * (n + 1), overwrite_a=1)
     R = np.triu(factored[:k])
@@ -178,11 +175,7 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -
 
 
 def _ends(x: Array, length: int) -> Array:
-    """Return the sum of x(i) … x(length - 2) and x(n) … x(n + i - 1) for each i, (m, length).
-
-    The sum of the sample number i over all n windows also contains x(length - 1) … x(n - 1), for
-    every i.
-    """
+    """Return the sum of x(i) … x(length - 2) and x(n) … x(n + i - 1) for each i, (m, length)."""
     before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
     after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)
     none = np.zeros((x.shape[0], 1))

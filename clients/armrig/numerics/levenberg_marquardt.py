@@ -134,10 +134,7 @@ _Linear = tuple[Array, Array, Array]
 def _admitted(
     step: Array, theta: Array, admissible: Callable[[Array], bool], walls: Walls | None
 ) -> tuple[Array, float]:
-    """Return an admissible step, and the factor by which the halvings reduced the step.
-
-    The walls limit the given step. The step is then halved until it ends in the admissible set.
-    """
+    """Return an admissible step, and the factor by which the halvings reduced the step."""
     if walls is not None:
         step = walls.inside(theta + step, theta) - theta
     halvings = 0

@@ -147,10 +147,7 @@ def examine_model(fit: Fit) -> Iterator[Finding]:
 def _findings(
     fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], structure: str
 ) -> Iterator[Finding]:
-    """Yield the findings of a channel of a model with this structure.
-
-    Of the cancelling pairs, the superfluous ones are not needed by another channel.
-    """
+    """Yield the findings of a channel of a model with this structure."""
     yield _about_search(fit)
     white = not fit.trusts_robust
     text = whiteness_sentence(fit, *_DEVIATIONS) + ("" if white else f"; {COLOURED}")

@@ -131,10 +131,7 @@ def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
 
 
 def _directions(fit: Fit) -> Array:
-    """Return independent directions of theta, (d, p), each with standard deviation 1.
-
-    The covariance of theta is singular for matrices of a state space or a root that is fixed at 1.
-    """
+    """Return independent directions of theta, (d, p), with std 1; cov theta may be singular."""
     scale = np.sqrt(np.maximum(np.diag(fit.covariance_robust), 1e-300))
     values, axes = np.linalg.eigh(fit.covariance_robust / np.outer(scale, scale))
     kept = values > _MIN_VARIANCE_SHARE * values[-1]

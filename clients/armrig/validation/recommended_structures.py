@@ -216,11 +216,7 @@ def recommended(
 
 
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
-    """Return at most three structures with the shortest description lengths.
-
-    If the data decide on the integrator (`shown`), one structure has nb = nf, like a plant under a
-    zero-order hold. Otherwise there are structures with and without an integrator.
-    """
+    """Return at most three structures with the shortest description lengths."""
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
     full = [t for t in ranked if shown and t.structure.nb == t.structure.nf]

@@ -262,10 +262,7 @@ def _input_sums(
 
 
 def _lagged_both_ways(part: Part, L: int) -> Array:
-    """Return u_j(t - k), k = -L … L, in the rows with a residual of output i: (N, ny, K).
-
-    The K columns are the pairs i, j, each with its lags; elsewhere they are 0.
-    """
+    """Return u_j(t - k), k = -L … L, for pairs i, j, (N, ny, K), 0 without a residual of i."""
     (N, ny), nu, width = part.e.shape, part.u.shape[1], 2 * L + 1
     # In Fortran order the columns are contiguous.
     Z = np.zeros((N, ny, ny * nu * width), order="F")

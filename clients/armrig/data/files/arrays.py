@@ -98,11 +98,7 @@ def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]
 
 
 def _logged(structure: dict[str, Any]) -> dict[str, Any]:
-    """Return the times and the signals of a Simulink structure with time, by their labels.
-
-    A signal without a label of its own is named `signals:2`. If it is the only signal, it has the
-    name of the structure.
-    """
+    """Return the times and the signals of a Simulink structure with time, by their labels."""
     signals = structure["signals"]
     each = signals if isinstance(signals, list) else [signals]
     if not all(isinstance(signal, dict) and "values" in signal for signal in each):

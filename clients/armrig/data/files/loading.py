@@ -216,10 +216,7 @@ def _naming(path: Path) -> Iterator[None]:
 def _samples(
     path: Path, inputs: str | list[str], outputs: str | list[str], how: Reading
 ) -> tuple[list[Column], list[Column], dict[str, Any]]:
-    """Return the columns of the inputs and outputs, and the arguments of `Signals` without names.
-
-    In a list, the name of a matrix gives all columns of the matrix.
-    """
+    """Return the columns of inputs and outputs, and the arguments of `Signals` without names."""
     data = read_bounded(path, MOST_BYTES)
     table = table_of(data, path.suffix.lower(), how.decimal, how.topic)
     of_u, of_y = _columns(table, {"input": inputs, "signal": outputs}, how)

@@ -83,11 +83,7 @@ def _forwards(
 def _unexplained(
     parts: Sequence[tuple[Array, Vector]], right: Sequence[Vector], n: int, limit: float
 ) -> list[Mask]:
-    """Return a mask, True where later y, and u before and after y, do not explain y.
-
-    In reversed data, a fast plant jumps before its input does. The input before the start is
-    unknown: a step of u over its whole range is allowed for.
-    """
+    """Return a mask, True where later y, and u before and after y, do not explain y."""
     inputs = []
     for u, _ in parts:
         before = np.concatenate((np.repeat(u[:1], n + 1, axis=0), u))[: len(u)]  # u(t - n - 1)
@@ -149,10 +145,7 @@ def _gross(y: Vector) -> Mask:
 def _searched(
     parts: Sequence[tuple[Array, Vector]], n: int, limit: float, wrong: list[Mask], most: int
 ) -> list[_Found]:
-    """Mark outliers in addition to `wrong`; return the masks, and y with model values at outliers.
-
-    To save time, the search ends early if it finds far more than `most` outliers.
-    """
+    """Return masks of `wrong` and further outliers, and y with model values at the outliers."""
     expected = [(u, _bridged(y, marked)) for (u, y), marked in zip(parts, wrong, strict=True)]
     seen = set()
     for _ in range(_MAX_ROUNDS):
@@ -225,11 +218,7 @@ def _robust_std(x: Vector, parts: Sequence[tuple[Array, Vector]]) -> float:
 
 
 def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
-    """Return x (N,), the size of an outlier at each sample, in the unit of e.
-
-    x is NaN at samples where an outlier would not be visible. Near marked samples, x uses only the
-    part of a pattern that the patterns of the marked samples do not explain.
-    """
+    """Return the size of an outlier at each sample, (N,), in the unit of e; NaN if not visible."""
     n = model.A.size - 1
     there = np.isfinite(e)
     ahead = np.convolve(np.where(there, e, 0.0)[::-1], model.A)[: e.size][::-1]
@@ -256,11 +245,7 @@ def _peaks(z: Vector, limit: float, n: int) -> Indices:
 
 
 def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: Vector) -> Vector:
-    """Return y with the marked samples set to the values that minimise the residuals.
-
-    The values of samples near each other are estimated jointly. A sample is unmarked if its
-    estimated error, in the unit of `_sizes`, is below `least` (N,).
-    """
+    """Return y with the marked samples set to the values that jointly minimise the residuals."""
     n = model.A.size - 1
     expected, e = y.copy(), model.residuals(u, y)
     for group in _groups(np.flatnonzero(marked), n):

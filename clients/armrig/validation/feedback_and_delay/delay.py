@@ -243,11 +243,7 @@ def _quantisation(data: Dataset, response: ImpulseResponse, first: int) -> Quant
 def _hidden_by_steps(
     first: int, last: int, changes: int, t_q: float | None, Ts: float
 ) -> tuple[int, list[str]]:
-    """Return the least nk that is not ruled out, and remarks.
-
-    If u changes rarely, quantisation may hide the first samples of the response. The least nk
-    allows for these samples.
-    """
+    """Return the least nk that quantisation of slow changes does not rule out, and remarks."""
     if t_q is None or changes >= _MAX_FEW_CHANGES or last <= 1:
         return first, []
     hidden = ceil(t_q / Ts)
