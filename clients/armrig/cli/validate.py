@@ -484,8 +484,9 @@ def linearity(
     def say_test() -> None:
         for channel, one in found.items():
             say_channel(channel)
-            known = one if isinstance(one, str) else one.explain() if out.verbose else one.brief()
-            say_answer(known)
+            known = isinstance(one, str)
+            remedy = "" if known or not one.remedy else f"\nRemedy: {one.remedy}."
+            say_answer(one.explain() if out.verbose and not known else f"{one}{remedy}")
 
     def figures() -> dict[str, Draw]:
         drawn: dict[str, Draw] = {}

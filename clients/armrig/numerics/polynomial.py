@@ -40,6 +40,17 @@ def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
     return np.asarray(lfilter(np.atleast_1d(numerator), np.atleast_1d(denominator), x))
 
 
+def continued(A: Array, B: Array, u: Array, y: Array) -> Array:
+    """Return the course of A x = sum of B_j u_j (N,) that begins like y; an infinite x is 0."""
+    from scipy.signal import lfilter, lfiltic
+
+    first = np.nan_to_num(y[: A.size - 1])
+    drive = np.sum([filtered(b, [1.0], v) for b, v in zip(B, u.T, strict=True)], axis=0)
+    with np.errstate(over="ignore", invalid="ignore"):  # the model may be unstable
+        rest, _ = lfilter([1.0], A, drive[first.size :], zi=lfiltic([1.0], A, first[::-1]))
+    return np.asarray(np.nan_to_num(np.concatenate([first, rest]), posinf=0.0, neginf=0.0))
+
+
 def impulse(denominator: ArrayLike, N: int) -> Array:
     """Return the first N samples of the impulse response of 1/denominator."""
     pulse = np.zeros(N)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from armrig.numerics.least_squares import cholesky_factor, orthonormal, triangle
-from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.least_squares import Basis, cholesky_factor, orthonormal, triangle
+from armrig.numerics.polynomial import Array, lagged, monic
 from armrig.numerics.stretches import Mask
 
 
@@ -18,13 +19,13 @@ class ArxRows:
     """Regression y = Phi theta + e of one experiment."""
 
     block: Array
-    """[-y(t-1) … -y(t-na), u at its lags, y], (N, na + len(lags) + 1)."""
+    """[-y(t-1) … -y(t-na), each input at its lags, y], (N, na + nu len(lags) + 1)."""
     usable: Mask
     """Rows in which y and all regressors are known, (N,)."""
 
     @property
     def Phi(self) -> Array:
-        """Regressors (N, na + len(lags)), a view of the block."""
+        """Regressors (N, na + nu len(lags)), a view of the block."""
         return self.block[:, :-1]
 
     @property
@@ -48,9 +49,83 @@ def complete(*columns: Array) -> Mask:
 
 
 def arx_rows(u: Array, y: Array, *, na: int, lags: Sequence[int]) -> ArxRows:
-    """Return the rows of A y = B u + e, with na past outputs and the input at the given lags."""
-    block = np.hstack([-past(y, range(1, na + 1)), past(u, lags), y[:, None]])
+    """Return the rows of A y = B u + e, with na past outputs and the inputs at the given lags."""
+    inputs = [past(x, lags) for x in u.reshape(y.size, -1).T]
+    block = np.hstack([-past(y, range(1, na + 1)), *inputs, y[:, None]])
     return ArxRows(block=block, usable=complete(block))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LongArx:
+    """A(q) y(t) = c + sum of B_j(q) u_j(t) + e(t) with p lags, and a constant per experiment."""
+
+    base: Basis
+    """Basis of the regressors in `rows`."""
+    rows: Mask
+    """Rows in which y and all regressors are known, (N,)."""
+    lags: tuple[int, int]
+    """First lag of the inputs, and p."""
+    nu: int
+    """Number of inputs."""
+
+    def errors(self, M: Array) -> Array:
+        """Return the columns M (N,) or (N, k) minus their best approximation, in `rows`."""
+        return self.base.without(M[self.rows])
+
+    def polynomials(self, y: Array) -> tuple[Array, Array]:
+        """Return A (p + 1,) and B (nu, p + 1) that minimise the errors of an output y (N,)."""
+        first, p = self.lags
+        theta, n = self.base.coefficients(y[self.rows]), p + 1 - first
+        B = theta[p : p + self.nu * n].reshape(self.nu, n)
+        return monic(theta[:p]), np.pad(B, ((0, 0), (first, 0)))
+
+    def extended(self, y: Array, terms: Array) -> tuple[float, Array, Array, Array]:
+        """Return BIC, A, B and c of A y = c_0 + sum of B_j u_j + terms c + e, terms (N, k)."""
+        own, k = orthonormal(self.errors(terms)), terms.shape[1]
+        e = self.errors(y)
+        c = own.coefficients(e)
+        loss, n = float(np.sum(own.without(e) ** 2)), e.size
+        bic = n * log(max(loss, 1e-300)) + k * log(n)
+        return bic, *self.polynomials(y - terms @ c), c
+
+
+def long_arx(parts: Sequence[tuple[Array, Array]], p: int, first: int) -> LongArx:
+    """Return the model of (u, y) of each experiment with p lags of y and lags `first` … p of u."""
+    each = [arx_rows(u, y, na=p, lags=range(first, p + 1)) for u, y in parts]
+    rows = np.concatenate([one.usable for one in each])
+    constants = np.repeat(np.eye(len(parts)), [y.size for _, y in parts], axis=0)
+    Phi = np.hstack([np.vstack([one.Phi for one in each]), constants])
+    nu = (each[0].Phi.shape[1] - p) // (p + 1 - first)
+    return LongArx(base=orthonormal(Phi[rows]), rows=rows, lags=(first, p), nu=nu)
+
+
+def best_arx(
+    parts: Sequence[tuple[Array, Array]],
+    orders: Sequence[int],
+    criterion: Callable[[float, int, int], Array],
+    rows_per_parameter: int,
+    first: int = 0,
+) -> LongArx | None:
+    """Return the model of the order p with the least criterion; None if there are too few rows."""
+    y, least, best = np.concatenate([y for _, y in parts]), np.inf, None
+    for p in orders:
+        arx = long_arx(parts, p, first)
+        e, d = arx.errors(y), arx.base.W.shape[0]
+        if e.size < rows_per_parameter * d:
+            break
+        value = float(criterion(float(np.mean(e**2)), d, e.size))
+        if best is None or value < least:
+            least, best = value, arx
+    return best
+
+
+def arx_errors(A: Array, B: Array, u: Array, y: Array) -> Array:
+    """Return A y - sum of B_j u_j (N,), NaN where y(t) or one of the n y before it is missing."""
+    e = np.convolve(y, A)[: y.size]
+    for x, b in zip(u.reshape(y.size, -1).T, B, strict=True):
+        e = e - np.convolve(x, b)[: y.size]
+    e[: A.size - 1] = np.nan
+    return np.asarray(e)
 
 
 def in_blocks(M: Array, rows: int) -> Iterator[Array]:
@@ -82,13 +157,7 @@ class Whitening:
 
     def residuals(self, u: Array, y: Array) -> Array:
         """Return e (N,), NaN where y(t) or one of the n outputs before it is missing."""
-        n = self.A.size - 1
-        e = np.convolve(y, self.A)[: y.size]
-        for x, B in zip(u.reshape(y.size, -1).T, self.B, strict=True):
-            e = e - np.convolve(x, B)[: y.size]
-        e -= self.c + self.d * np.arange(y.size)
-        e[:n] = np.nan
-        return np.asarray(e)
+        return arx_errors(self.A, self.B, u, y) - self.c - self.d * np.arange(y.size)
 
 
 def whitening(parts: Sequence[tuple[Array, Array]], n: int, *, slope: bool = False) -> Whitening:
@@ -123,10 +192,7 @@ def whitening(parts: Sequence[tuple[Array, Array]], n: int, *, slope: bool = Fal
 
 
 def _all_blocks(parts: Sequence[tuple[Array, Array]], n: int, slope: bool) -> Iterator[Array]:
-    """Yield blocks of the rows [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 t y(t)] without missing y.
-
-    The column t is present only if `slope` is True.
-    """
+    """Yield blocks of rows [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t if `slope`) y(t)] of known y."""
     for u, y in parts:
         if y.size <= n:
             continue

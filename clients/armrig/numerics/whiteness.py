@@ -24,6 +24,8 @@ BAND_99_PERCENT = 2.58
 """Two-sided 99 % quantile of the normal distribution."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
+_MIN_SIZE = 0.1  # least size of a tested combination of effects, relative to the largest
+_ROBUST_LIMIT = 3.5  # robust standard deviations at which residuals are cut off
 _MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the portmanteau test
 
 
@@ -302,3 +304,18 @@ def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = Non
     if k >= N:
         return float("nan")
     return float(betainc((N - k) / 2, k / 2, max(1.0 - Q / N, 0.0)))
+
+
+def effects_p_value(e: Array, effects: Array, most: int, degrees: int) -> float:
+    """Return the p value of the hypothesis that e (N,) is not correlated with any effect (N, k).
+
+    At most `most` principal combinations of the effects are tested jointly. Large e are cut off at
+    3.5 robust standard deviations. `degrees` are the degrees of freedom of the variance of e.
+    """
+    robust = 1.4826 * float(np.median(np.abs(e)))
+    if robust == 0 or not effects.size:
+        return float("nan")
+    U, S, _ = np.linalg.svd(effects / np.linalg.norm(effects, axis=0), full_matrices=False)
+    U = U[:, _MIN_SIZE * S[0] < S][:, :most]
+    e = np.clip(e, -_ROBUST_LIMIT * robust, _ROBUST_LIMIT * robust)
+    return joint_p_value(U.T @ e, np.eye(U.shape[1]) * float(e @ e) / degrees, N=degrees)

@@ -10,8 +10,10 @@ import pytest
 from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
+from armrig.numerics.criteria import mdl
 from armrig.numerics.polynomial import filtered, impulse
-from armrig.validation.feedback_and_delay.by_channel import _best_blocks
+from armrig.numerics.regressors import best_arx
+from armrig.validation.feedback_and_delay.by_channel import without_other_inputs
 from armrig.validation.feedback_and_delay.delay import _hidden_by_steps
 from armrig.validation.feedback_and_delay.lag_tests import _least_without_one, lag_tests
 from armrig_core.errors import InputError
@@ -434,11 +436,12 @@ def test_a_model_of_all_inputs_has_at_most_a_fifth_of_its_rows_as_parameters() -
     rng = np.random.default_rng(1)
     data = Signals(u=rng.standard_normal((60, 2)), y=rng.standard_normal((60, 1)), Ts=0.1)
 
-    (block,) = _best_blocks([*data.experiments()], "y1")
+    model = best_arx([(data.u, data.y[:, 0])], (1, 2, 3, 4, 6), mdl, 5)
 
-    assert block.shape[1] - 1 <= 60 / 5
-    with pytest.raises(InputError, match="too few samples of y1 for an ARX model"):
-        _best_blocks([data[:24]], "y1")
+    assert model is not None
+    assert model.base.rank <= 60 / 5
+    with pytest.raises(InputError, match="too few samples of y for an ARX model"):
+        without_other_inputs(data[:24], "y", "u1")
 
 
 def test_each_channel_of_several_signals_has_separate_hints() -> None:
