@@ -19,7 +19,6 @@ from armrig.data.columns import (
     columns,
     courses_of,
     interval,
-    is_pandas,
     names_of,
     plain,
     require_finite,
@@ -337,13 +336,13 @@ class Dataset(Experiments):
     Parameters
     ----------
     u, y : array_like, shape (N,)
-        Input and output. The input is held from each instant to the next (zero-order hold). If y is
-        a masked array, its masked samples are missing; u must not be masked.
+        Input and output. The input is held from each instant to the next (zero-order hold). NaN and
+        masked values of y are missing; u has no missing value.
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
         False where y is missing. At these samples `y` is NaN, and every sample computed from one of
-        them is NaN. A missing value of a pandas column is also missing in the Dataset.
+        them is NaN.
     output, unit, input_unit : str
         Name of y, its unit, and the unit of u.
     starts, source, history, trends
@@ -352,14 +351,14 @@ class Dataset(Experiments):
     Raises
     ------
     ValueError
-        The lengths differ, u or y is complex, u is masked or not finite, a valid y is not finite,
-        or Ts is not > 0.
+        The lengths differ, u or y is complex, u is masked or not finite, a valid y is infinite, or
+        Ts is not > 0.
 
     Examples
     --------
     >>> import numpy as np
     >>> data = armrig.Dataset(u=[1, 1, 4, 4], y=[0.1, 0.1, 0.2, np.nan], Ts=0.01,
-    ...                       valid=[True, True, True, False], output="alpha", unit="rad")
+    ...                       output="alpha", unit="rad")
     >>> data
     <Dataset: 4 samples at 0.01 s; output alpha [rad]; 1 missing (25.0 %)>
     """
@@ -383,11 +382,9 @@ class Dataset(Experiments):
         history: Sequence[str] = (),
         trends: Sequence[Trend] = (),
     ) -> None:
-        given: Any = y
-        there = given.notna() if is_pandas(given) else None
         y = plain("y", y)
         u_, y_ = column("u", plain("u", u)), column("y", y)
-        valid_ = validity(valid, y_.shape) & validity(there, y_.shape)
+        valid_ = validity(valid, y_.shape) & ~np.isnan(y_)
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
         require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
         self._columns = Signals(

@@ -244,15 +244,14 @@ U = [1.0, 2.0, 3.0, 4.0]
 @pytest.mark.parametrize(
     "y",
     [
-        pd.Series([1.0, np.nan, 3.0, 4.0]),
+        [1.0, np.nan, 3.0, 4.0],
         pd.Series([1, None, 3, 4], dtype="Int64"),
-        pd.Series([1, pd.NA, 3, 4], dtype="Float64"),
         pd.Series([1.0, None, 3.0, 4.0], dtype=object),
         pd.Series([1.0, np.nan, 3.0, 4.0], index=[9, 8, 7, 6]),
     ],
-    ids=["NaN", "Int64", "Float64", "object", "another index"],
+    ids=["list", "Int64", "object", "another index"],
 )
-def test_a_missing_value_of_a_column_is_a_missing_output(y: Any) -> None:
+def test_a_missing_value_is_a_missing_output(y: Any) -> None:
     data = Dataset(u=pd.Series(U), y=y, Ts=1)
 
     assert data.u.tolist() == U
