@@ -10,6 +10,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.columns import interval
+from armrig.data.dataset import Dataset
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import triangle
 from armrig.numerics.power_spectrum import power_spectrum
@@ -175,6 +176,11 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
         shares=shares,
         binned=binned,
     )
+
+
+def excitation_order(data: Dataset) -> int:
+    """Return the order of persistence of excitation of the best experiment."""
+    return max(describe_input(part.u, data.Ts).order for part in data.experiments())
 
 
 def _excitation(u: Vector, highest: int) -> tuple[int, float]:

@@ -21,7 +21,7 @@ from armrig.estimation.data_faults import (
     level_without_input,
 )
 from armrig.estimation.polynomial_structures import oe
-from armrig.excitation.input_description import describe_input
+from armrig.excitation.input_description import excitation_order
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
@@ -142,7 +142,7 @@ def examine_fit_of(
 
 def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
     """Yield the findings on excitation, integrator, feedback and delay of tested data."""
-    order, needed = _excitation(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
+    order, needed = excitation_order(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
     if order < needed and not constant_input(data):
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "
         text += "describe the response to u: play a u that switches often (telegraph, PRBS), or "
@@ -164,12 +164,8 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
         yield finding("delay", text, good=False)
 
 
-def _excitation(data: Dataset) -> int:
-    return max(describe_input(part.u, data.Ts).order for part in data.experiments())
-
-
 def _about_input(data: Dataset) -> Finding:
-    order = _excitation(data)
+    order = excitation_order(data)
     needed = 2 * ORDER
     if order >= needed:
         text = f"u is exciting of order {order} at least: enough for {order} parameters of B and F "

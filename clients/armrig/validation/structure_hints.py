@@ -16,6 +16,7 @@ from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectra import explained
 from armrig.estimation.nonparametric.spectral import spa
+from armrig.excitation.input_description import excitation_order
 from armrig.models.spectral_estimate import (
     SpectralEstimate,
     high_band,
@@ -92,6 +93,8 @@ class StructureHints:
     order: int
     """Number of `singular_values` above `threshold`, plus 1 if the data show an integrator; at most
     nf."""
+    excitation: int
+    """Order of persistence of excitation of u; at least nb + nf if u determines the parameters."""
     trusted: float
     """Highest frequency at which u explains y, in rad/s; 0 if u explains y at fewer than three
     frequencies."""
@@ -240,6 +243,7 @@ def structure_hints(
         singular_values=values,
         threshold=threshold,
         order=min(order, first.nf),
+        excitation=excitation_order(data),
         trusted=float(np.max(spectrum.omega[believed], initial=0.0)),
         spectrum=spectrum,
         response=response,
@@ -282,13 +286,7 @@ def _confirmed(
 def _extremes(
     response: ImpulseResponse, believed: Vector
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the frequencies of significant peaks and dips of the impulse response's transform.
-
-    A lag window would flatten the extremes, the more the longer the delay is. An extreme is
-    significant if |G| differs from |G| at both bases (`scipy.signal.find_peaks`) by more than
-    `SURE` standard deviations of the difference. The bases must also be farther apart than
-    2 pi/(n Ts), the resolution of n lags.
-    """
+    """Return the frequencies of significant peaks and dips of the response's transform."""
     from scipy.signal import find_peaks
 
     if not believed.size:
@@ -379,6 +377,11 @@ def call_of_all(found: Mapping[Name, StructureHints]) -> str:
 
 
 def _reasons(h: StructureHints) -> Iterator[str]:
+    if h.excitation < (needed := h.nb + h.nf):
+        yield (
+            f"excitation: u is exciting of order {h.excitation} only and does not determine the "
+            f"{needed} parameters of this structure: play a u that switches often (telegraph, PRBS)"
+        )
     yield from _about_integrator(h)
     if h.resonances or h.antiresonances:
         what = "the rate" if h.integrator else "y"
