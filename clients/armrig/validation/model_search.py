@@ -82,7 +82,8 @@ def search(
         Data to estimate from.
     validation : Dataset or Signals, optional
         Data to rank the models on; by default the second half of `data`, and only the first half is
-        used for estimation. If u rests in one half, the cut is elsewhere.
+        used for estimation. If u rests in one half, the cut is elsewhere. Then
+        ``found.chosen.candidate.estimated(data)`` is the chosen structure estimated from all data.
     families : sequence of str, optional
         Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
         default contains only structures whose noise model prevents a bias by feedback. For several
@@ -374,10 +375,7 @@ def _ranked(
 
 
 def _estimation_and_validation(data: Data) -> tuple[Data, Data]:
-    """Return two parts in which each input moves, cut as near to the middle as possible.
-
-    Without an input that moves, a part does not distinguish models.
-    """
+    """Return two parts in which each input moves, cut as near to the middle as possible."""
     u = data.u.reshape(data.N, -1)
     if not np.ptp(u):
         raise InputError(CONSTANT_INPUT)
