@@ -479,6 +479,7 @@ def options_after(
     if about & _LOWER or seen or not fit.converged:
         after = structs.replace(after, orders=_lower(fit, integrator=integrator))
     options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in about)
+    options += " --mask-rails" * ("rails" in about)
     if options != options_of(request):
         return options
     if about & _CHECKED:

@@ -28,6 +28,10 @@ Vector = NDArray[np.float64]
 
 NO_OPTION = "remove the means (detrend), or take a structure with the option offset, such as OE"
 """Remedy for an offset if the estimator cannot estimate an offset."""
+OFFSET_OF_TRANSIENT = (
+    "the removed means contain a transient, so take a structure with the option offset, such as OE"
+)
+"""Remedy for an offset that remains after the means were removed."""
 
 CONSTANT_INPUT = (
     "u is constant: gain and level cannot be distinguished; record a u that changes (step, "
@@ -67,6 +71,8 @@ def data_faults(
     if way_out and data.output not in INTEGRATING_OUTPUTS and _doubtful(residuals):
         level = level_without_input(data)
         if level and not integrating(data):
+            if data.trends:
+                way_out = OFFSET_OF_TRANSIENT
             yield replace(level, text=f"{level.text}, which the model cannot represent: {way_out}")
 
 

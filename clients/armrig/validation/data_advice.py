@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.files.column_faults import rails_of
 from armrig.data.finding import Finding
 from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
@@ -17,6 +18,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
     NO_OPTION,
+    OFFSET_OF_TRANSIENT,
     constant_input,
     level_without_input,
 )
@@ -113,13 +115,15 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     """Yield the findings that need no model."""
     yield _about_input(data)
     yield _about_integrator(known.integration)
+    yield from _about_rails(data)
     if data.missing:
         yield _about_missing(data)
     if not known.together:  # in closed loop a step of the set point makes y and u jump
         yield _about_outliers(data)
     if not known.integration.integrates and not known.integration.unstable:
         if level := level_without_input(data):
-            yield finding("level", f"{level.text}: {NO_OPTION}", good=False)
+            remedy = OFFSET_OF_TRANSIENT if data.trends else NO_OPTION
+            yield finding("level", f"{level.text}: {remedy}", good=False)
         yield from _about_drift(data)
     yield from _about_history(data)
     yield from _about_feedback(known)
@@ -148,6 +152,7 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
         text += "describe the response to u: play a u that switches often (telegraph, PRBS), or "
         text += "lower the orders"
         yield finding("excitation", text, good=False)
+    yield from _about_rails(data)
     poles = fit.poles()
     apart = np.all(np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std))
     if known.integration.notes and not fit.integrator and not (fit.converged and apart):
@@ -175,6 +180,15 @@ def _about_input(data: Dataset) -> Finding:
     text = f"u is exciting of order {order} only, and a model of order {ORDER} has {needed} "
     text += "parameters of B and F (or B and A): play a u that switches often (telegraph, PRBS)"
     return finding("excitation", text, good=False)
+
+
+def _about_rails(data: Dataset) -> Iterator[Finding]:
+    """Yield a warning if y stays exactly at its largest or smallest value."""
+    at, rails = rails_of(data.y) if data.valid.any() else (data.valid, [])
+    if rails:
+        text = f"{np.count_nonzero(at)} of {data.N} samples of {data.output} equal its "
+        text += "largest or smallest value, as at the rail of a converter: mark them missing"
+        yield finding("rails", text + " (--mask-rails)", good=False)
 
 
 def _about_integrator(decided: Integration) -> Finding:

@@ -209,6 +209,18 @@ def test_an_offset_of_y_is_reported_with_the_remedy(name: str) -> None:
     assert float(said.split("about ")[1].split()[0]) == pytest.approx(5.0, abs=0.3)
 
 
+def test_a_level_that_remains_without_the_means_is_due_to_a_transient() -> None:
+    """The advice to remove the means would be of no use."""
+    k = np.arange(100.0)
+    u = np.where(k // 13 % 2, 1.0, 3.0)
+    y = filtered([0, 0.2], [1, -0.9], u) + 0.01 * np.sin(9 * k**2)
+
+    fit = armrig.arx(armrig.detrend(Dataset(u=u, y=y, Ts=0.1)), na=1, nb=1)
+
+    (text,) = [f.text for f in fit.findings if f.about == "level"]
+    assert "the removed means contain a transient" in text
+
+
 def test_an_integrator_has_a_separate_level() -> None:
     """The offset of the input is estimated with it, so that no other remedy is named."""
     data = dataset(N=300)

@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
 
 
+def clipped(data: Dataset) -> Dataset:
+    """Return data with a converter's rail at the 80 % quantile of y."""
+    return Dataset(u=data.u, y=np.minimum(data.y, np.quantile(data.y, 0.8)), Ts=data.Ts)
+
+
 def told(found: Advice) -> set[str]:
     return {f.about for f in found.findings if f.level != "good"}
 
@@ -125,8 +130,9 @@ def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:
         (of_second_order(np.sin(0.3 * np.arange(1500))), "excitation", "4 parameters of the model"),
         (of_second_order(switched(), nk=4), "delay", "nk=4"),
         (under_control(), "feedback", "u depends on y"),
+        (clipped(of_second_order(switched())), "rails", "mark them missing"),
     ],
-    ids=["sine", "delay", "feedback"],
+    ids=["sine", "delay", "feedback", "rails"],
 )
 def test_the_advice_compares_a_model_with_its_data(data: Dataset, about: str, words: str) -> None:
     fit = armrig.oe(data, nb=2, nf=2, starts="few")
