@@ -414,10 +414,11 @@ class Found:
     def _short(self) -> Iterator[Sequence[str]]:
         """Yield the results of a search, a short form of the model, and the findings to act on."""
         from armrig.cli import model_output
+        from armrig.models import equation
 
         if self.search is not None:
             yield model_output.short_search_lines(self.search)
-        yield model_output.short_model_lines(self.fit, roots=self.search is None)
+        yield equation.short_lines(self.fit, roots=self.search is None)
         if self.validation is not None:
             yield from ([line] for line in model_output.pair_lines(self.validation.tests))
         yield model_output.advice_lines(self.fit, self.doubts)
@@ -425,11 +426,12 @@ class Found:
     def _all(self) -> Iterator[Sequence[str]]:
         """Yield all details of the search, the model and its validation."""
         from armrig.cli import model_output
+        from armrig.models import equation
         from armrig.validation.advice import advice
 
         if self.search is not None:
             yield model_output.search_lines(self.search)
-        yield model_output.model_lines(self.fit)
+        yield equation.estimation_lines(self.fit)
         said = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
         yield [*said, repr(advice(self.fit))]
         if self.validation is not None:
@@ -439,8 +441,9 @@ class Found:
     def facts(self) -> dict[str, Any]:
         """Return the model, its advice, the search and the validation as JSON fields."""
         from armrig.cli import model_output
+        from armrig.models import equation
 
-        facts = model_output.model_facts(self.fit) | source_facts(self.data)
+        facts = equation.estimation_facts(self.fit) | source_facts(self.data)
         found = (*self.doubts, *model_output.advice_on(self.fit))
         facts["advice"] = [fields_of(f, "about level text") for f in found]
         if self.search is not None:

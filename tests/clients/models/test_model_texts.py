@@ -37,7 +37,7 @@ def test_agreement_and_convergence_are_reported_separately(agreed: bool, converg
     start = Start(name="IV", loss=0.5, iterations=1, converged=converged)
     said = repr(made(starts=(start,), agreed=agreed, converged=converged))
 
-    how = "agree" if agreed else "DISAGREE, the best was taken"
+    how = "agree" if agreed else "DISAGREE, the best one was used"
     assert f"starts {how}: IV 0.5{'' if converged else ' (NOT CONVERGED)'}" in said.splitlines()[-1]
 
 
