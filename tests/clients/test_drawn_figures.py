@@ -2,8 +2,9 @@
 
 After a wanted change of a figure, `make stored` writes the list again: read its difference.
 
-A line is an artist: its look, the number of points (and of gaps), and of x and y the first, last,
-least, greatest and mean. A contour has the last three. A single number means that all are the same.
+A line is the artists of one look on one axes, or the bars or texts of one look in the figure. It
+has their look, the number of points (and of gaps), and of x and y the first, last, least, greatest
+and mean. A contour has the last three. A single number means that all are the same.
 The words of titles, labels and legends are omitted, as are limits that matplotlib chooses.
 """
 
@@ -48,26 +49,37 @@ Listed = tuple[str, dict[str, float]]
 
 
 def listed(figure: Figure) -> Iterator[Listed]:
-    """Yield a line for each axes of a figure, then one for each artist on it."""
+    """Yield a line for each axes and for its artists of each look, then for all bars and texts."""
+    everywhere: dict[str, list[NDArray[np.float64]]] = {}
+    widest = dict.fromkeys("xy", 0.0)
     for ax in figure.axes:
         near_0 = {
             name: (NEAR if axis.get_scale() == "linear" else 1e-9)
             * np.ptp(axis.get_view_interval())
             for name, axis in (("x", ax.xaxis), ("y", ax.yaxis))
         }
+        widest = {name: max(widest[name], near) for name, near in near_0.items()}
         yield _axes(ax), near_0
-        alike: dict[str, list[NDArray[np.float64]]] = {}
+        of_axes: dict[str, list[NDArray[np.float64]]] = {}
+        for artist in (*ax.collections, *ax.lines):
+            of_axes.setdefault(_look(artist), []).append(_points(artist))
         for artist in (*ax.patches, *ax.texts):
-            alike.setdefault(_look(artist), []).append(_points(artist))
-        one_by_one = [(_look(artist), _points(artist)) for artist in (*ax.collections, *ax.lines)]
-        for look, points in (*one_by_one, *((k, np.concatenate(v)) for k, v in alike.items())):
-            seen = points[np.isfinite(points).all(axis=1)]
-            gaps = f"+{len(points) - len(seen)}" if len(seen) < len(points) else ""
-            # The number of points of a contour and its first point are a matter of rounding.
-            ends = not look.startswith("contour")
-            n = f"n={len(seen)}{gaps} " if ends else ""
-            x, y = (_numbers(name, seen[:, k], ends=ends) for k, name in enumerate("xy"))
-            yield f"{look} {n}{x} {y}", near_0
+            everywhere.setdefault(_look(artist), []).append(_points(artist))
+        yield from ((_line(look, points), near_0) for look, points in of_axes.items())
+    yield from ((_line(look, points), widest) for look, points in everywhere.items())
+
+
+def _line(look: str, points: list[NDArray[np.float64]]) -> str:
+    """Describe the artists of one look."""
+    every = np.concatenate(points)
+    seen = every[np.isfinite(every).all(axis=1)]
+    gaps = f"+{len(every) - len(seen)}" if len(seen) < len(every) else ""
+    # The number of points of a contour and its first point are a matter of rounding.
+    ends = not look.startswith("contour")
+    count = f"{len(points)} × " if len(points) > 1 else ""
+    n = f"n={len(seen)}{gaps} " if ends else ""
+    x, y = (_numbers(name, seen[:, k], ends=ends) for k, name in enumerate("xy"))
+    return f"{count}{look} {n}{x} {y}"
 
 
 def _axes(ax: Axes) -> str:
@@ -184,12 +196,12 @@ def test_every_figure_has_an_example() -> None:
 @pytest.fixture(scope="module")
 def lists() -> Iterator[dict[str, list[str]]]:
     """Give the lines of each figure, and write them at the end on request."""
-    parts = LIST.read_text().removeprefix("[").split("\n\n[")
+    parts = LIST.read_text().removeprefix("[").split("\n[")
     lines = {name: body.splitlines() for name, _, body in (p.partition("]\n") for p in parts)}
     yield lines
     if WRITES:
         texts = ("\n".join([f"[{name}]", *lines[name]]) for name in FIGURES if name in lines)
-        LIST.write_text("\n\n".join(texts) + "\n")
+        LIST.write_text("\n".join(texts) + "\n")
 
 
 @pytest.mark.parametrize(
