@@ -2,10 +2,10 @@
 
 A line `$ armrig …` or `$ armrigd …` is a command, `>>> …` a line of Python. Below it are standard
 output (after two blanks), standard error (`! `), the exit code if it is not 0, and the written
-files (`+ `). Of a text the first lines are shown; of a file named whole, all. JSON is a line for
-each value, short object, or table of numbers. The first help of a file is as printed. Of
-the others a paragraph and an option are one line each, and an option that an earlier help describes
-alike is named only.
+files (`+ `). The text of a file is shown after a command: the first lines, or all if the file is
+named whole. JSON is a line for each value, short object, or table of numbers. The first help of a
+file is as printed. Of the others a paragraph and an option are one line each, and an option that an
+earlier help describes alike is named only.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WITHIN = 1e-3
 """Share by which a number may differ from the stored one; a whole number may not."""
 _TINY = 1e-9  # two numbers that are smaller are rounding
 _NUMBER = re.compile(r" *(?<![\w.])[-+−]?\d+(?:\.\d+)*(?:e[-+]?\d+)? *")
-_SHOWN, _ITEMS, _LINES, _WIDEST = ("  ", "! ", "+ ", "exit "), 8, 40, 200
+_SHOWN, _ITEMS, _LINES, _WIDEST = ("  ", "! ", "+ ", "exit "), 8, 20, 200
 _OTHERS = (  # of another machine, day or version
     (re.compile(rf"(?<![\w.]){re.escape(version('armrig'))}(?!\.?\w)"), "VERSION"),
     (re.compile(r"(?<![\w.])(?:[0-9a-f]{12}|(?=\w*[a-f])[0-9a-f]{13,64})(?![\w-]|\.\w)"), "HASH"),
@@ -91,7 +91,7 @@ def _printed(line: str, python: _Python, folder: Path) -> Iterator[str]:
     for path, text in sorted(_files(folder).items()):
         if before.get(path) != text:
             yield f"+ {path.relative_to(folder)}"
-            if not text.startswith(b"-----BEGIN"):
+            if line.startswith("$ ") and not text.startswith(b"-----BEGIN"):
                 with suppress(UnicodeDecodeError):
                     if path.stem == "whole":
                         yield from ("+   " + x for x in _lines(text.decode(), folder, whole=True))
@@ -172,9 +172,10 @@ def _values(value: Any, name: str = "") -> Iterator[str]:
         for key, item in value.items():
             yield from _values(item, f"{name}.{key}" if name else key)
     elif isinstance(value, list) and not _is_plain(value) and not _is_table(value):
-        for i, item in enumerate(value[:_ITEMS]):
+        n = 2 if isinstance(value[0], dict) and not _is_row(value[0]) else _ITEMS
+        for i, item in enumerate(value[:n]):
             yield from _values(item, f"{name}[{i}]")
-        yield from [f"{name}: {len(value)} rows"] if len(value) > _ITEMS else []
+        yield from [f"{name}: {len(value)} rows"] if len(value) > n else []
     else:
         yield f"{name}: {_value(value)}"
 

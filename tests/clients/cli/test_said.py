@@ -173,7 +173,7 @@ def _write_words(figure: Any, path: Any, **_: Any) -> None:
             size += f" of {sum(len(line.get_xdata()) for line in ax.lines)} points"
         size += f", {len(ax.collections)} areas"
         lines += [f"{ax.get_ylabel()!r} over {ax.get_xlabel()!r}: {ax.get_title()!r}, {size}"]
-        lines += [f"  {name}" for name in named]
+        lines += [f"  {' | '.join(named)}"] if named else []
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
