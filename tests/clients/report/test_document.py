@@ -22,7 +22,7 @@ from armrig.report.conclusions import conclusions
 from armrig.report.document import content, report
 from armrig.report.figures import write_figures
 from armrig.report.recording_facts import role, treatment
-from armrig.report.study import AssessedFit, Study, assessed, study
+from armrig.report.study import Study, assessed, study
 from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset
 from armrig_core.rig.arm import ArmParameters
@@ -145,10 +145,6 @@ def test_a_report_has_the_date_of_its_newest_recording(done: Study) -> None:
     assert date("no date") == date() == "1970-01-01 00:00"
 
 
-def test_the_order_of_recordings_determines_their_roles(done: Study) -> None:
-    assert [role(done, r) for r in done.recordings] == ["step", "estimation", "validation"]
-
-
 def test_every_step_of_treatment_is_reported_in_words(three_recordings: tuple[Path, ...]) -> None:
     step, first, second = (load(path) for path in three_recordings)
 
@@ -208,23 +204,6 @@ def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
     found = study([load(named), *(load(path) for path in three_recordings[1:])])
 
     assert [role(found, r) for r in found.recordings] == ["staircase", "estimation", "validation"]
-
-
-def test_the_report_states_where_the_models_deviate_from_the_physics(done: Study) -> None:
-    at = {"ARX": 20, "OE": 150}
-    most = {"ARX": 0.5, "OE": 0.25}
-
-    def moved(m: AssessedFit) -> AssessedFit:
-        deviation = np.full_like(m.deviation, 0.01)
-        deviation[at[m.name]] = most[m.name]
-        return replace(m, deviation=deviation)
-
-    other = replace(done, estimated=tuple(moved(m) for m in done.estimated))
-    said = str(content(other, ())["physics"])
-
-    oe, arx = said.split("; the ARX model")
-    assert oe.endswith(f"at most by 25\u00a0%, at {done.omega[150]:.3g} rad/s")
-    assert arx.endswith(f"and at most by 50\u00a0%, at {done.omega[20]:.3g} rad/s.")
 
 
 def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> None:

@@ -14,14 +14,11 @@ from pathlib import Path
 from threading import Event, current_thread, main_thread
 from typing import Any, TypeVar
 
-import armrig
 import msgspec
 import numpy as np
 import pytest
-from armrig.excitation import telegraph
 from armrig.models.characteristics import model_characteristics
 from armrig.numerics.quantities import NBSP
-from armrig.numerics.whiteness import Whiteness
 from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.answers import QUESTIONS, Answers, Student
@@ -31,14 +28,13 @@ from armrig.report.identification_sections import identification_sections
 from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
-from armrig.report.study import Assessed, best_first
+from armrig.report.study import Assessed
 from armrig.report.typesetting import compiled, typeset
 from armrig_core.errors import OperationError
 from armrig_core.recording_file.manifest import Outcome
 from armrig_core.rig.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
-from tests.clients.pages import script
 
 A = TypeVar("A", bound=Assessed)
 ASSIGNMENTS = [
@@ -116,18 +112,6 @@ def test_every_assignment_has_its_section_in_order(
     assert list(QUESTIONS) == ASSIGNMENTS
 
 
-def test_physics_and_integrators_need_no_recording(without: HandoutStudy) -> None:
-    found = sections(without, "24")
-
-    assert "1.8623 rad/s" in found["2.2"].answer[0]
-    assert "98.40 rad/s²" in found["2.2"].answer[0]
-    [pole] = re.findall(r"with poles at (.*?) 1/s", found["2.2"].answer[1])
-    [table] = found["2.3"].tables
-    assert pole == table.rows[0][3] == "−8.05 ± 17.08i"
-    assert found["4.1"].answer[0].startswith("The largest stable step is 45.147 ms")
-    assert found["4.3"].answer[0].startswith("Every step is stable")
-
-
 def test_a_section_without_recordings_names_the_command(without: HandoutStudy) -> None:
     fill = {number: s.fill for number, s in sections(without, "3").items() if s.lack}
 
@@ -148,40 +132,6 @@ def test_recordings_fill_the_sections_that_they_support(done: HandoutStudy) -> N
     assert done.refused == {}
 
 
-def test_each_answer_contains_its_figures(done: HandoutStudy) -> None:
-    assert done.sampling is not None
-    assert done.step is not None
-    assert done.loop is not None
-    assert done.loop.sims is not None
-    sampling = replace(
-        done.sampling,
-        Ts=0.001,
-        Ts_step=0.002,
-        Ts_spectrum=0.003,
-        Ts_transient=(0.004, 0.005),
-        omega_spectrum=66.0,
-        settling=0.077,
-        from_step=True,
-    )
-    step = replace(done.step, tau=0.0211, tau_std=0.0004)
-    sims = replace(done.loop.sims, F=1.25, q=5, degrees=777)
-    loop = replace(done.loop, sims=sims)
-
-    found = sections(replace(done, sampling=sampling, step=step, loop=loop), "3")
-
-    assert done.delay is not None
-    lags = re.findall(r"σ at lag (\d+)", found["3.8"].answer[1])
-    assert lags == [str(k) for k in range(done.delay.nk + 2)]
-
-    assert found["3.1"].answer == (
-        "The recommended sampling time is 1\xa0ms. From a step response, the time to 63 % is "
-        "21.10 ± 0.40 ms (one standard deviation). $omega_s = 20 slash tau$ then gives 2 ms. The "
-        "spectrum is at −3 dB at 66 rad/s, which gives 3 ms. 7 to 10 samples in the transient of "
-        "77 ms give $T_s$ = 4 to 5 ms. The models below use 10\xa0ms.",
-    )
-    assert "($F$ = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
-
-
 def test_an_insignificant_extreme_of_a_spectrum_is_not_reported(done: HandoutStudy) -> None:
     assert done.hints is not None
     hints = replace(done.hints, resonances=(31.0, 62.0), antiresonances=())
@@ -190,84 +140,6 @@ def test_an_insignificant_extreme_of_a_spectrum_is_not_reported(done: HandoutStu
 
     assert "two poles each: 31, 62 rad/s;" in found
     assert "two zeros each: none." in found
-
-
-def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStudy) -> None:
-    assert done.black is not None
-    best = done.black.best
-    d = best.fit.theta.size
-    fit = replace(best.fit, covariance=np.eye(d) * 0.01**2, covariance_robust=np.eye(d) * 0.03**2)
-    made_up = replace(
-        best,
-        fit=fit,
-        comparison=replace(best.comparison, rms_error=0.004),
-        tests=replace(
-            best.tests,
-            white=Whiteness(p_value=0.11, test="T"),
-            missing_dynamics=0.33,
-            feedback=0.44,
-        ),
-    )
-
-    found = sections(replace(done, black=replace(done.black, estimated=(made_up,))), "3")
-
-    coefficients, validation = found["3.3"].tables
-    assert validation.header == ("model", "rms error", "p white", "p dynamics")
-    assert validation.rows == (("OE", "4\xa0mrad", "0.110", "0.330"),)
-    assert coefficients.header == ("k", "OE, b_k", "OE, f_k")
-    for k, row in enumerate(coefficients.rows):
-        values = (fit.theta[fit.slice_of(letter)][k] for letter in "bf")
-        assert row == (str(k + 1), *(f"{x:.3f} ± 0.010".replace("-", "−") for x in values))
-    assert (
-        "with an rms error of 4\xa0mrad. It is estimated from 1459 of 1500 samples at 10\xa0ms"
-        in (found["3.3"].answer[0])
-    )
-    assert found["3.3"].answer[1] == (
-        "$ y(t) = B(q)/F(q) thin u(t) + e(t), quad B(q) = b_1 q^(-1) + dots.c + b_4 q^(-4), "
-        "quad F(q) = 1 + f_1 q^(-1) + dots.c + f_4 q^(-4) $"
-    )
-    assert "Its root at 1 is fixed" in found["3.3"].answer[2]
-
-
-def test_the_table_of_coefficients_has_a_column_for_each_polynomial(done: HandoutStudy) -> None:
-    assert done.black is not None
-    arx = armrig.arx(done.black.estimation, na=4, nb=2)
-    models = tuple(
-        replace(m, fit=arx) if m.name == "ARX" else m for m in best_first(done.black).estimated
-    )
-
-    table, _ = sections(replace(done, black=replace(done.black, estimated=models)), "3")[
-        "3.3"
-    ].tables
-
-    assert table.header == ("k", "OE, b_k", "OE, f_k", "ARX, a_k", "ARX, b_k")
-    assert [row[0] for row in table.rows] == ["1", "2", "3", "4"]
-    assert [row[4] == "–" for row in table.rows] == [False, False, True, True]
-
-
-def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy) -> None:
-    assert done.black is not None
-    [table] = sections(done, "3")["3.4"].tables
-
-    for row, model in zip(table.rows, done.black.models, strict=True):
-        found = model.comparison.characteristics
-        shown = [float(cell.partition(" ±")[0].replace("−", "-")) for cell in row[3:]]
-        assert shown == pytest.approx(
-            [
-                found.gain,
-                found.antiresonance,
-                1e3 * found.rise_time,
-                1e3 * found.equivalent_time,
-                found.overshoot,
-            ],
-            rel=0.01,
-            abs=0.005,
-        )
-        percent = model.comparison.velocity_fit_percent
-        assert float(row[2].split("\xa0")[0].replace("−", "-")) == pytest.approx(percent, rel=0.01)
-    assert [head.partition(" [")[0] for head in table.header[3:]] == [
-        *("gain", "antires.", "63 % time", "equivalent", "overshoot")
-    ]
 
 
 def test_a_comparison_of_a_recording_without_the_arm_is_annotated(
@@ -314,36 +186,6 @@ def test_the_answer_names_the_closest_of_all_models(
     found = sections(replace(done, black=black), "3")["3.4"].answer[0]
 
     assert found.startswith(f"On the validation data {said}")
-
-
-def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
-    u = telegraph(1500, 0.05, seed=3)
-    path = tmp_path / "chassis.mcap"
-    script("experiments.py").record(path, u, 0.01, "greybox", 3, arm_removed=True)
-
-    study = handout_study([load(path)])
-
-    found = sections(study, "3")
-
-    assert study.black is None
-    assert study.grey is not None
-    value, std = 1e3 * study.grey.values["J_1"], 1e3 * study.grey.std["J_1"]
-    said = re.search(r"\$J\$ = \(([\d.]+) ± ([\d.]+)\)·10⁻³\skg m²", found["3.5"].answer[0])
-    assert said is not None
-    assert float(said[1]) == pytest.approx(value, abs=std)
-    assert float(said[2]) == pytest.approx(std, rel=0.06)
-    [table] = found["3.6"].tables
-    assert [row[0] for row in table.rows] == ["1 part", "2 parts", "4 parts"]
-    assert study.split is not None
-    growth = study.split.std_growth**2
-    assert (
-        f"into 4 parts, the variance of $J$ grows by a factor of {growth:.2f}."
-        in (found["3.6"].answer[0])
-    )
-    assert "proportional to $1 slash N$ would grow by a factor of 4.00." in found["3.6"].answer[0]
-    assert "the 4 parts scatter by" in found["3.6"].caption
-    assert "95 % interval" in found["3.6"].caption
-    assert "(χ² with 3 degrees of freedom)" in found["3.6"].caption
 
 
 def test_data_without_information_are_reported_in_their_section(tmp_path: Path) -> None:
@@ -409,16 +251,6 @@ def test_an_emulated_rig_is_named_on_the_cover(
     assert remarks(first, *others) == [
         f"The rig was emulated in {first.path.name}: these are not measurements of a real rig."
     ]
-
-
-def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
-    found = sections(without, "4")
-
-    for number, marked in (("4.1", 1), ("4.2", 1), ("4.3", 0), ("4.4", 1)):
-        [table] = found[number].tables
-        assert [head.endswith(" (unstable)") for head in table.header].count(True) == marked
-        assert table.rows[0][0] == "largest error"
-        assert "0.1 % of its largest value" in found[number].answer[0]
 
 
 @pytest.mark.parametrize(
