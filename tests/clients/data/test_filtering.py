@@ -161,20 +161,3 @@ def test_resampling_at_the_same_rate_does_not_change_the_data() -> None:
     assert np.shares_memory(same.u, data.u)
     assert np.shares_memory(same.y, data.y)
     assert (repr(same), same.digest) == (repr(data), data.digest)
-
-
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [
-        ({}, "give either numerator"),
-        ({"numerator": [1.0], "band": (0, 1)}, "give either numerator"),
-        ({"numerator": [1.0], "denominator": [1.0, -1.0]}, "roots inside the unit circle"),
-        ({"band": (5.0, 3.0)}, "inside 0 to 314.159 rad/s"),
-        ({"band": (0.0, 400.0)}, "not the whole range"),
-        ({"band": (0.0, 1.0)}, r"low-pass to 1 rad/s of order 4 remembers \d+ samples, and no"),
-        ({"band": (0.0, 1e-3)}, "remembers more than"),
-    ],
-)
-def test_a_filter_that_cannot_be_applied_is_refused(kind: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        prefilter(noise_free(300), **kind)  # type: ignore[arg-type]

@@ -70,12 +70,6 @@ def test_a_step_response_of_zero_length_is_refused(fit: Fit, n: Any) -> None:
         fit.step_response(n)
 
 
-@pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], [], 1.0])
-def test_an_input_that_is_not_a_vector_is_refused(fit: Fit, u: Any) -> None:
-    with pytest.raises(ValueError, match=r"u has shape \(.*\), but must be \(N,\), N >= 1"):
-        fit.simulate(u)
-
-
 def test_the_criteria_equal_the_formulas_of_the_textbook(fit: Fit) -> None:
     assert fit.fpe == pytest.approx(fit.loss * (1 + 4 / 400) / (1 - 4 / 400))
     deviance = 400 * (np.log(2 * np.pi * fit.loss) + 1)

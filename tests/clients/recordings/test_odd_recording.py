@@ -9,9 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from armrig.numerics.quantities import NBSP
 from armrig.recordings.channels import turns_unknown
-from armrig.recordings.files.catalogue import catalogue
 from armrig.recordings.files.loading import load
 from armrig.recordings.files.recording_summary import summary_of
 from armrig.recordings.files.verification import (
@@ -22,7 +20,6 @@ from armrig.recordings.files.verification import (
     check_timing,
 )
 from armrig.recordings.jitter import (
-    disturbances,
     fastest_rate,
     intervals_us,
     lateness_us,
@@ -112,38 +109,6 @@ def test_the_data_are_divided_where_u_or_the_turns_are_unknown(odd: Recording) -
     assert fastest_rate(theta_1) == pytest.approx(
         np.nanpercentile(np.abs(np.diff(theta_1.y)) / TS, 99)
     )
-
-
-def test_reports_have_times_from_the_first_sample(odd: Recording) -> None:
-    found = disturbances(odd)
-
-    assert [(g.k_first - K_FIRST, g.count, g.reason) for g in odd.gaps] == [
-        (first, n, why) for first, n, _, why in GAPS
-    ]
-    assert [g.t for g in odd.gaps] == pytest.approx([first * TS for first, *_ in GAPS])
-    assert [(e.t, e.level) for e in odd.events] == [
-        (2.05, "info"),
-        (10.5, "warning"),
-        (19.5, "error"),
-    ]
-    assert [t.t for t in odd.timing] == [1.0, 2.0, 3.0, 4.0, 5.0]
-    assert [t.wake_lateness_us.p99 for t in odd.timing] == [10, 11, 12, 13, 14]
-    assert [t.queue_depth.p50 for t in odd.timing] == [4, 3, 2, 1, 0]
-    assert [c.t for c in odd.clock] == [1.25, 5.0, 20.0]
-    assert (found.seconds, found.collections, found.run_queue) == (5, 4, 7)
-    assert (found.cpu_pressure_percent, found.round_trip_us) == (31.0, 6500.0)
-    assert (found.drift_ppm, found.drift_std_ppm, found.offset_std_us) == (81.0, 1.2, 1.5)
-    assert found.held_up_ms == 35 + 7
-    assert found.texts() == {
-        "emulator held up": f"42{NBSP}ms",
-        "garbage collections of the loop": "4",
-        "processor wanted by others, worst second": f"31{NBSP}%",
-        "most tasks runnable": "7",
-        "longest round trip": f"6.50{NBSP}ms",
-        "device's clock slow by": f"81.0 ± 1.2{NBSP}ppm",
-        "device's clock known to": f"± 1.5{NBSP}µs",
-    }
-    assert disturbances(replace(odd, timing=(), clock=(), events=())).texts() == {}
 
 
 def test_sampling_statistics_use_the_clock_of_the_device(odd: Recording) -> None:
@@ -273,47 +238,6 @@ def test_only_a_run_that_reached_its_end_is_complete(path: Path) -> None:
     assert complete == ["complete"]
 
 
-def test_the_row_of_a_catalogue_contains_the_values_of_the_file(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(path.parent / "cache"))
-
-    row = {name: column[0] for name, column in catalogue(path.parent).columns().items()}
-
-    assert row == {
-        "recording": str(path),
-        "run_id": "20261120T050000Z-0bad",
-        "rig": "7",
-        "started": np.datetime64("2026-11-20T05:00:00.000"),
-        "experiment": "blackbox",
-        "name": "odd",
-        "validation": True,
-        "validation_of": "20261119T050000Z-0dad",
-        "seconds": pytest.approx(25.9),
-        "Ts": 0.05,
-        "samples": 497,
-        "missing": 21,
-        "outcome": "stopped by bob",
-        "outcome_code": "stopped",
-        "part": 0,
-        "pacing": "scheduled",
-        "device": "beef",
-        "calibration_sha256": "5ca1e",
-        "armrig": "0.2.1",
-        "bytes": path.stat().st_size,
-    }
-
-
-def test_a_first_look_reports_its_own_ranges(odd: Recording) -> None:
-    facts, rows = overview(odd).facts(), dict(overview(odd).rows())
-
-    assert (facts["samples"], facts["missing"], facts["invalid"]) == (518, 21, odd.hidden)
-    assert rows["u"] == f"0 to {np.nanmax(odd.u):.3g} V, {np.nanmean(odd.u):.3g} V on average"
-    assert rows["missing"] == "21 of 518 samples"
-    assert facts["drift"]["velocity 1"]["unit"] == "rad/s/s"
-    assert facts["drift"]["alpha 2"]["unit"] == "rad/s"
-
-
 def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> None:
     alpha = odd.alpha + 0.05 * np.maximum(odd.t - 14.0, 0.0)
 
@@ -435,39 +359,6 @@ def test_outliers_are_searched_if_the_input_changes_twenty_times(
     assert ("theta_1" in found.outliers) is is_searched
     reason = f"u changes {changes} times; with fewer than 20 changes"
     assert found.reasons.get("outliers", "").startswith(reason) is not is_searched
-
-
-def test_the_first_figure_shades_gaps_widened_by_half_a_sample(odd: Recording) -> None:
-    found = replace(overview(odd), outliers={"alpha": odd.t[[33, 451]]})
-
-    input_, of_theta_1, of_rate, of_alpha = found.plot().axes
-
-    shaded = [(p.get_x(), p.get_x() + p.get_width()) for p in of_alpha.patches]
-    lost = {
-        (30, 32),
-        (60, 61),
-        (62, 65),
-        (120, 121),
-        (150, 151),
-        (200, 207),
-        (280, 284),
-        (515, 518),
-    }
-    expected = [((a - 0.5) * TS, (b - 0.5) * TS) for a, b in sorted(lost | {(0, 2)})]
-    assert shaded == pytest.approx(np.array(expected))
-    ring = of_alpha.lines[1].get_xydata()
-    np.testing.assert_allclose(ring, np.column_stack([odd.t, odd.alpha])[[33, 451]])
-    assert [len(input_.lines[0].get_xdata()), *input_.get_xlim()] == pytest.approx([518, 0, 25.85])
-    rate = np.diff(odd.theta_1, prepend=np.nan) / TS
-    for panel, y, valid in (
-        (input_, odd.u, odd.valid & odd.valid_alpha),
-        (of_theta_1, odd.theta_1, odd.valid),
-        (of_rate, rate, odd.valid),
-    ):
-        np.testing.assert_allclose(panel.lines[0].get_ydata(), y)
-        begins, ends = np.flatnonzero(np.diff(~valid, prepend=False, append=False)).reshape(-1, 2).T
-        drawn = [(p.get_x(), p.get_x() + p.get_width()) for p in panel.patches]
-        assert drawn == pytest.approx((np.column_stack([begins, ends]) - 0.5) * TS)
 
 
 def test_the_duration_of_a_cut_file_includes_its_missing_samples(path: Path) -> None:
