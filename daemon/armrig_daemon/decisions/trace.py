@@ -98,13 +98,18 @@ class Trace:
         self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
     ) -> Chunk | None:
         """Add a step; return the full chunk if the step begins a new chunk."""
-        written = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
-        sent = [a.data for a in actions if type(a) is Send]
+        # Loops without comprehensions: each comprehension is a call, at each event of a run.
+        written: list[tuple[int, bytes]] = []
+        sent: list[bytes] = []
         size = _STEP_BYTES
-        for _, data in written:
+        for event in events:
+            data = event.data if type(event) is Received else _written_event(event, self._lease)
+            written.append((_NUMBERS[type(event)], data))
             size += _EVENT_BYTES + len(data)
-        for data in sent:
-            size += len(data)
+        for action in actions:
+            if type(action) is Send:
+                sent.append(action.data)
+                size += len(action.data)
         begun = self._steps or self._state  # a state leaves no room for a long first step
         full = self._next_chunk() if begun and self._bytes + size > CHUNK_BYTES else None
         if size > CHUNK_BYTES:  # too many orders: the step and a chunk's number are left out
@@ -166,8 +171,6 @@ def _check(version: int) -> None:
 
 
 def _written_event(event: Event, lease: str) -> bytes:
-    if isinstance(event, Received):
-        return event.data
     if isinstance(event, Ordered):
         return _ENCODER.encode(_without_secrets(event.order, lease))
     return _ENCODER.encode(event)
