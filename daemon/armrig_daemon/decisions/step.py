@@ -50,7 +50,6 @@ from armrig_daemon.decisions.state import (
     State,
     Tick,
     Traffic,
-    Wakeup,
     is_newer,
 )
 from armrig_daemon.pipe import RunStarted
@@ -76,7 +75,13 @@ def step(state: State, now_ns: int, events: Iterable[Event]) -> Decided:
     """Return the state after `events`, and the actions; `now_ns` is the time after the events."""
     done: list[Action] = []
     for event in events:
-        state, actions = _one(state, now_ns, event)
+        # Faster than a match: each tick has these two.
+        if type(event) is Received:
+            state, actions = _received(state, now_ns, event.data)
+        elif type(event) is Tick:
+            state, actions = _tick(state, now_ns, event)
+        else:
+            state, actions = carry_out(now_ns, _other(state, now_ns, event))
         done += actions
     return state, done
 
@@ -89,23 +94,18 @@ def wake_ns(state: State) -> int:
     return _NEVER if link is None else link.last_send_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
-def _one(state: State, now_ns: int, event: Event) -> Decided:
+def _other(state: State, now_ns: int, event: Event) -> Step:
+    """Handle an event that not every tick has."""
     match event:
-        case Received():
-            return _received(state, now_ns, event.data)
-        case Tick():
-            return _tick(state, now_ns, event)
-        case Wakeup():
-            return carry_out(now_ns, _wakeup(state, now_ns))
         case Ordered():
-            return carry_out(now_ns, orders.handle(state, now_ns, event.order))
+            return orders.handle(state, now_ns, event.order)
         case LinkUp():
-            up = replace(state, link=Link())
-            return carry_out(now_ns, (up, [outcomes.Ask(RequestKind.HELLO)]))
+            return replace(state, link=Link()), [outcomes.Ask(RequestKind.HELLO)]
         case LinkDown():
-            return carry_out(now_ns, _link_down(state, now_ns, event.reason))
+            return _link_down(state, now_ns, event.reason)
         case ServiceGone():
-            return carry_out(now_ns, orders.quit_(state))
+            return orders.quit_(state)
+    return _wakeup(state, now_ns)
 
 
 def carry_out(now_ns: int, decided: Step) -> Decided:
