@@ -83,6 +83,7 @@ class ProcessPorts:
         self._has_no_reader = False
         self._signals: SignalPipe | None = None
         self.spin_ns = 0
+        self.now_ns = realtime.now_ns  # an attribute: one call less at each wait
 
     def end_at(self, signals: SignalPipe) -> None:
         """Let the core quit as soon as one of these signals arrives."""
@@ -98,10 +99,6 @@ class ProcessPorts:
     def collections(self) -> int:
         """Return the number of garbage collections, which take place only between runs."""
         return sum(generation["collections"] for generation in gc.get_stats())
-
-    def now_ns(self) -> int:
-        """Return the monotonic time."""
-        return realtime.now_ns()
 
     def sleep_until(self, deadline_ns: int) -> int:
         """Sleep, then spin, until the deadline; return the current time."""
