@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.cli.printing import fields_of
+from armrig.cli.printing import echo, fields_of, say, say_more
 from armrig.cli.recorded_data import source_facts
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import listed, p_relation
+from armrig.numerics.quantities import listed, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
 from armrig.validation.advice import advice
-from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED
+from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED, closest
 from armrig.validation.comparison import Comparison
 from armrig.validation.feedback_and_delay.by_channel import ByChannel
 from armrig.validation.residual_test import ResidualTest
@@ -25,8 +25,11 @@ if TYPE_CHECKING:
 
     from armrig.data.dataset import Dataset, Signals
     from armrig.data.finding import Finding
+    from armrig.validation.comparison import ComparisonTable
     from armrig.validation.search_result import SearchResult
 
+_MAX_DIFFERENCES = 4
+"""Largest number of differences without --verbose."""
 RTOL = 1e-9
 """Relative difference of two errors that is due to rounding."""
 _MAX_SHOWN_MODELS = 5  # models of a search without --verbose
@@ -205,3 +208,44 @@ def _p(p: float, otherwise: str) -> str:
     if isnan(p):
         return UNTESTED
     return f"p {p_relation(p)}" + (f", rejected: {otherwise}" if p < WHITE_LEVEL else "")
+
+
+def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> None:
+    """Print the closest model, the fit of each model, and the differences between the models.
+
+    For several signals, print the best model of each output, and the fits.
+
+    With `verbose`, also print the characteristics of the models, and the causes of the differences.
+    """
+    if any((row.model.ny, row.model.nu) != (1, 1) for row in table):
+        say(closest(table), bold=True)
+        say(repr(table))
+        return
+    best, *differences = table.explain(brief=not verbose).splitlines()
+    say(best, bold=True)
+    how = "simulated" if table.horizon is None else f"predicted {table.horizon} samples ahead"
+    say(f"{how} {where}", dim=True)
+    say("\n".join(repr(table).splitlines()[1:]))
+    if verbose:
+        echo(table.table())
+    left = [] if verbose else differences[_MAX_DIFFERENCES:]
+    for text in differences[: len(differences) - len(left)]:
+        say(text)
+    if verbose:
+        return
+    more = [plural(len(left), "more difference")] if left else []
+    say_more(", ".join([*more, "characteristics of the models, causes of the differences"]))
+
+
+def row_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
+    """Return the errors of a model, and its characteristic numbers, as JSON fields."""
+    facts = {"model": rows[0].name} | error_facts(rows)
+    facts["on_estimation_data"] = rows[0].on_estimation_data
+    if (rows[0].model.ny, rows[0].model.nu) != (1, 1):
+        return facts
+    t = rows[0].characteristics
+    return facts | {
+        "of_rate": t.integrating,
+        "figures": {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()},
+        "poles": t.poles,
+    }

@@ -25,7 +25,7 @@ from armrig.cli.next_step import (
     typed,
 )
 from armrig.cli.options import CalibrationFile, Json, ModelOrders, argument, chosen, noted, option
-from armrig.cli.parameters import (
+from armrig.cli.physics import (
     AMPLITUDE_V,
     OF_AMPLITUDE,
     OF_CHANGES,
@@ -35,7 +35,7 @@ from armrig.cli.parameters import (
     cases,
     physics_beside,
 )
-from armrig.cli.printing import echo, fields_of, inform, print_json, say, say_answer, say_more, tell
+from armrig.cli.printing import echo, fields_of, inform, print_json, say, say_answer, tell
 from armrig.cli.recorded_data import (
     DataFile,
     File,
@@ -57,13 +57,13 @@ from armrig.cli.recorded_data import (
 from armrig.cli.results import HEIGHT, WIDTH, Draw, Shown, ShownFigure, check_output, of_channel
 from armrig.cli.spinner import estimating, spinner
 from armrig.data.finding import OWN_DATA
-from armrig.numerics.quantities import listed, plural
+from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
     from armrig.models.fit import Fit
     from armrig.recordings.recording import Recording
-    from armrig.validation.comparison import Comparison, ComparisonTable
+    from armrig.validation.comparison import ComparisonTable
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
     from armrig.validation.linearity import Linearity
@@ -71,8 +71,6 @@ if TYPE_CHECKING:
 ModelFile = Annotated[Path, option("--model JSON", "Model file written by identify --save.")]
 _HORIZONS = (1, 10)
 _SAME_RTOL = 1e-6
-_MAX_DIFFERENCES = 4
-"""Largest number of differences without --verbose."""
 
 
 def validate(
@@ -229,6 +227,7 @@ def compare(
     models, the physical model and the models of --model. Without F2, it compares the models of
     --model on F. --set adds a physical model with the given parameters.
     """
+    from armrig.cli import model_output
     from armrig.models.model_file import load_fit
     from armrig.physics.systems import physical_model
     from armrig.recordings.usability import emulation
@@ -260,7 +259,7 @@ def compare(
     warn_of_estimation_data(table)
 
     def say_comparison() -> None:
-        print_comparison(table, f"on {where}", verbose=out.verbose)
+        model_output.print_comparison(table, f"on {where}", verbose=out.verbose)
         for text in emulation(recordings):
             say(text, dim=True)
 
@@ -277,7 +276,10 @@ def compare(
         say_next("compare", file=typed(file), given=channel.options(data))
 
     out.show(
-        facts=lambda: {"validation": data.source, "models": [*map(row_facts, table.models)]},
+        facts=lambda: {
+            "validation": data.source,
+            "models": [*map(model_output.row_facts, table.models)],
+        },
         say=say_comparison,
         figures=figures,
         say_next=say_after,
@@ -326,51 +328,6 @@ def _same(a: Fit, b: Fit) -> bool:
     return a.Ts == b.Ts and all(
         x.size == y.size and np.allclose(x, y, rtol=_SAME_RTOL, atol=0) for x, y in pairs
     )
-
-
-def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> None:
-    """Print the closest model, the fit of each model, and the differences between the models.
-
-    For several signals, print the best model of each output, and the fits.
-
-    With `verbose`, also print the characteristics of the models, and the causes of the differences.
-    """
-    if any((row.model.ny, row.model.nu) != (1, 1) for row in table):
-        from armrig.validation.answer import closest
-
-        say(closest(table), bold=True)
-        say(repr(table))
-        return
-    best, *differences = table.explain(brief=not verbose).splitlines()
-    say(best, bold=True)
-    how = "simulated" if table.horizon is None else f"predicted {table.horizon} samples ahead"
-    say(f"{how} {where}", dim=True)
-    say("\n".join(repr(table).splitlines()[1:]))
-    if verbose:
-        echo(table.table())
-    left = [] if verbose else differences[_MAX_DIFFERENCES:]
-    for text in differences[: len(differences) - len(left)]:
-        say(text)
-    if verbose:
-        return
-    more = [plural(len(left), "more difference")] if left else []
-    say_more(", ".join([*more, "characteristics of the models, causes of the differences"]))
-
-
-def row_facts(rows: Sequence[Comparison]) -> dict[str, Any]:
-    """Return the errors of a model, and its characteristic numbers, as JSON fields."""
-    from armrig.cli.model_output import error_facts
-
-    facts = {"model": rows[0].name} | error_facts(rows)
-    facts["on_estimation_data"] = rows[0].on_estimation_data
-    if (rows[0].model.ny, rows[0].model.nu) != (1, 1):
-        return facts
-    t = rows[0].characteristics
-    return facts | {
-        "of_rate": t.integrating,
-        "figures": {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()},
-        "poles": t.poles,
-    }
 
 
 _CHASSIS = (

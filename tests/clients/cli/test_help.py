@@ -8,7 +8,7 @@ from dataclasses import fields
 import pytest
 from armrig.cli import _HEADINGS, main
 from armrig.cli import app as armrig_app
-from armrig.cli.parameters import PARAMETERS
+from armrig.cli.physics import PARAMETERS
 from armrig_core.rig.arm import ArmParameters
 from typer.main import get_command
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import armrig
 import pytest
 from armrig.cli import main, printing, recordings
-from armrig.cli.parameters import cases, changes, physics_beside
+from armrig.cli.physics import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
 from armrig_core.errors import OperationError
 from armrig_core.rig.arm import ArmParameters
