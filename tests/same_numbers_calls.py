@@ -1408,34 +1408,14 @@ def uncertainty() -> Variants:
         yield f"{name} rate", u.step_band(fit, fit.step_response(20, rate=True), drawn(fit))
 
 
-def numbers_in(rows: Any) -> list[list[float]]:
-    """Return the numbers of a table whose cells are texts."""
-    import re
-
-    texts = (" ".join(map(str, row)).replace("−", "-") for row in rows)
-    return [[float(x) for x in re.findall(r"-?\d+(?:\.\d+)?", text)] for text in texts]
-
-
 @variants
 def report() -> Variants:
-    from armrig.report import figures, model_facts, recording_facts
     from armrig.report.handout_study import handout_study
     from armrig.report.study import study
 
     paths = (recorded("step"), recorded("estimation"), recorded("validation"), told())
     read = [armrig.load(path) for path in paths]
-    found = study(read[:3])
-    yield "study", found
-    for name in ("timing", "data", "velocity", "compare"):
-        yield f"{name}-figure", figures.drawn(*figures.of_study(found)[name])
-    table = model_facts.model_table(found.best, found.reference)
-    yield "model", [numbers_in(table[part]) for part in ("rows",)]
-    yield "residuals", numbers_in(row[1:] for row in model_facts.residual_rows(found))
-    yield "timing", numbers_in(row[1:] for row in recording_facts.timing_rows(found.timing))
-    disturbed = study([*read[1:3], read[3]]).disturbances
-    yield "disturbances", numbers_in(row[1:] for row in recording_facts.disturbance_rows(disturbed))
-    facts = [row[1:] for row in recording_facts.facts(found)[4:-1]]
-    yield "facts", numbers_in(facts)
+    yield "study", study(read[:3])
     handout = handout_study(read[:1])
     yield "handout", (handout.step, handout.sampling, handout.steps)
 
@@ -1481,34 +1461,3 @@ def validations() -> list[int]:
         made.written(lab, made.recorded([made.sample(0)], manifest=about), f"of-{i}.mcap")
     items = items_in(lab)
     return [int(Path(i.validation).stem[-1]) if i.validation else -1 for i in items]
-
-
-@variants
-def live() -> Variants:
-    from armrig.dashboard import bins
-    from armrig.dashboard.feed import LiveModel
-
-    r = armrig.load(recorded("validation"))
-    k = np.flatnonzero(r.present)
-    angles = np.degrees((r.theta_1[k] + np.pi) % (2 * np.pi) - np.pi), np.degrees(r.alpha[k])
-    found = np.column_stack([k, r.t[k], r.u[k], *angles])
-    model = LiveModel(r.Ts)
-    model.take(found)
-    yield "model", numbers_in([line] for line in model.lines())
-    slope = bins.rate(found[:100], found[100:])
-    rows = bins.binned(found[100:], slope)
-    yield "bins", [slope, rows, bins.coarser(rows, 0.07)]
-
-
-@variants
-def quantities() -> Variants:
-    from armrig.numerics import quantities as q
-
-    values = (0.0, 1.7e-4, 0.0123, 0.5, 9.96, 99.96, 1234.5, 5.6e7, -0.25, -3.4e-5)
-    for f in (q.number, q.microseconds, q.milliseconds, q.percent):
-        yield f.__name__, numbers_in([f(x)] for x in values)
-    yield "scaled", numbers_in([q.scaled(x, abs(x) / 30 + 1e-9, "m")] for x in values)
-    yield "with_std", numbers_in([q.with_std(x, abs(x) / 30 + 1e-9)] for x in values)
-    yield "error", numbers_in([q.error(x, "rad")] for x in values)
-    yield "p", numbers_in([q.p_value(p)] for p in (1e-9, 0.003, 0.04, 0.6, 0.9999))
-    yield "times", numbers_in([q.times(x, 2 * x)] for x in values[1:8])
