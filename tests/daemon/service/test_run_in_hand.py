@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import threading
-from datetime import datetime, timedelta, timezone
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Literal
 
 import pytest
 from armrig_core.commands.codes import COMPLETE, GapCode, OutcomeCode
 from armrig_core.commands.commands import Run
-from armrig_core.recording_file.manifest import OUTCOME, RUN, manifest_of, outcome_of
+from armrig_core.recording_file.manifest import OUTCOME, outcome_of
 from armrig_core.recording_file.recording_part import EndsHereError, Part
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_daemon.config import Config, Recording
 from armrig_daemon.pipe import Gap, Log, RunStarted, State
-from armrig_daemon.service.host.host_facts import HostFacts
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from msgspec.structs import replace
-
-from tests.daemon.odd_bench import CONFIG
 
 REQUEST = Run(lease="a" * 32, n=1, u=[1.0] * 10, dead_man=2.0)
 STATE = State(t_host_ns=0, phase="active", reason="", owner="a test", ts_us=10_000, device={})
@@ -254,49 +248,3 @@ def test_a_full_disk_stops_the_run_only_if_configured(
     assert last is not None
     assert (last.outcome, last.samples, last.synced) == (text, 5, 5)
     assert (last.code, last.finished, last.is_complete) == (OutcomeCode.RECORDING, True, False)
-
-
-@pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
-def test_the_manifest_contains_the_owner_and_the_mode_of_the_run(
-    tmp_path: Path, pacing: Literal["scheduled", "exchange"]
-) -> None:
-    now = datetime(2026, 11, 20, 8, 59, 7, 250_000, timezone(timedelta(hours=1)))
-    facts = HostFacts(run_id=lambda codes: f"{len(codes):08x}", now=lambda: now, host={"a": "b"})
-    runs = Runs(CONFIG, tmp_path, lambda: None, facts)
-    request = Run(
-        lease="a" * 32,
-        n=1,
-        u=[0.5, 1.5, 2.5],
-        pacing=pacing,
-        experiment="odd-input",
-        details={"seed": 7},
-    )
-    order, answer = runs.plan(request, 0.02, theta_1_rad=1.5)
-    state = replace(
-        STATE,
-        owner="Ada (user ada)",
-        owner_checked="user ada",
-        ts_us=20_000,
-        device={"uid": "17"},
-    )
-    started = RunStarted(run_id=order.run_id, k_first=41, count=3, t_host_ns=T_NS)
-
-    runs.begin(started, state, {"fifo": 80}, -123)
-    _ended(runs)
-
-    path = Path(answer.recording)
-    with path.open("rb") as file:
-        metadata = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
-    manifest = manifest_of(metadata[RUN])
-    assert path.name == "lab-2-odd-input-20261120T085907-00000006.mcap"
-    assert manifest.started == "2026-11-20T08:59:07.250+01:00"
-    assert order.scheduled == (pacing == "scheduled")
-    assert (manifest.rig, manifest.run_id, manifest.details) == ("lab-2", "00000006", {"seed": 7})
-    assert manifest.experiment == "odd-input"
-    assert (manifest.owner, manifest.owner_checked) == ("Ada (user ada)", "user ada")
-    assert (manifest.Ts, manifest.samples, manifest.k_first) == (0.02, 3, 41)
-    assert (manifest.pacing, manifest.device) == (pacing, {"uid": "17"})
-    assert manifest.clock_offset_ns == -123
-    assert manifest.host == {"a": "b", "port": "/dev/armrig", "baud": 250_000, "fifo": 80}
-    assert manifest.rehearsal == answer.rehearsal
-    assert manifest.calibration_sha256 == CONFIG.calibration_sha256
