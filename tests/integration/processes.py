@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -128,17 +128,6 @@ class Burners:
     def _signal(self, number: signal.Signals) -> None:
         for program in self._programs:
             program.send_signal(number)
-
-
-@contextmanager
-def burning(n: int, *, apart: bool = False) -> Iterator[None]:
-    """Keep processors busy with so many programs."""
-    burners = Burners(n, apart=apart)
-    try:
-        with burners:
-            yield
-    finally:
-        burners.end()
 
 
 class Process:

@@ -126,16 +126,6 @@ def test_validation_data_with_few_rows_have_a_batch_for_each_row() -> None:
     assert np.isfinite(table.batch_losses).all()
 
 
-def test_the_table_names_the_best_structure_with_fewer_parameters() -> None:
-    table = select_orders(_data(1, 1000), validation=_data(2, 1000))
-    loss, d = table.values("validation"), table.parameters
-    fewer = d < d[table.chosen()]
-    best = int(np.argmin(np.where(fewer, loss, np.inf)))
-    named = ", ".join(f"{name}={n}" for name, n in dict(table.orders(best)).items())
-
-    assert f"fewer parameters are not enough: {named} is " in table.explain()
-
-
 def test_the_criteria_are_those_of_a_fit() -> None:
     data = _data(1)
 

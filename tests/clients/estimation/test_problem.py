@@ -77,7 +77,6 @@ TWO_INPUTS = [
     Structure(nb=(2, 1), nk=(1, 0), nf=(0, 0), na=2, nc=1, offset=True),
     Structure(nb=(2, 1), nk=(1, 2), nf=(0, 1), nc=1, nd=1, integrator="f"),
 ]
-OF_TWO = {"nf": (2, 2), "shared": True}
 TWO_OUTPUTS = [
     (
         Structure(nb=(2, 1), nk=(1, 2), nc=1, integrator="f", nf=(2, 2), shared=True),

@@ -44,10 +44,6 @@ def inferred(
     return infer(parts, basis.W, **options)
 
 
-def white_p(residuals: list[Array], blocks: list[Array], **options: Any) -> float:
-    return inferred(residuals, blocks, score="exogenous", **options).quality[0].white.p_value
-
-
 def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
     Phi, y, theta = fitted(seed, C)
     e, blocks = np.split(y - Phi @ theta, [150]), np.split(Phi, [150])
