@@ -70,7 +70,7 @@ def test_no_file_of_a_release_has_changed(folder: Path) -> None:
 def test_a_recording_of_a_release_passes_all_checks(folder: Path, pacing: str) -> None:
     checks = {check.about: check for check in verify(folder / f"{pacing}.mcap").checks}
 
-    assert {check.result for check in checks.values()} == {"passed"}, checks
+    assert {check.level for check in checks.values()} == {"good"}, checks
     assert {"file", "samples", "envelope", "input", "timing", "configuration", "clock"} == {*checks}
 
 
@@ -164,6 +164,7 @@ def test_a_model_gives_the_stored_answers_and_is_saved_with_the_same_numbers(
     assert fit.source == _facts(folder)["scheduled"]["sha256"]
     fit.save(tmp_path / "again.json")
     again, old = (json.loads(p.read_text()) for p in (tmp_path / "again.json", path))
+    old["findings"] = [f | {"remedy": f.pop("asks")} for f in old["findings"]]
     same = again.keys() & old.keys() - {"armrig", "format", "version", "quality"}
     assert {key: again[key] for key in same} == {key: old[key] for key in same}
     if fit.ny == 1:

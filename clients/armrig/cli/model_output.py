@@ -67,7 +67,7 @@ def advice_on(fit: Fit) -> tuple[Finding, ...]:
 def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
     """Return the names of the findings to act on."""
     found = {f.about for f in (*doubts, *advice_on(fit)) if f.level != "good"}
-    asked = {f.about if f.about in OF_DATA else f.asks for f in fit.findings}
+    asked = {f.about if f.about in OF_DATA else f.remedy for f in fit.findings}
     return found | (asked - {""})
 
 

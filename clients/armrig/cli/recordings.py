@@ -452,20 +452,22 @@ def verify(file: File, json: Json = False) -> None:
     The checks cover samples and gap records, voltages, input, times, hashes and clocks. The exit
     code is 1 if a check fails; the readable data can still be loaded and exported.
     """
-    from armrig.recordings.files.verification import rows
+    from armrig.recordings.files.verification import RESULTS, rows
     from armrig.recordings.files.verification import verify as verified
     from armrig.recordings.findings import TOO_FEW
 
     with spinner("checking"):
         found = verified(file)
     if json:
-        checks = [fields_of(c, "about result text") for c in found.checks]
+        checks = [
+            {"about": c.about, "result": RESULTS[c.level], "text": c.text} for c in found.checks
+        ]
         facts = {"recording": str(found.path), "sha256": found.sha256}
         print_json(facts | {"passed": found.passed, "checks": checks})
     else:
         print_table(*rows(found), verdict=True)
     if not found.passed:
-        failed = ", ".join(c.about for c in found.checks if c.result == "failed")
+        failed = ", ".join(c.about for c in found.checks if c.level == "unusable")
         n = found.samples
         use = f"its {n} samples can be used, with care" if n else "it has no usable sample"
         if 0 < n < TOO_FEW:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Asks = Literal["", "order", "integrator", "structure"]
+Remedy = Literal["", "order", "integrator", "structure"]
 """Setting to change in the next estimation; "" if no setting must change."""
 
 OWN_DATA = (
@@ -21,22 +21,27 @@ class Finding:
     """Result of one check."""
 
     level: Literal["good", "warning", "unusable"]
-    """Severity: good, doubtful, or a reason not to identify from the data."""
+    """Severity: good, doubtful or not checked, or a reason not to use the data."""
     about: str
-    """Subject of the check, one word that a program can compare."""
+    """Subject of the check, a code that a program can compare."""
     text: str
     """Result of the check and, if the level is not "good", the remedy."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EstimateFinding(Finding):
-    """Finding of an estimation about its data or its result."""
-
-    asks: Asks = ""
-    numbers: Mapping[str, float] = field(default_factory=dict)
+    remedy: Remedy = ""
+    """Remedy as a code, for the next command."""
+    numbers: Mapping[str, float] = field(default_factory=dict, hash=False)
     """Numbers in the text, by name."""
 
 
-def warning(about: str, text: str, asks: Asks = "", **numbers: float) -> EstimateFinding:
+def good(about: str, text: str, **numbers: float) -> Finding:
+    """Return a finding of level "good"."""
+    return Finding(level="good", about=about, text=text, numbers=numbers)
+
+
+def warning(about: str, text: str, remedy: Remedy = "", **numbers: float) -> Finding:
     """Return a finding of level "warning"."""
-    return EstimateFinding(level="warning", about=about, text=text, asks=asks, numbers=numbers)
+    return Finding(level="warning", about=about, text=text, remedy=remedy, numbers=numbers)
+
+
+def unusable(about: str, text: str, **numbers: float) -> Finding:
+    """Return a finding of level "unusable"."""
+    return Finding(level="unusable", about=about, text=text, numbers=numbers)

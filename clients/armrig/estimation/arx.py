@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.finding import EstimateFinding
+from armrig.data.finding import Finding
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative, undetermined
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.orders import Integers, as_text, by_channel, by_pair, require_samples
@@ -126,7 +126,7 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
             f"{orders}: the data determine only {found.basis.rank} of {d} parameters; "
             f"{undetermined(data)}"
         )
-    notes: list[EstimateFinding] = []
+    notes: list[Finding] = []
     if stable:
         found, notes = _with_stable_poles(equations, found, na_.diagonal().tolist())
     estimates = [*_outputs(data, equations, found, na_, nb_, nk_)]
@@ -230,7 +230,7 @@ def _solved(equations: Sequence[_Equation]) -> _Solution:
 
 def _with_stable_poles(
     equations: Sequence[_Equation], found: _Solution, na: list[int]
-) -> tuple[_Solution, list[EstimateFinding]]:
+) -> tuple[_Solution, list[Finding]]:
     """Return the solution with reflected poles and a new B, and the warnings."""
     free = [monic(theta[:n]) for theta, n in zip(found.theta, na, strict=True)]
     inside = [stabilised(A) for A in free]

@@ -17,7 +17,7 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.finding import EstimateFinding, warning
+from armrig.data.finding import Finding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import percent, plural
@@ -53,9 +53,7 @@ _MIN_LEVEL_SHARE = 1e-9  # a level below this share of the largest |y| is a roun
 _MIN_LEVEL_SIGMAS = 4.0  # if there is no offset, 6 of 100 000 estimates exceed this limit
 
 
-def data_faults(
-    data: Dataset, residuals: Sequence[Vector], *, way_out: str
-) -> Iterator[EstimateFinding]:
+def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> Iterator[Finding]:
     """Yield a warning for each fault of the data that spoils the estimate.
 
     An unknown residual is NaN. `way_out` is the remedy for an offset, or "" if it is estimated.
@@ -76,7 +74,7 @@ def data_faults(
             yield replace(level, text=f"{level.text}, which the model cannot represent: {way_out}")
 
 
-def swapped(data: Dataset) -> Iterator[EstimateFinding]:
+def swapped(data: Dataset) -> Iterator[Finding]:
     """Yield a warning if y looks like an input and u like its response."""
     y = data.y[data.valid]
     if np.unique(y).size == _TWO_LEVELS and np.unique(data.u).size > max(
@@ -108,7 +106,7 @@ def undetermined(data: Dataset | Signals) -> str:
     return "lower the orders or excite with a richer input"
 
 
-def _wrong_samples(data: Dataset, e: Vector) -> Iterator[EstimateFinding]:
+def _wrong_samples(data: Dataset, e: Vector) -> Iterator[Finding]:
     """Yield a warning if a few samples that differ from their neighbours dominate the loss."""
     size = np.abs(e)
     far = size > _OUTLIER_SIGMAS * _MAD_TO_STD * float(np.median(size))
@@ -142,7 +140,7 @@ def _doubtful(residuals: Sequence[Vector]) -> bool:
     return abs(float(np.mean(e))) > _MIN_LEVEL_SIGMAS * float(np.std(e)) / sqrt(e.size)
 
 
-def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> EstimateFinding | None:
+def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Finding | None:
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
     The model A(q) y(t) = B(q) u(t) + c + e(t) has a constant c. At u = 0 the level of y is c /

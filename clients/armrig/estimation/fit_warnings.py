@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from armrig.data.finding import EstimateFinding, warning
+from armrig.data.finding import Finding, warning
 from armrig.estimation.problem import PolynomialProblem
 from armrig.models.estimate import MAX_TRUSTED_CURVATURE, Start
 from armrig.numerics.levenberg_marquardt import Optimum
@@ -24,9 +24,7 @@ _MIN_RISE_RATIO = 1e-3  # a smaller ratio is set to this value
 _MAX_CURVATURE = -float(np.log(_MIN_RISE_RATIO))
 
 
-def search_warnings(
-    best: Optimum, starts: tuple[Start, ...], *, agreed: bool
-) -> Iterator[EstimateFinding]:
+def search_warnings(best: Optimum, starts: tuple[Start, ...], *, agreed: bool) -> Iterator[Finding]:
     """Yield warnings about a search that did not converge or that found several minima."""
     if not best.converged:
         text = f"the search did not converge in {best.iterations} steps"
@@ -39,9 +37,7 @@ def search_warnings(
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
 
 
-def parameter_warnings(
-    W: Array, white: Whiteness, C: Array, curved: float
-) -> Iterator[EstimateFinding]:
+def parameter_warnings(W: Array, white: Whiteness, C: Array, curved: float) -> Iterator[Finding]:
     """Yield warnings about C, about the rank of the data, and about the curvature of the loss."""
     if C.size > 1 and np.max(np.abs(roots(C))) > 1 - _CIRCLE_TOLERANCE:
         yield warning(

@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_signals
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.finding import EstimateFinding, warning
+from armrig.data.finding import Finding, warning
 from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, integrating, may_be_one
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative
 from armrig.estimation.error_process import error_process
@@ -273,7 +273,7 @@ def _fit(
     delays: tuple[int, ...],
     options: SubspaceOptions,
     inferred: Inference,
-    notes: Sequence[EstimateFinding],
+    notes: Sequence[Finding],
     scales: tuple[Array, Array],
 ) -> Fit:
     """Return the model: polynomials for one input and one output, otherwise matrices."""
@@ -338,9 +338,7 @@ def _observer_form(
     return form, np.hstack([by_a, gain * by_b, -by.Abar[:, :, 0]]).T
 
 
-def _warnings(
-    data: Dataset, A: Array, covariance: Array, *, integrator: bool
-) -> Iterator[EstimateFinding]:
+def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -> Iterator[Finding]:
     z = np.roots(A)
     nearest = int(np.argmin(np.abs(z - 1)))
     off, std = float(np.abs(z[nearest] - 1)), _pole_std(A, z[nearest], covariance)
@@ -365,7 +363,7 @@ def _warnings(
         yield unstable(float(others.max()), *REFLECT)
 
 
-def _poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[EstimateFinding]:
+def _poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[Finding]:
     """Yield a warning for each output that the model predicts worse than a constant."""
     for name, found in zip(data.outputs, quality, strict=True):
         if found.fit_percent < 0:

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Experiments
-from armrig.data.finding import EstimateFinding, warning
+from armrig.data.finding import Finding, warning
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
     constant_input,
@@ -88,7 +88,7 @@ class _Estimated:
     solution: Solution
     theta: Array
     ends: Ends
-    findings: tuple[EstimateFinding, ...]
+    findings: tuple[Finding, ...]
 
     @property
     def parameters(self) -> int:
@@ -213,7 +213,7 @@ def _searched(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) 
             f"{orders}: u determines only {solution.rank} of {d} {what}; "
             f"lower {'nb' if no_a else 'the orders'} or excite with a richer input"
         )
-    notes: tuple[EstimateFinding, ...] = ()
+    notes: tuple[Finding, ...] = ()
     if task.stable:
         theta, solution, notes = with_stable_poles(problem, solution, theta)
     return _Estimated(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from armrig.data.finding import Asks, EstimateFinding, warning
+from armrig.data.finding import Finding, Remedy, warning
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.estimate import Form
 from armrig.models.fit import Fit
@@ -18,7 +18,7 @@ from armrig.numerics.polynomial import Array, monic, reflected, roots, without_i
 CIRCLE_ROUNDING = 1e-9  # error of the computed modulus of a root on the circle
 _MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
 _INTEGRATOR_SIGMAS = 3.0  # standard deviations from 1 beyond which a pole is no integrator
-REFLECT: tuple[str, Asks] = (
+REFLECT: tuple[str, Remedy] = (
     "if the rig is unstable, predict instead of simulating; else lower the orders, or set the "
     "option stable",
     "order",
@@ -38,7 +38,7 @@ def stabilised(p: Array) -> Array:
     return reflected(p, 1.0 - _CIRCLE_MARGIN)
 
 
-def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding]:
+def reflection_warnings(before: Array, after: Array) -> Iterator[Finding]:
     """Yield a warning with the number of roots that `stabilised` moved, if there are any."""
     z = np.abs(roots(before))
     moved = z[z >= 1.0 - CIRCLE_ROUNDING]
@@ -55,13 +55,13 @@ def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding
 
 def with_stable_poles(
     problem: PolynomialProblem, solution: Solution, theta: Array
-) -> tuple[Array, Solution, tuple[EstimateFinding, ...]]:
+) -> tuple[Array, Solution, tuple[Finding, ...]]:
     """Return theta, the solution and the warnings, after A, D and F are reflected.
 
     C does not change. For given A, C, D and F the errors are linear in B and the unknown past.
     B and the past are therefore estimated again, by least squares.
     """
-    layout, ab, notes = problem.layout, solution.ab.copy(), list[EstimateFinding]()
+    layout, ab, notes = problem.layout, solution.ab.copy(), list[Finding]()
     fixed = np.zeros(ab.size, dtype=np.bool_)
     for i, n in enumerate(problem.rows):
         at = layout.linear[i][: n.na] if layout.letters[0] != "a" else np.zeros(0, dtype=np.int_)
@@ -107,13 +107,13 @@ def with_stability_warning(fit: Fit) -> Fit:
     return replace(fit, findings=(*fit.findings, unstable(farthest, *_way_out(fit))))
 
 
-def unstable(farthest: float, way_out: str, asks: Asks) -> EstimateFinding:
+def unstable(farthest: float, way_out: str, remedy: Remedy) -> Finding:
     """Return the warning about an unstable pole of modulus `farthest`; the remedy is `way_out`."""
     text = f"a pole is unstable, |z| = {farthest:.4f}: {way_out}"
-    return warning("unstable", text, asks, farthest=farthest)
+    return warning("unstable", text, remedy, farthest=farthest)
 
 
-def instability(form: Form) -> Iterator[EstimateFinding]:
+def instability(form: Form) -> Iterator[Finding]:
     """Yield a warning if a pole of a model of several signals is outside the unit circle."""
     largest = float(np.max(np.abs(np.linalg.eigvals(form.realised().A)), initial=0.0))
     if largest > 1 + _CIRCLE_TOLERANCE:
@@ -125,7 +125,7 @@ def instability(form: Form) -> Iterator[EstimateFinding]:
         )
 
 
-def _way_out(fit: Fit) -> tuple[str, Asks]:
+def _way_out(fit: Fit) -> tuple[str, Remedy]:
     """Return the remedy for an unstable pole; the pole may be an integrator."""
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar, cast
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.finding import EstimateFinding
+from armrig.data.finding import Finding
 from armrig.models.matrices import Matrices
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import Matrix, Vector, freeze
@@ -123,7 +123,7 @@ class Estimate:
     suggested_order: int = 0
     """Order with the least MDL, at most 10. MDL is computed from the one-step errors of the
     estimated states. 0 without a projection."""
-    findings: tuple[EstimateFinding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     """Findings about the reliability of the numbers, with codes for programs."""
     source: str = ""
     """Hash of the recording or file that the model was identified from, or ""."""

@@ -11,7 +11,7 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.dataset import Dataset, Signals, Vector
-from armrig.data.finding import OWN_DATA, EstimateFinding, warning
+from armrig.data.finding import OWN_DATA, Finding, warning
 from armrig.data.step import span_of
 from armrig.models.innovations import Unknown, errors, prepared, regression, summed_input
 from armrig.models.state_space import predicted as of_outputs
@@ -262,7 +262,7 @@ def _require_same_Ts(model: Fit, Ts: float) -> None:
 
 def findings_on_own_data(
     models: Iterable[tuple[str, Any]], data: Dataset | Signals
-) -> Iterator[EstimateFinding]:
+) -> Iterator[Finding]:
     """Yield warnings about models whose estimation data are these data or overlap these data.
 
     The models are given with their names. A model without estimation data, such as the physical

@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.commands.codes import OutcomeCode
 from armrig_protocol.messages import Flag
 
-from armrig.data.finding import Finding
+from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.quantities import error, microseconds, percent
 from armrig.numerics.step_times import ramp_lag
 from armrig.numerics.stretches import longest, stretches
@@ -41,28 +41,16 @@ _MIN_LINE_SAMPLES = 8
 _MIN_SPEED_RAD_S = 0.05  # of a chassis that turns before the step
 
 
-def _good(about: str, text: str) -> Finding:
-    return Finding(level="good", about=about, text=text)
-
-
-def _warning(about: str, text: str) -> Finding:
-    return Finding(level="warning", about=about, text=text)
-
-
-def _unusable(about: str, text: str) -> Finding:
-    return Finding(level="unusable", about=about, text=text)
-
-
 def check_run(r: Recording) -> Iterator[Finding]:
     """Check how the run ended, and that the file is complete."""
     if r.cut_off:
         text = f"the file is cut off: it contains {r.N * r.Ts:g} of {r.asked_s:g} s"
-        yield _warning("run", text)
+        yield warning("run", text)
     elif r.truncated:
-        yield _warning("run", f"the file is damaged: {r.damage}")
+        yield warning("run", f"the file is damaged: {r.damage}")
     elif r.outcome is None or r.outcome.code != OutcomeCode.COMPLETE:
         why = r.outcome.outcome if r.outcome else "the file does not contain the reason"
-        yield _warning("run", f"the run ended early: {why}")
+        yield warning("run", f"the run ended early: {why}")
 
 
 def check_input(r: Recording) -> Iterator[Finding]:
@@ -70,9 +58,9 @@ def check_input(r: Recording) -> Iterator[Finding]:
     u = r.u[np.isfinite(r.u)]
     if not u.size or np.ptp(u) == 0:
         text = "the input never changes, so the data show no dynamics; use an input that switches"
-        yield _unusable("input", text)
+        yield unusable("input", text)
     else:
-        yield _good("input", f"{u.min():.3g} to {u.max():.3g} V")
+        yield good("input", f"{u.min():.3g} to {u.max():.3g} V")
 
 
 def check_angle(r: Recording) -> Iterator[Finding]:
@@ -81,18 +69,18 @@ def check_angle(r: Recording) -> Iterator[Finding]:
     if not r.valid.any():
         text = f"no sample of {came} shows theta_1: a wire is broken, or the wiper is in the "
         text += "dead band; "
-        yield _unusable("angle", text + "look at `armrig watch` while you turn the chassis by hand")
+        yield unusable("angle", text + "look at `armrig watch` while you turn the chassis by hand")
         return
     share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
     text = f"theta_1 is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
     text += "after it)"
     if unseen > LONGEST_UNSEEN_S:
         text = f"theta_1 is hidden for {unseen:.1f} s without a break: the chassis was in the dead "
-        yield _warning("angle", text + "band, or a wire is loose")
+        yield warning("angle", text + "band, or a wire is loose")
     elif share > MOST_HIDDEN:
-        yield _warning("angle", f"{text}: too many for a dead band; check the potentiometer")
+        yield warning("angle", f"{text}: too many for a dead band; check the potentiometer")
     else:
-        yield _good("angle", text)
+        yield good("angle", text)
 
 
 def check_step(r: Recording) -> Iterator[Finding]:
@@ -104,9 +92,9 @@ def check_step(r: Recording) -> Iterator[Finding]:
     text += "after the step, on the rise: the 63 % time is inaccurate. Repeat with "
     if np.isfinite(hidden.at_s):
         text += f"`--at {hidden.at_s:g} --seconds {hidden.seconds:g}`, which steps away from the "
-        yield _warning("step", f"{text}dead band")
+        yield warning("step", f"{text}dead band")
     else:
-        yield _warning("step", f"{text}the chassis turned by hand by a quarter turn")
+        yield warning("step", f"{text}the chassis turned by hand by a quarter turn")
 
 
 def check_arm(r: Recording) -> Iterator[Finding]:
@@ -118,7 +106,7 @@ def check_arm(r: Recording) -> Iterator[Finding]:
     if clipped:
         text = f"alpha was at the end of its track in {clipped} of {r.samples.size} samples. "
         text += "These samples count as missing in alpha; theta_1 is not affected"
-        yield _warning("arm", text)
+        yield warning("arm", text)
 
 
 def alpha_moves(r: Recording) -> bool:
@@ -133,15 +121,15 @@ def _check_removed_arm(r: Recording) -> Iterator[Finding]:
     configured_on = rehearsed is not None and rehearsed.alpha_rad > 0
     if moved and configured_on:
         text = "alpha moves, and the daemon's configuration has an arm: remove the rotating "
-        yield _unusable("arm", text + "part (handout, figure 6) and set [arm] removed = true")
+        yield unusable("arm", text + "part (handout, figure 6) and set [arm] removed = true")
     elif moved:
         text = "alpha moves, although the rotating part must be removed: remove the rotating part"
-        yield _warning("arm", text)
+        yield warning("arm", text)
     elif configured_on:
         text = "alpha rests, but the daemon's configuration has an arm: set [arm] removed = "
-        yield _warning("arm", text + "true, or the rehearsal uses the model of another rig")
+        yield warning("arm", text + "true, or the rehearsal uses the model of another rig")
     else:
-        yield _good("arm", "the rotating part is removed")
+        yield good("arm", "the rotating part is removed")
 
 
 def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
@@ -151,27 +139,27 @@ def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
     text += f"{error(signal, 'rad')} rms, and the noise, which an ARX model does not explain, is "
     text += f"{error(noise, 'rad')} ({noise / step:.2g} steps of the converter)"
     if ratio < NO_RATIO:
-        yield _unusable(
+        yield unusable(
             "signal", f"{text}; the signal is only noise: use levels with a larger difference"
         )
     elif ratio < LEAST_RATIO:
-        yield _warning("signal", f"{text}; use levels with a larger difference")
+        yield warning("signal", f"{text}; use levels with a larger difference")
     else:
-        yield _good("signal", text)
+        yield good("signal", text)
 
 
 def check_samples(r: Recording) -> Iterator[Finding]:
     """Check the number of samples that arrived."""
     came = r.samples.size
     if came < TOO_FEW:
-        yield _unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")
+        yield unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")
     elif not r.missing:
-        yield _good("samples", f"all {r.N} samples arrived")
+        yield good("samples", f"all {r.N} samples arrived")
     elif r.missing > MOST_MISSING * r.N:
         text = f"{r.missing} of {r.N} samples are missing: `armrig info` and `armrig doctor` "
-        yield _warning("samples", f"{text}show why")
+        yield warning("samples", f"{text}show why")
     else:
-        yield _good("samples", f"{r.missing} of {r.N} samples are missing and marked missing")
+        yield good("samples", f"{r.missing} of {r.N} samples are missing and marked missing")
 
 
 def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
@@ -183,9 +171,9 @@ def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]
     text = f"the sampling interval varies by {microseconds(timing.std_us)}"
     if angle > noise:
         text += f" and moves theta_1 by {error(angle, 'rad')}, more than its noise: let the "
-        yield _warning("timing", f"{text}device pace the samples (--pacing scheduled)")
+        yield warning("timing", f"{text}device pace the samples (--pacing scheduled)")
     else:
-        yield _good("timing", f"{text}, too little to affect theta_1")
+        yield good("timing", f"{text}, too little to affect theta_1")
 
 
 def check_turns(r: Recording) -> Iterator[Finding]:
@@ -197,7 +185,7 @@ def check_turns(r: Recording) -> Iterator[Finding]:
             f"the number of turns is unknown from {at}{more} s on, after too many missing samples "
         )
         text += "in a row (or Ts is too long): the data are divided there"
-        yield _warning("turns", text)
+        yield warning("turns", text)
 
 
 def converter_step(r: Recording) -> int:

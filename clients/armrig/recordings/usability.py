@@ -80,7 +80,8 @@ class DataVerdict:
 
     def facts(self) -> dict[str, Any]:
         """Return all fields, for JSON."""
-        return {"usable": self.usable, **asdict(self)}
+        findings = ({"level": f.level, "about": f.about, "text": f.text} for f in self.findings)
+        return {"usable": self.usable} | asdict(self) | {"findings": tuple(findings)}
 
     def __repr__(self) -> str:
         """Describe the verdict and all findings, one finding per line."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals, Vector
-from armrig.data.finding import EstimateFinding
+from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.equation import Labels
@@ -112,7 +112,7 @@ class ComparisonTable:
         return replace(self, rows=tuple(row for row in self.rows if row.output == output))
 
     @property
-    def findings(self) -> tuple[EstimateFinding, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """Warnings, code "own data" or "overlap", about models estimated from these data."""
         named = [(rows[0].name, rows[0].model) for rows in self.models]
         return tuple(findings_on_own_data(named, self.data))

@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.finding import EstimateFinding
+from armrig.data.finding import Finding
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
@@ -112,7 +112,7 @@ class ResidualTest:
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
     """Hash of the recording, or ""."""
-    findings: tuple[EstimateFinding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     """Warnings, with the code "overlap" if the model was also estimated from a part of these data.
     """
 

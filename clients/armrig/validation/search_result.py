@@ -307,7 +307,7 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     yield from found.notes
     yield from _about_tests(found.tests)
     for f in chosen.model.findings:
-        if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.asks == "order":
+        if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.remedy == "order":
             yield f.text
     if found.failed:
         first = found.failed[0]

@@ -142,12 +142,12 @@ def test_the_remedy_depends_on_which_polynomial_has_the_unstable_pole(
     found = SimpleNamespace(values=np.array([*poles], complex), std=np.array([*poles.values()]))
     fit = {"structure": "arx", "integrator": False, "output": "y", "poles": lambda: found} | of
 
-    text, asks = _way_out(SimpleNamespace(**fit))  # type: ignore[arg-type]
+    text, found_remedy = _way_out(SimpleNamespace(**fit))  # type: ignore[arg-type]
 
     assert text.startswith(remedy)
     expected = "structure" if "use OE" in text else ""
     expected = "integrator" if text.endswith("set the option integrator") else expected
-    assert asks == ("order" if "lower the orders" in text else expected)
+    assert found_remedy == ("order" if "lower the orders" in text else expected)
     assert ("set the option integrator" in text) == (of.get("structure") == "bj")
 
 

@@ -8,7 +8,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.finding import EstimateFinding
+from armrig.data.finding import Finding
 from armrig.models.fit import Fit
 
 
@@ -28,7 +28,7 @@ def signals() -> Signals:
     return Signals(u=data.u[:, None], y=y, Ts=data.Ts, source=data.source)
 
 
-def found(data: Dataset, fit: Fit) -> list[EstimateFinding]:
+def found(data: Dataset, fit: Fit) -> list[Finding]:
     """Return the findings of a comparison; the residual tests have the same overlaps."""
     table, tests = armrig.compare(data, fit), armrig.residuals(fit, data)
     assert tests.findings == tuple(f for f in table.findings if f.about == "overlap")

@@ -120,7 +120,7 @@ def test_a_model_file_is_plain_json(fit: Fit, tmp_path: Path) -> None:
     assert quality["fit_percent"] == "-inf"
     assert content["outputs"] == ["θ<1>"]
     assert [f["text"] for f in content["findings"]] == ["first", "second"]
-    assert [f["asks"] for f in content["findings"]] == ["", "order"]
+    assert [f["remedy"] for f in content["findings"]] == ["", "order"]
     assert content["findings"][0]["numbers"] == {"start": 1.5, "stop": "inf"}
     assert "θ" in text
 

@@ -75,9 +75,9 @@ def test_a_run_with_a_missing_part_is_refused(tmp_path: Path) -> None:
     found = verify(run)
 
     assert load(run).N == 195
-    assert [c.about for c in found.checks if c.result == "failed"] == ["file"]
+    assert [c.about for c in found.checks if c.level == "unusable"] == ["file"]
     assert "its last part is missing" in repr(found)
-    assert verify(two).checks[0].result == "passed"
+    assert verify(two).checks[0].level == "good"
 
 
 def test_a_recording_given_as_a_calibration_is_refused_with_the_remedy(tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from armrig.data.finding import Finding
 from armrig.recordings.files import verification
 from armrig.recordings.files.container import Content
 from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.verification import (
-    Check,
     Verification,
     check_input,
     recorded_input,
@@ -72,7 +72,7 @@ def verified(
 
 
 def failed(found: Verification) -> dict[str, str]:
-    return {c.about: c.text for c in found.checks if c.result == "failed"}
+    return {c.about: c.text for c in found.checks if c.level == "unusable"}
 
 
 def test_a_run_that_matches_its_request_passes(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_run_that_matches_its_request_passes(tmp_path: Path) -> None:
 
     assert found.passed
     assert failed(found) == {}
-    assert [c.about for c in found.checks if c.result == "not checked"] == ["configuration"]
+    assert [c.about for c in found.checks if c.level == "warning"] == ["configuration"]
     assert found.sha256 == hashlib.sha256((tmp_path / "run.mcap").read_bytes()).hexdigest()
     assert len(repr(found).splitlines()) == len(found.checks)
 
@@ -103,7 +103,7 @@ def test_checks_are_skipped_without_samples(tmp_path: Path) -> None:
     ended = Outcome(outcome="stopped", samples=0, missing=0)
     found = verify(written(tmp_path, recorded([], manifest=about, outcome=ended, u=U.tolist())))
 
-    assert [c.about for c in found.checks if c.result == "passed"] == ["file"]
+    assert [c.about for c in found.checks if c.level == "good"] == ["file"]
     assert dict(rows(found))["verdict"].startswith("passed; not checked: samples, envelope, input")
 
 
@@ -131,7 +131,7 @@ def test_only_a_remote_recorder_may_lack_a_voltage(
 def test_a_run_without_an_attached_input_passes(tmp_path: Path) -> None:
     without = verified(tmp_path, run(), u=None)
     assert without.passed
-    assert [c.result for c in without.checks if c.about == "input"] == ["not checked"]
+    assert [c.level for c in without.checks if c.about == "input"] == ["warning"]
 
 
 def test_a_file_that_is_cut_off_fails_and_can_still_be_loaded(tmp_path: Path) -> None:
@@ -198,8 +198,8 @@ def test_each_sample_is_compared_with_the_voltage_of_its_number(tmp_path: Path) 
     about = manifest(k_first=0, samples=N)
     rec = load(written(tmp_path, recorded(messages, manifest=about, outcome=ended)))
 
-    assert check_input(rec, U).result == "passed"
-    assert check_input(rec, np.roll(U, 1)).result == "failed"
+    assert check_input(rec, U).level == "good"
+    assert check_input(rec, np.roll(U, 1)).level == "unusable"
 
 
 def test_the_samples_of_an_older_recording_are_numbered_from_the_first_voltage(
@@ -209,7 +209,7 @@ def test_the_samples_of_an_older_recording_are_numbered_from_the_first_voltage(
     rec = load(written(tmp_path, recorded(run()[3:], manifest=manifest(samples=N))))
 
     assert (rec.manifest.k_first, rec.k_first) == (-1, 3)
-    assert check_input(rec, U).result == "passed"
+    assert check_input(rec, U).level == "good"
 
 
 @pytest.mark.parametrize("block", [7, 64, 1 << 20])
@@ -239,31 +239,31 @@ CODE_V = 5 / 65535
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "result"),
+    ("low", "high", "level"),
     [
-        (0.0, 5.0, "passed"),
-        (LOWEST, HIGHEST, "passed"),
-        (LOWEST + 0.4 * CODE_V, HIGHEST - 0.4 * CODE_V, "passed"),
-        (LOWEST + 0.6 * CODE_V, HIGHEST, "failed"),
-        (LOWEST, HIGHEST - 0.6 * CODE_V, "failed"),
+        (0.0, 5.0, "good"),
+        (LOWEST, HIGHEST, "good"),
+        (LOWEST + 0.4 * CODE_V, HIGHEST - 0.4 * CODE_V, "good"),
+        (LOWEST + 0.6 * CODE_V, HIGHEST, "unusable"),
+        (LOWEST, HIGHEST - 0.6 * CODE_V, "unusable"),
     ],
 )
 def test_requested_voltages_are_in_the_limits_of_the_configuration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, low: float, high: float, result: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, low: float, high: float, level: str
 ) -> None:
     """A limit may lie half a step of the wire's code inside."""
     text = msgspec.json.encode({"limits": {"u_min_v": low, "u_max_v": high}})
     sha256 = hashlib.sha256(text).hexdigest()
     rec = load(written(tmp_path, recorded(run(), manifest=manifest(config_sha256=sha256))))
 
-    def checked(attached: bytes) -> Check:
+    def checked(attached: bytes) -> Finding:
         content = Content(attachments={CONFIG: attached})
         monkeypatch.setattr(verification, "beginning", lambda path: (path, content))
         [check] = [c for c in verify_recording(rec).checks if c.about == "configuration"]
         return check
 
-    assert checked(text).result == result
-    if result == "failed":
+    assert checked(text).level == level
+    if level == "unusable":
         assert checked(text).text == (
             f"{LOWEST:.4g} to {HIGHEST:.4g} V were requested, "
             f"outside the limits {low:g} to {high:g} V"

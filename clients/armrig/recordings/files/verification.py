@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import numpy as np
@@ -25,6 +24,7 @@ from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE
 from numpy.typing import NDArray
 
+from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.quantities import NBSP, plural
 from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.recording_summary import REMOTE
@@ -43,16 +43,11 @@ _TIMES_BYTES = 8 + 8  # B; two times precede the name in an attachment
 _MAX_LINE_BYTES = 64  # B; the text of a voltage has at most 24 B
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
-    """Result of one check."""
+RESULTS: Mapping[str, str] = {"good": "passed", "warning": "not checked", "unusable": "failed"}
+"""Result of a check, by the level of its finding.
 
-    about: str
-    """Subject of the check: file, samples, envelope, input, timing, configuration or clock."""
-    result: Literal["passed", "failed", "not checked"]
-    """Result of the check; `not checked` if the recording does not contain the necessary data."""
-    text: str
-    """Description of the result, as text."""
+A recording without the data that a check needs is not checked.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -63,20 +58,20 @@ class Verification:
     """Path of the recording."""
     sha256: str
     """Hash of the recording, as `sha256sum` prints it."""
-    checks: tuple[Check, ...]
-    """Checks, in the order in which they were made."""
+    checks: tuple[Finding, ...]
+    """Findings about file, samples, envelope, input, timing, configuration and clock."""
     samples: int = 0
     """Number of samples that could be read."""
 
     @property
     def passed(self) -> bool:
         """True if no check failed."""
-        return all(check.result != "failed" for check in self.checks)
+        return all(check.level != "unusable" for check in self.checks)
 
     def __repr__(self) -> str:
         """Return a row for each check."""
         width = max(len(check.about) for check in self.checks)
-        return "\n".join(f"{c.about:{width}}  {c.result:11}  {c.text}" for c in self.checks)
+        return "\n".join(f"{c.about:{width}}  {RESULTS[c.level]:11}  {c.text}" for c in self.checks)
 
 
 def verify(path: str | Path) -> Verification:
@@ -103,33 +98,31 @@ def verify_recording(recording: Recording) -> Verification:
     )
 
 
-def check_file(r: Recording) -> Check:
+def check_file(r: Recording) -> Finding:
     """Check that the file is complete, and that checksums and number of samples are right."""
     if r.truncated:
-        return _failed("file", r.damage)
+        return unusable("file", r.damage)
     if r.outcome is None:
-        return _failed("file", "it does not contain the outcome of the run")
+        return unusable("file", "it does not contain the outcome of the run")
     whole_run = r.manifest.part > 0 and not part_number(r.path)
     if whole_run and r.outcome.code == OutcomeCode.CONTINUED:
-        return _failed(
+        return unusable(
             "file", "its last part is missing: the previous part says that the run is continued"
         )
     came, missing = r.samples.size, r.missing
     if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):
         text = f"it reports {r.outcome.samples} samples and {r.outcome.missing} missing samples, "
         text += "but contains "
-        return _failed("file", f"{text}{came} and {missing}")
-    return _passed(
-        "file", f"complete, all checksums correct; outcome of the run: {r.outcome.outcome}"
-    )
+        return unusable("file", f"{text}{came} and {missing}")
+    return good("file", f"complete, all checksums correct; outcome of the run: {r.outcome.outcome}")
 
 
-def check_samples(r: Recording) -> Check:
+def check_samples(r: Recording) -> Finding:
     """Check that each missing sample is in a gap record."""
     if not r.N and r.recovered is not None:
-        return _failed("samples", "the file was cut off before its first sample")
+        return unusable("samples", "the file was cut off before its first sample")
     if not r.N:
-        return _not_checked("samples", "no sample was due")
+        return warning("samples", "no sample was due")
     # Gaps may overlap. The cumulative sum of `change` is the number of gaps that contain a row.
     change = np.zeros(r.N + 1, np.int64)
     for gap in r.gaps:
@@ -141,16 +134,16 @@ def check_samples(r: Recording) -> Check:
         count = int(np.count_nonzero(unreported))
         verb = "is" if count == 1 else "are"
         text = f"{plural(count, 'sample')} {verb} missing without a gap record, from k={k} on"
-        return _failed("samples", text)
+        return unusable("samples", text)
     if r.missing:
         text = (
             f"{r.samples.size} of {r.N}; each of the {r.missing} missing samples is in a gap record"
         )
-        return _passed("samples", text)
-    return _passed("samples", f"all {r.N} from k={r.k_first} on")
+        return good("samples", text)
+    return good("samples", f"all {r.N} from k={r.k_first} on")
 
 
-def check_envelope(r: Recording) -> Check:
+def check_envelope(r: Recording) -> Finding:
     """Check that no requested, applied or held voltage was outside 0 to 5 V."""
     held = np.array([gap.u_held_v for gap in r.gaps], np.float64)
     # A remote recorder does not know the voltage of a gap whose report it missed.
@@ -167,28 +160,28 @@ def check_envelope(r: Recording) -> Check:
             text = f"{u[i]:.6g} V was {name}, outside 0 to {U_MAX_V:g} V"
             if u.size == r.samples.size and name != "held in a gap":
                 text += f", at k={r.samples['k'][i]}"
-            return _failed("envelope", text)
+            return unusable("envelope", text)
     u = volts["applied"]
     if not u.size:
-        return _not_checked("envelope", "no sample")
+        return warning("envelope", "no sample")
     seen = f"{u.min():.4g} to {u.max():.4g} V applied"
     unknown = int(np.count_nonzero(~known))
     what = f"; unknown in {plural(unknown, 'gap')} that the recorder missed" if unknown else ""
-    return _passed("envelope", f"{seen}, inside 0 to {U_MAX_V:g} V{what}")
+    return good("envelope", f"{seen}, inside 0 to {U_MAX_V:g} V{what}")
 
 
-def check_input(r: Recording, u: Vector) -> Check:
+def check_input(r: Recording, u: Vector) -> Finding:
     """Check that the voltages of each sample agree with the attached input `u`, (N,) in V."""
     at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
     if u.size != r.manifest.samples:
         text = f"{u.size} voltages are attached, but the run has {r.manifest.samples} samples"
-        return _failed("input", text)
+        return unusable("input", text)
     outside = (at < 0) | (at >= u.size)
     if outside.any():
         k = r.samples["k"][outside.argmax()]
-        return _failed("input", f"sample k={k} is outside the {u.size} attached voltages")
+        return unusable("input", f"sample k={k} is outside the {u.size} attached voltages")
     if not at.size:
-        return _not_checked("input", "no sample")
+        return warning("input", "no sample")
     # A device with n bits applies the nearest of its 2^n steps.
     bits = r.manifest.device.get("pwm_bits")
     step = U_MAX_V / (1 << bits) if isinstance(bits, int) and 0 < bits <= 16 else _CODE_V
@@ -201,35 +194,35 @@ def check_input(r: Recording, u: Vector) -> Check:
             i = int(wrong.argmax())
             text = f"{plural(int(np.count_nonzero(wrong)), 'sample')} with another voltage {name}, "
             text += f"the first at k={r.samples['k'][i]}: {r.samples[field][i]:.6g} V instead of "
-            return _failed("input", f"{text}{u[at[i]]:.6g} V")
+            return unusable("input", f"{text}{u[at[i]]:.6g} V")
     text = (
         f"u is the experiment's input at each sample, applied in steps of {step * 1e3:.3g}{NBSP}mV"
     )
-    return _passed("input", text)
+    return good("input", text)
 
 
-def check_timing(r: Recording) -> Check:
+def check_timing(r: Recording) -> Finding:
     """Check that the times of both clocks increase, and report jitter and lateness."""
     for name, field in (("device", "t_device_us"), ("host", "t_sched_ns")):
         t = r.samples[field].astype(np.int64)
         back = np.flatnonzero(t[1:] <= t[:-1])
         if back.size:
             k = r.samples["k"][back[0] + 1]
-            return _failed("timing", f"the time of the {name}'s clock does not increase at k={k}")
+            return unusable("timing", f"the time of the {name}'s clock does not increase at k={k}")
     s = sampling_statistics(r)
     if not s.jitter.n:
-        return _not_checked("timing", "too few samples")
+        return warning("timing", "too few samples")
     text = ", ".join(
         f"{name} {p.p50:.3g}, {p.p99:.3g}, {p.p999:.3g}, {p.max:.3g}"
         for name, p in (("jitter", s.jitter), ("lateness", s.lateness))
     )
-    return _passed("timing", f"{text} (p50, p99, p99.9, max in µs)")
+    return good("timing", f"{text} (p50, p99, p99.9, max in µs)")
 
 
-def check_clock(r: Recording) -> Check:
+def check_clock(r: Recording) -> Finding:
     """Check the drift of the device's clock, and that the offset of the clocks does not jump."""
     if r.samples.size < 2:
-        return _not_checked("clock", "too few samples")
+        return warning("clock", "too few samples")
     # Over the whole run, the errors of single time stamps have little effect on the drift.
     host = int(r.samples["t_sched_ns"][-1]) - int(r.samples["t_sched_ns"][0])
     device = 1000 * (int(r.samples["t_device_us"][-1]) - int(r.samples["t_device_us"][0]))
@@ -239,7 +232,7 @@ def check_clock(r: Recording) -> Check:
     if abs(ppm) > allowed:
         text = f"the device's clock is {ppm:.0f} ppm off the host's clock over the run; "
         text += "the limit is "
-        return _failed("clock", f"{text}{allowed:.0f}")
+        return unusable("clock", f"{text}{allowed:.0f}")
     for before, after in pairwise(r.clock):
         change = after.offset_ns - before.offset_ns
         expected = before.drift_ppm * 1e3 * (after.t - before.t)
@@ -251,47 +244,45 @@ def check_clock(r: Recording) -> Check:
         ):
             text = f"the offset of the clocks jumps by {(change - expected) / 1e3:.0f} µs at "
             text += f"{after.t:.1f} s (standard deviation {spread / 1e3:.0f} µs)"
-            return _failed("clock", text)
+            return unusable("clock", text)
     if not r.clock:
-        return _passed(
-            "clock", f"the device's clock is {ppm:+.1f} ppm off; no comparisons recorded"
-        )
+        return good("clock", f"the device's clock is {ppm:+.1f} ppm off; no comparisons recorded")
     last = r.clock[-1]
     text = f"{plural(len(r.clock), 'comparison')} without a jump; offset known to "
     text += f"± {last.offset_std_ns / 1e3:.1f} µs, drift {last.drift_ppm:+.1f} ± "
-    return _passed("clock", f"{text}{last.drift_std_ppm:.1f} ppm")
+    return good("clock", f"{text}{last.drift_std_ppm:.1f} ppm")
 
 
-def _check_attached_input(r: Recording) -> Check:
+def _check_attached_input(r: Recording) -> Finding:
     path, content = beginning(r.path)
     if content.input is None:
-        return _not_checked("input", "no input is attached")
+        return warning("input", "no input is attached")
     try:
         u = recorded_input(path, content.input, r.manifest.samples)
     except DamageError as err:
-        return _failed("input", str(err))
+        return unusable("input", str(err))
     return check_input(r, u)
 
 
-def _check_configuration(r: Recording) -> Check:
+def _check_configuration(r: Recording) -> Finding:
     """Check the hash of the attached configuration, and requested voltages against its limits."""
     _, content = beginning(r.path)
     text = content.attachments.get(CONFIG)
     if text is None or not r.manifest.config_sha256:
         why = "no configuration is attached, or its hash is not recorded"
-        return _not_checked("configuration", why)
+        return warning("configuration", why)
     if hashlib.sha256(text).hexdigest() != r.manifest.config_sha256:
-        return _failed("configuration", "its hash differs from the hash in the manifest")
+        return unusable("configuration", "its hash differs from the hash in the manifest")
     try:
         limits = msgspec.json.decode(text, type=_Config).limits
     except msgspec.DecodeError as err:
-        return _failed("configuration", f"it cannot be read ({err})")
+        return unusable("configuration", f"it cannot be read ({err})")
     u = r.samples["u_cmd_v"]
     low, high = limits.u_min_v - 0.5 * _CODE_V, limits.u_max_v + 0.5 * _CODE_V
     if u.size and not (low <= u.min() and u.max() <= high):
         found = f"{u.min():.4g} to {u.max():.4g} V were requested, outside the limits "
-        return _failed("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
-    return _passed("configuration", "its hash is correct; the requested voltages are in its limits")
+        return unusable("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
+    return good("configuration", "its hash is correct; the requested voltages are in its limits")
 
 
 class _Limits(msgspec.Struct, frozen=True):
@@ -303,23 +294,11 @@ class _Config(msgspec.Struct, frozen=True):
     limits: _Limits = _Limits()
 
 
-def _passed(about: str, text: str) -> Check:
-    return Check(about=about, result="passed", text=text)
-
-
-def _failed(about: str, text: str) -> Check:
-    return Check(about=about, result="failed", text=text)
-
-
-def _not_checked(about: str, text: str) -> Check:
-    return Check(about=about, result="not checked", text=text)
-
-
 def _verdict(found: Verification) -> str:
-    failed = [check.about for check in found.checks if check.result == "failed"]
+    failed = [check.about for check in found.checks if check.level == "unusable"]
     if failed:
         return f"failed: {', '.join(failed)}"
-    left = [check.about for check in found.checks if check.result == "not checked"]
+    left = [check.about for check in found.checks if check.level == "warning"]
     return "passed" + (f"; not checked: {', '.join(left)}" if left else "")
 
 
@@ -329,7 +308,7 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
     yield "recording", str(found.path)
     yield "sha256", found.sha256
     for check in found.checks:
-        yield check.about, f"{check.result}: {check.text}"
+        yield check.about, f"{RESULTS[check.level]}: {check.text}"
 
 
 def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:

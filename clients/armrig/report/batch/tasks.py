@@ -313,12 +313,12 @@ def _validated(task: Validate, recording: Recording) -> Row:
 
 
 def _verified(recording: Recording) -> Row:
-    from armrig.recordings.files.verification import verify_recording
+    from armrig.recordings.files.verification import RESULTS, verify_recording
 
     found = verify_recording(recording)
     row: Row = {"passed": found.passed}
     for check in found.checks:
-        row |= {f"{check.about}_result": check.result, f"{check.about}_found": check.text}
+        row |= {f"{check.about}_result": RESULTS[check.level], f"{check.about}_found": check.text}
     return row
 
 
