@@ -268,7 +268,7 @@ def basis_of_states(part: Part, free: Array) -> Basis:
     basis = orthonormal(Z[:last])
     Q = np.zeros((len(Z), basis.rank))
     Q[:last] = basis.Q
-    return Basis(Q=Q, W=basis.W)
+    return replace(basis, Q=Q)
 
 
 def without(basis: Basis, M: Array) -> Array:

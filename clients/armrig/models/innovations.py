@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -207,8 +208,8 @@ def response(numerator: Array | list[float], denominator: Array, N: int) -> Arra
         pulse[0] = 1.0
         h = filtered(numerator, denominator, pulse)
         size = np.abs(h)
-        above = size > _SETTLED_SHARE * size.max()
-        end = n - int(np.argmax(above[::-1])) if above.any() else 1
+        above = np.flatnonzero(size > _SETTLED_SHARE * size.max())
+        end = int(above[-1]) + 1 if above.size else 1
         # An oscillation may be small for some samples only. The response ends where all later
         # samples are small.
         if n == N or end < n // 2:
@@ -345,24 +346,30 @@ def errors(
     raw = given.y - given.X @ (np.append(A[1:], b) if linear_a else b)
     past = given.unknown
     along = past.along(raw) if along is None else along
-    pulses, state = np.split(past.basis.W @ along, [past.pulses])
+    found = past.basis.W @ along
+    pulses, state = found[: past.pulses], found[past.pulses :]
     e = raw.copy()
     e[: past.basis.Q.shape[0]] -= past.basis.Q @ along
     driven = trend(n, N) @ state[sum(n.counts) :] if n.trend else np.zeros(N)
     responses, begin = [], 0
-    for count, group in zip(n.counts, n.groups, strict=True):
-        w = filtered(B[group[0]], F[group[0]], x.u[:, group[0]])
-        for j in group[1:]:
-            w += filtered(B[j], F[j], x.u[:, j])
-        if count:
-            free = response(state[begin : begin + count], F[group[0]], N)
-            w[: free.size] += free
-        begin += count
-        driven += w
-        responses.append((w, F[group[0]]))
+    if n.white and x.whole and len(n.groups) == 1:  # e is y - driven: no filter is needed
+        responses.append((x.y - e - driven, F[n.groups[0][0]]))
+        driven = x.y - e
+    else:
+        for count, group in zip(n.counts, n.groups, strict=True):
+            w = filtered(B[group[0]], F[group[0]], x.u[:, group[0]])
+            for j in group[1:]:
+                w += filtered(B[j], F[j], x.u[:, j])
+            if count:
+                free = response(state[begin : begin + count], F[group[0]], N)
+                w[: free.size] += free
+            begin += count
+            driven += w
+            responses.append((w, F[group[0]]))
     sizes = (0 if linear_a else n.na, n.nc, n.nd, *n.sizes)
     Psi = np.zeros((N, sum(sizes)), order="F")
-    by_a, by_c, by_d, *by_f = np.split(Psi, np.cumsum(sizes)[:-1], axis=1)
+    ends = pairwise(accumulate(sizes, initial=0))
+    by_a, by_c, by_d, *by_f = (Psi[:, begin:end] for begin, end in ends)
     by_scale = np.zeros(Psi.shape[1])
     if given.noise is not None:
         z = filtered(D, [1.0], driven)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,24 @@ class Basis:
 
     Q: Array
     """Orthonormal columns (N, r)."""
-    W: Array
-    """Matrix (d, r): W Q^T y are the least-squares coefficients of y, and W W^T is (M^T M)^-1."""
+    R: Array
+    """Triangular factor (r, r) of the independent columns of M, each divided by its `scale`."""
+    kept: NDArray[np.int_]
+    """Indices (r,) of the independent columns of M."""
+    scale: Array
+    """Norms (r,) of the independent columns of M."""
+    d: int
+    """Number of columns of M."""
+
+    @property
+    def W(self) -> Array:
+        """Matrix (d, r): W Q^T y are the least-squares coefficients of y, and W W^T is (M^T M)^-1.
+
+        The matrix is computed when it is needed, because a search often needs Q alone.
+        """
+        W = np.zeros((self.d, self.rank))
+        W[self.kept] = upper_inverse(self.R) / self.scale[:, None]
+        return W
 
     @property
     def rank(self) -> int:
@@ -43,7 +59,7 @@ class Basis:
         """Return the basis of a matrix with M in the rows of a mask and zeros in all other rows."""
         Q = np.zeros((rows.size, self.rank))
         Q[rows] = self.Q
-        return Basis(Q=Q, W=self.W)
+        return replace(self, Q=Q)
 
 
 def column_norms(M: Array) -> Array:
@@ -58,9 +74,7 @@ def orthonormal(M: Array) -> Basis:
     square the condition number of M.
     """
     Q, R, kept, scale = _decomposed(M)
-    W = np.zeros((M.shape[1], kept.size))
-    W[kept] = upper_inverse(R) / scale[:, None]
-    return Basis(Q=Q, W=W)
+    return Basis(Q=Q, R=R, kept=kept, scale=scale, d=M.shape[1])
 
 
 def least_squares(M: Array, Y: Array) -> Array:

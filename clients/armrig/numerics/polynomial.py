@@ -37,7 +37,7 @@ def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
     """Return x (N,) filtered by numerator/denominator, from rest."""
     from scipy.signal import lfilter
 
-    return np.asarray(lfilter(np.atleast_1d(numerator), np.atleast_1d(denominator), x))
+    return np.asarray(lfilter(numerator, denominator, x))
 
 
 def continued(A: Array, B: Array, u: Array, y: Array) -> Array:
