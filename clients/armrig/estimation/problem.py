@@ -371,11 +371,23 @@ class PolynomialProblem:
             changes.append(total)
         return changes
 
-    def minimise(self, theta: Array, most: int = MAX_STEPS, known: float = np.nan) -> Optimum:
+    def minimise(
+        self,
+        theta: Array,
+        most: int = MAX_STEPS,
+        known: float = np.nan,
+        target: float = np.inf,
+    ) -> Optimum:
         """Return the minimum that a search from theta reaches with stable C and F."""
         circle = self.circle
         return levenberg_marquardt(
-            self.linearise, theta, admissible=circle.admits, most=most, known=known, walls=circle
+            self.linearise,
+            theta,
+            admissible=circle.admits,
+            most=most,
+            known=known,
+            target=target,
+            walls=circle,
         )
 
     @property

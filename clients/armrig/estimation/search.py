@@ -119,13 +119,14 @@ def _largest_order(problem: PolynomialProblem) -> int:
 def _lowest_beside(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
     """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
 
-    After ten steps only the 16 searches with the least cost continue. A search that returned to the
-    minimum `best` does not continue.
+    A search ends early if it returns to `best`, or if a higher minimum is near and the cost of
+    `best` is out of reach. After ten steps only the 16 other searches with the least cost continue.
     """
+    target = best.cost * (1 - _RETURN_TOLERANCE)
     starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
     for steps, kept in _STAGES:
-        near = [problem.minimise(start, most=steps, known=best.cost) for start in starts]
-        near = [end for end in near if abs(end.cost - best.cost) > _RETURN_TOLERANCE * best.cost]
+        ends = [problem.minimise(start, most=steps, target=target) for start in starts]
+        near = [end for end in ends if end.cost < target or end.iterations == steps]
         near.sort(key=lambda end: end.cost)
         starts = [end.theta for end in near[:kept]]
     lowest = min(near, key=lambda end: end.cost, default=best)

@@ -16,6 +16,8 @@ TOLERANCE = 1e-10
 MAX_STEPS = 200
 MAX_HALVINGS = 60
 _SAME_COST_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
+_NEAR_TARGET = 1e-5  # relative difference in cost up to which a step decides about the target
+_REACH = 100.0  # farther from the target: largest ratio of later decrease to predicted decrease
 _GRADIENT_FALL = 0.9  # largest ratio of successive gradients that counts as a decrease
 _MIN_DECREASE = 1e-13  # relative decrease of the cost; a smaller predicted decrease is rounding
 _WALL_RANK_TOLERANCE = 1e-9  # relative singular value above which walls do not coincide
@@ -52,6 +54,7 @@ def levenberg_marquardt(
     admissible: Callable[[Array], bool],
     most: int = MAX_STEPS,
     known: float = np.nan,
+    target: float = np.inf,
     walls: Walls | None = None,
 ) -> Optimum:
     """Return the local minimum of |e(theta)|² that a descent from an admissible `theta` reaches.
@@ -65,9 +68,11 @@ def levenberg_marquardt(
     admissible set is halved until it ends inside.
 
     `known` is the cost of a minimum found earlier. If the search is near this cost and the
-    predicted decrease is small, the search stops to save time. If theta touches a wall, a step
-    across this wall is replaced by a step along the wall. Without walls the search stops at the
-    boundary of the admissible set.
+    predicted decrease is small, the search stops to save time. The search also stops if the
+    gradient is so small that a cost below `target` is out of reach.
+
+    If theta touches a wall, a step across this wall is replaced by a step along the wall. Without
+    walls the search stops at the boundary of the admissible set.
 
     References
     ----------
@@ -87,6 +92,8 @@ def levenberg_marquardt(
     while iterations < most:
         iterations += 1
         s, Vt, z = _along(normals, *whole, damping)
+        if _out_of_reach(target, cost, float(z @ z)):
+            break
         gradient = float(np.linalg.norm(z[s > 0])) / np.sqrt(cost)
         if gradient <= TOLERANCE and change <= TOLERANCE:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
@@ -129,6 +136,12 @@ def levenberg_marquardt(
 
 
 _Linear = tuple[Array, Array, Array]
+
+
+def _out_of_reach(target: float, cost: float, predicted: float) -> bool:
+    """Return whether a search at `cost` cannot reach `target`, given the predicted decrease."""
+    reach = 1.0 if cost <= target * (1 + _NEAR_TARGET) else _REACH
+    return cost - reach * predicted > target
 
 
 def _admitted(

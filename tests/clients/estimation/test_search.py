@@ -148,10 +148,11 @@ def test_the_lowest_of_the_moved_modes_are_searched_to_their_end(
     starts = [np.array([float(k)]) for k in np.random.default_rng(1).permutation(20)]
     asked: dict[int, list[float]] = {}
 
-    def minimise(theta: NDArray[np.float64], most: int = 0, known: float = 0.0) -> Optimum:
+    def minimise(theta: NDArray[np.float64], most: int = 0, target: float = 0.0) -> Optimum:
         asked.setdefault(most, []).append(float(theta[0]))
-        cost = 50.0 + 3e-6 if theta[0] == 3 else 48.5 + theta[0] - (most > 10) - 2 * (most == 0)
-        return Optimum(theta=theta, cost=cost, iterations=most, converged=most == 0)
+        back = theta[0] == 3
+        cost = 50.0 + 3e-6 if back else 48.5 + theta[0] - (most > 10) - 2 * (most == 0)
+        return Optimum(theta=theta, cost=cost, iterations=most - back, converged=most == 0)
 
     monkeypatch.setattr(search, "moved_modes", lambda *_, **__: iter(starts))
     problem: Any = SimpleNamespace(minimise=minimise)

@@ -86,6 +86,22 @@ def test_a_search_near_a_known_minimum_ends_early() -> None:
     assert short.cost == pytest.approx(whole.cost, rel=1e-6)
 
 
+def test_a_search_ends_early_if_its_target_is_out_of_reach() -> None:
+    """Also if it returns to a minimum whose cost is just above the target."""
+    start = np.array([1.0, 0.1])
+    whole = levenberg_marquardt(decay, start, admissible=lambda _: True)
+
+    reached, below, returned = (
+        levenberg_marquardt(decay, start, admissible=lambda _: True, target=factor * whole.cost)
+        for factor in (1.1, 0.5, 1 - 1e-7)
+    )
+
+    assert (reached.cost, reached.iterations) == (whole.cost, whole.iterations)
+    for early in (below, returned):
+        assert not early.converged
+        assert early.iterations < whole.iterations
+
+
 class Below:
     """The wall theta_2 <= edge."""
 
