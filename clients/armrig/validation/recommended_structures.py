@@ -311,8 +311,11 @@ def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted
         if (f := known.get(s.nf + more)) is not None:
             starts.extend(_of_order(np.append(1.0, f), nf))
     priced = sorted(((problem.cost(F[1:]), F[1:]) for F in starts), key=lambda x: x[0])
-    ends = [_fitted(problem, s, f) for _, f in priced[:_MAX_SEARCHES]]
-    return min((e for e in ends if e), key=lambda e: e.cost, default=None)
+    best: _Fitted | None = None
+    for _, f in priced[:_MAX_SEARCHES]:
+        found = _fitted(problem, s, f, known=best.cost if best else np.nan)
+        best = min((e for e in (best, found) if e), key=lambda e: e.cost, default=None)
+    return best
 
 
 def _of_order(F: Vector, nf: int) -> Iterator[Vector]:
@@ -347,12 +350,17 @@ def _fits(
             yield model
 
 
-def _fitted(problem: PolynomialProblem, s: Recommended, f: Vector) -> _Fitted | None:
-    """Return the model that a search from f finds; None if there are too few residuals."""
+def _fitted(
+    problem: PolynomialProblem, s: Recommended, f: Vector, *, known: float = np.nan
+) -> _Fitted | None:
+    """Return the model that a search from f finds; None if there are too few residuals.
+
+    The search ends early at the cost `known` of another search.
+    """
     N = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
     if 3 * (s.nb + s.nf) >= N:
         return None
-    end = problem.minimise(f, most=_MAX_STEPS)
+    end = problem.minimise(f, most=_MAX_STEPS, known=known)
     past = sum(past.rank for past in problem.solve(end.theta).past)
     if past + s.nb + s.nf >= N:
         return None
