@@ -402,12 +402,6 @@ class Found:
         say_answer(answer(self.fit, table, tests, self.doubts))
         for lines in self._all() if verbose else self._short():
             say("\n".join(lines))
-        if self.save is not None and self.search is not None and self.search.halved:
-            N, ranked_by = self.data.N, self.search.chosen.error.shape[0]
-            tell(
-                f"{self.save}: estimated from the first {N - ranked_by} of {N} samples, since the "
-                "others rank the models; the next command estimates it from all samples"
-            )
         if hint := model_output.hint(self.fit):
             tell(hint)
 

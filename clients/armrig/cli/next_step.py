@@ -349,7 +349,7 @@ def after_identify(found: Found, about: Set[str]) -> None:
     fit, request, data, signals = found.fit, found.request, found.data, found.signals
     tests = None if found.validation is None else found.validation.tests
     one = (fit.ny, fit.nu) == (1, 1)
-    searched, halved = found.search is not None, found.search and found.search.halved
+    searched = found.search is not None
     if one:
         options = options_after(fit, request, about, searched=searched, detrended=signals.detrend)
     else:
@@ -374,7 +374,7 @@ def after_identify(found: Found, about: Set[str]) -> None:
     checked = channel.options() + " --detrend" * (one and fit.offset and not signals.detrend)
     if options == CHECK:
         say_next("identify check", **values, given=checked)
-    elif found.save is None or halved or options != options_of(request):
+    elif found.save is None or options != options_of(request):
         say_next("identify", **values)
     elif found.validate is not None and tests is not None and signals.read and _has_physics(fit):
         after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)

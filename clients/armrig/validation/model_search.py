@@ -16,6 +16,7 @@ from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.data.treatment.integrating import integration
 from armrig.estimation.data_faults import CONSTANT_INPUT, level_without_input
 from armrig.estimation.orders import integrating_outputs
 from armrig.estimation.stability import largest_unstable
@@ -23,7 +24,7 @@ from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
-from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
+from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
 from armrig.validation.data_advice import Tested, doubts, doubts_of_channels, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
@@ -38,6 +39,11 @@ _CIRCLE_TOLERANCE = 1e-6
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of u in the data
 _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
+_BOTH_TRIED = "y may integrate, so the structures were tried with and without a pole at 1"
+_OWN_DATA = (
+    "u moves in one part of the data only, so Akaike's FPE ranked the models on the data that "
+    "estimated them; other data for validation (--validate) decide better"
+)
 
 
 @takes_data
@@ -81,9 +87,10 @@ def search(
     data : Dataset or Signals
         Data to estimate from.
     validation : Dataset or Signals, optional
-        Data to rank the models on; by default the second half of `data`, and only the first half is
-        used for estimation. If u rests in one half, the cut is elsewhere. Then
-        ``found.chosen.candidate.estimated(data)`` is the chosen structure estimated from all data.
+        Data to rank the models on. By default the models are estimated from the first half of
+        `data` and ranked on the second half. The chosen model is then estimated again from all
+        `data`. If u rests in one half, the cut is elsewhere. If no cut leaves two parts in which u
+        moves, the models are ranked by Akaike's FPE on the data that estimated them.
     families : sequence of str, optional
         Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
         default contains only structures whose noise model prevents a bias by feedback. For several
@@ -99,8 +106,9 @@ def search(
         the data do not distinguish the two, 0 is tried, and `doubts` contains this finding.
     integrator : bool, str or sequence of str, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
-        theta_1; for any other output a test decides. For several signals: the outputs with a pole
-        at 1, by default theta_1 if "oe" is tried.
+        theta_1; for any other output a test decides. If the test does not distinguish an integrator
+        from a slow pole, structures with and without a pole at 1 are tried. For several signals:
+        the outputs with a pole at 1, by default theta_1 if "oe" is tried.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
         True if y has a constant part, above 2 standard deviations in one of the two data sets,
@@ -125,8 +133,7 @@ def search(
     Raises
     ------
     ValueError
-        No model could be estimated, an argument is out of range, or u moves in one part of `data`
-        only and `validation` is not given.
+        No model could be estimated, an argument is out of range, or u is constant.
 
     References
     ----------
@@ -145,13 +152,17 @@ def search(
         data = data.dataset()
     if orders is None:
         orders = range(1, 9) if isinstance(data, Signals) else range(1, 6)
-    halved, orders = validation is None, several("orders", orders)
+    whole, halved, orders = data, False, several("orders", orders)
     if validation is None:
         data, validation = _estimation_and_validation(data)  # type: ignore[type-var]
+        halved = data is not whole
+    own = validation is whole
     if isinstance(data, Dataset):
         validation = as_dataset(validation)
     plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
-    score = partial(_score, data=data, validation=validation, horizon=plan.horizon)
+    if integrator is None and isinstance(whole, Dataset) and integration(whole, None).undecided:
+        plan = _with_integrators(plan)
+    score = partial(_score, data=data, validation=validation, horizon=plan.horizon, own=own)
     coming = (map if executor is None else executor.map)(score, plan.candidates)
     scored = _counted(coming, [c.name for c in plan.candidates], progress)
     ranked, rms, excess, excess_std = _ranked(scored, validation)
@@ -159,9 +170,9 @@ def search(
     complexity = [s.parameters + 0.5 * (s.candidate.nk == 0) for s in ranked]
     chosen = simplest_as_good(excess, excess_std, complexity)
     tests = residuals(ranked[chosen].model, validation)
-    request = ranked[chosen].candidate.request_for(data)
-    if request.replicates is not None:
-        fit = structs.replace(request, replicates=None).estimated(data)
+    request = ranked[chosen].candidate.request_for(whole)
+    if halved or request.replicates is not None:
+        fit = structs.replace(request, replicates=None).estimated(whole)
         ranked[chosen] = replace(ranked[chosen], fit=fit)
     outputs = validation.signals()
     return SearchResult(
@@ -172,7 +183,7 @@ def search(
         chosen_index=chosen,
         failed=tuple(j for j in scored if j.reason),
         doubts=plan.doubts,
-        notes=plan.notes,
+        notes=(*([_OWN_DATA] if own else []), *plan.notes),
         halved=halved,
         tests=tests,
         horizon=plan.horizon,
@@ -255,6 +266,14 @@ def _planned(
     return _Plan(candidates=candidates, horizon=horizon, doubts=tuple(against), notes=tuple(notes))
 
 
+def _with_integrators(plan: _Plan) -> _Plan:
+    """Return the plan with a second candidate for each that can have or lack a pole at 1."""
+    able = [c for c in plan.candidates if "integrator" in OFFERED[c.family].takes]
+    pairs = [replace(c, integrator=i, named_by_pole=True) for c in able for i in (False, True)]
+    others = [c for c in plan.candidates if c not in able]
+    return replace(plan, candidates=[*others, *pairs], notes=(*plan.notes, _BOTH_TRIED))
+
+
 def _offset(
     data: Dataset,
     validation: Dataset,
@@ -315,7 +334,10 @@ def _score(
     data: Dataset | Signals,
     validation: Dataset | Signals,
     horizon: int | None,
+    *,
+    own: bool = False,
 ) -> Scored:
+    """Return the candidate with its model and errors; the FPE scales errors on its `own` data."""
     none = np.zeros(0)
     try:
         with np.errstate(all="ignore"):
@@ -333,7 +355,11 @@ def _score(
         reason = "its output is unbounded"
     elif farthest := _largest_unstable(fit):
         reason = f"a pole at |z| = {farthest:.4f} is not inside the unit circle"
-    return Scored(candidate=candidate, fit=fit, reason=reason, error=error)
+    scored = Scored(candidate=candidate, fit=fit, reason=reason, error=error)
+    if not own:
+        return scored
+    known = int(np.isfinite(error).sum())
+    return replace(scored, error=error * np.sqrt(fpe(1.0, scored.parameters, known)))
 
 
 def _largest_unstable(fit: Fit) -> float:
@@ -375,7 +401,11 @@ def _ranked(
 
 
 def _estimation_and_validation(data: Data) -> tuple[Data, Data]:
-    """Return two parts in which each input moves, cut as near to the middle as possible."""
+    """Return two parts in which each input moves, cut as near to the middle as possible.
+
+    Without an input that moves, a part does not distinguish models. If no cut leaves two such
+    parts, all data are returned twice.
+    """
     u = data.u.reshape(data.N, -1)
     if not np.ptp(u):
         raise InputError(CONSTANT_INPUT)
@@ -385,11 +415,7 @@ def _estimation_and_validation(data: Data) -> tuple[Data, Data]:
     middle = round(data.N / 2)
     cut = int(cuts[np.argmin(np.abs(cuts - middle))]) if cuts.size else 0
     if not _MIN_PART_SHARE <= cut / data.N <= 1 - _MIN_PART_SHARE:
-        raise InputError(
-            "u moves in one part of the data only, and the other part cannot rank models: give "
-            "other data for validation (validation=, --validate), or estimate one structure "
-            "without a search"
-        )
+        return data, data
     return data[:cut], data[cut:]
 
 

@@ -40,11 +40,15 @@ class Candidate:
     """True if the input's offset is estimated with the model."""
     simulates: bool = False
     """True if the estimator is called with the option `focus="simulation"`."""
+    named_by_pole: bool = False
+    """True if `name` states a pole at 1, because the search tries the structure with and without
+    it."""
 
     @property
     def name(self) -> str:
         """Structure and orders as text, in the same form as in comparisons of models."""
-        return STRUCTURES[self.family].short(dict(self.orders))
+        pole = ", pole at 1" * (self.named_by_pole and bool(self.integrator))
+        return STRUCTURES[self.family].short(dict(self.orders)) + pole
 
     @property
     def order(self) -> int:
@@ -161,7 +165,8 @@ class SearchResult:
     """Sentences on decisions that the search based on the data, such as an integrator or an
     offset."""
     halved: bool
-    """True if the first half of the data was used for estimation, the second for the ranking."""
+    """True if the first half of the data was used for estimation, the second for the ranking. The
+    chosen model was then estimated from all the data."""
     tests: ResidualTest
     """Tests of the chosen model's residuals on the validation data."""
     horizon: int | None
@@ -315,6 +320,8 @@ def _reasons(found: SearchResult) -> Iterator[str]:
             f"without a usable model: {len(found.failed)}, such as "
             f"{first.candidate.name}: {first.reason}"
         )
+    if found.halved:
+        yield "the chosen model was then estimated from all the data"
 
 
 def _about_tests(tests: ResidualTest) -> Iterator[str]:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from armrig import Signals
 from armrig.data.dataset import Dataset
+from armrig.data.treatment.integrating import Integration
 from armrig.estimation.arx import arx
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
@@ -276,11 +277,13 @@ def test_a_search_in_closed_loop_does_not_identify_the_controller() -> None:
 
 def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     """The nk is four; another delay would need three more coefficients."""
-    found = search(of_second_order(switched(), nk=4), families=("oe",), orders=(1, 2, 3))
+    data = of_second_order(switched(), nk=4)
+    found = search(data, families=("oe",), orders=(1, 2, 3))
 
     assert {j.fit.nk for j in found.ranked if j.fit is not None} == {4}
     assert found.chosen.candidate.order <= 3
     assert found.halved
+    assert found.fit.estimated_from(data)
     assert "the second part of the data" in found.table()
 
 
@@ -303,6 +306,22 @@ def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
 
     assert found.fit.integrator
     assert "taken as integrating" in found.explain()
+
+
+def test_other_data_decide_on_an_integrator_that_the_test_leaves_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    data = of_second_order(switched())
+    data = Dataset(u=data.u, y=0.05 * np.cumsum(data.y), Ts=0.02)
+    undecided = Integration(integrates=False, undecided=True)
+    for module in ("model_search", "data_advice"):
+        monkeypatch.setattr(f"armrig.validation.{module}.integration", lambda *_: undecided)
+
+    found = search(data, families=("arx", "oe"), orders=(3,), nk=1)
+
+    names = {j.candidate.name for j in (*found.ranked, *found.failed)}
+    assert names == {"ARX[3 3 1]", "OE[3 3 1]", "OE[3 3 1], pole at 1"}
+    assert found.chosen.candidate.name == "OE[3 3 1], pole at 1"
 
 
 def test_the_search_chooses_the_order_of_the_plant() -> None:
@@ -358,13 +377,19 @@ def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
     assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
 
 
-def test_a_search_needs_every_input_to_change_in_both_parts() -> None:
+def test_if_an_input_rests_in_one_part_the_models_are_ranked_on_their_own_data() -> None:
     data = two_outputs(0)
     u = np.column_stack([data.u[:, 0], np.where(np.arange(data.N) < 9, 0.0, 1.0), data.u[:, 1:]])
     rests = Signals(u=u, y=data.y, Ts=1.0)
 
-    with pytest.raises(InputError, match="u moves in one part of the data only"):
-        armrig.search(rests, families=["oe"], orders=[1])
+    found: Any = armrig.search(rests, families=["oe"], orders=[1, 2])
+
+    assert not found.halved
+    assert found.fit.estimated_from(rests)
+    assert found.notes[0].startswith("u moves in one part of the data only, so Akaike's FPE")
+    i = found.ranked.index(found.chosen)
+    loss = float(np.mean(np.sum((found.chosen.error / np.std(rests.y, axis=0)) ** 2, axis=1)))
+    assert found.rms[i] == pytest.approx(np.sqrt(loss))
 
 
 def test_an_option_of_one_signal_is_refused_for_several() -> None:
