@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
-from math import log, log10
+from math import log
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -56,8 +56,10 @@ _TWO_LEVELS = (
 )
 CHANCE_LEVEL = 1e-3
 """Level of findings without a test by name: 0.05 finds feedback in one of twenty recordings."""
-_MAX_LAGS = 30
-_ROWS_PER_PARAMETER = 4
+_MIN_LAGS, _MAX_LAGS = 30, 100  # 30 lags leave effects of a slow pole, which look nonlinear
+_MIN_ROWS_PER_PARAMETER = 4  # with fewer than 30 lags
+_ROWS_PER_PARAMETER = 10  # with more lags: the test then loses a tenth of the rows
+_MAX_SIZE = 4_000_000  # numbers in the regressors of more than 30 lags
 _MAX_EFFECTS = 8  # combinations of effects that are tested jointly
 _MIN_OWN_SHARE = 1e-3  # least share of an effect that the linear model leaves unexplained
 _MAX_LEFT = 0.5  # share of y's variance that a simulation may leave; else x is the prediction
@@ -161,13 +163,14 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
 
     A long linear model whitens the errors ::
 
-        A(q) y(t) = c + B(q) u(t) + e(t),     x = B/A u,     up to 30 lags
+        A(q) y(t) = c + B(q) u(t) + e(t),     x = B/A u
 
-    If the rig is linear, e is not correlated with nonlinear effects, filtered by A or B. The
-    effects are squares and cubes of u and x, their product, ``|Δu|``, and the sign and the square
-    of Δx. A joint test gives `p`. If x does not follow y, the prediction of y replaces x. If the
-    test rejects, the kind with the least BIC is reported. An output is also saturated if it stays
-    at exactly its largest or smallest value.
+    A tenth of the rows in parameters gives the number of lags, 30 to 100. Fewer lags leave effects
+    of slow poles, which look nonlinear. If the rig is linear, e is not correlated with nonlinear
+    effects, filtered by A or B. The effects are squares and cubes of u and x, their product,
+    ``|Δu|``, and the sign and the square of Δx. A joint test gives `p`. If x does not follow y, the
+    prediction of y replaces x. If the test rejects, the kind with the least BIC is reported. An
+    output is also saturated if it stays at exactly its largest or smallest value.
 
     Parameters
     ----------
@@ -278,9 +281,11 @@ def _long_model(data: Signals, input: str, first: int) -> _LongModel:
     j, nu, N = data.inputs.index(input), data.nu, int(np.count_nonzero(data.valid))
     if all(np.ptp(part.u[:, j]) == 0 for part in data.experiments()):
         raise InputError(CONSTANT_INPUT)
-    p = min(round(15 * log10(max(N, 2))), _MAX_LAGS, N // (_ROWS_PER_PARAMETER * (1 + nu)) - 2)
+    affordable = min(N // _ROWS_PER_PARAMETER, _MAX_SIZE // max(N, 1)) // (1 + nu)
+    p = max(_MIN_LAGS, min(affordable, _MAX_LAGS))
+    p = min(p, N // (_MIN_ROWS_PER_PARAMETER * (1 + nu)) - 2)
     if p < 2:
-        needed = 4 * _ROWS_PER_PARAMETER * (1 + nu)
+        needed = 4 * _MIN_ROWS_PER_PARAMETER * (1 + nu)
         raise InputError(f"the test of linearity needs at least {needed} samples, got {N}")
     means = data.u.mean(axis=0), np.nanmean(data.y)
     parts = [(part.u - means[0], part.y[:, 0] - means[1]) for part in data.experiments()]

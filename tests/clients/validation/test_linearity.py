@@ -7,6 +7,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
+from armrig.numerics.polynomial import filtered
 
 from tests.clients.validation.plants import of_second_order, switched
 from tests.plants import drawn_model, nonlinear_rig
@@ -51,3 +52,16 @@ def test_each_pair_of_an_output_and_an_input_is_tested() -> None:
     )
 
     assert [found["y1", "u2"].kind, found["y2", "u2"].kind] == ["gain by level"] * 2
+
+
+def test_a_slow_pole_does_not_look_nonlinear() -> None:
+    """With 30 lags, half of the p values are below 0.01."""
+    p = []
+    for seed in range(8):
+        rng = np.random.default_rng([seed, 53])
+        u = armrig.telegraph(2000, 0.1, 1.0, 4.0, seed=rng)
+        x = filtered([0, 1.0], np.poly([0.996, 0.986]), u)
+        y = x + 0.1 * np.std(x) * rng.standard_normal(2000)
+        p.append(armrig.linearity(armrig.Dataset(u=u, y=y, Ts=1.0)).p)
+
+    assert min(p) > 0.01
