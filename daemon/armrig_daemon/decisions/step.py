@@ -187,10 +187,12 @@ def _received(state: State, now_ns: int, data: bytes) -> Decided:
 
 def handle_message(state: State, now_ns: int, message: wire.Message) -> Decided:
     """Handle a message of the device."""
-    device, known = state.device, None if state.link is None else state.link.device_seq
+    device, link, seq = state.device, state.link, message.seq
+    known = None if link is None else link.device_seq
     # A device that was reset begins its numbers again.
-    if known is None or is_newer(message.seq, known) or isinstance(message, wire.HelloReply):
-        state = state.linked(device_seq=message.seq)
+    newest = known is None or is_newer(seq, known) or isinstance(message, wire.HelloReply)
+    if link is not None and newest:
+        state = replace(state, link=replace(link, device_seq=seq))
     decided: Step = state, []
     match message:
         case wire.Sample() | wire.Event() if device and message.boot != device.boot_id & 0xFFFF:
