@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import doctest
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack
 from importlib import import_module
 from inspect import getattr_static, isclass, isfunction
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import armrig
@@ -77,6 +79,15 @@ def test_an_example_prints_its_output(
 
     assert found.attempted
     assert not found.failed, "".join(report)
+
+
+def test_a_name_in_a_docstring_can_be_imported() -> None:
+    """`armrig.v1` is the package of the messages, not of Python."""
+    packages = [root / name for root, name in zip(ROOTS, ("armrig", "armrig_core"), strict=True)]
+    texts = [path.read_text() for package in packages for path in package.rglob("*.py")]
+    named = {name for text in texts for name in re.findall(r"`(armrig\w*(?:\.\w+)+)", text)}
+
+    assert all(resolve_name(name) for name in named if not name.startswith("armrig.v1"))
 
 
 def test_a_public_name_has_an_example() -> None:
