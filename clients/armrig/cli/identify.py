@@ -471,10 +471,10 @@ class Found:
         """Print the next command, which acts on the findings, saves the model or validates it."""
         from armrig.cli.model_output import to_act_on
 
-        about = to_act_on(self.fit, self.doubts)
-        about -= {"outliers"} if self.signals.hampel else set()
-        about -= {"integrator"} if self.signals.integrator is False else set()
-        after_identify(self, about)
+        done = {"outliers"} if self.signals.hampel else set()
+        done |= {"integrator"} if self.signals.integrator is False else set()
+        found = to_act_on(self.fit, self.doubts)
+        after_identify(self, [f for f in found if f.remedy not in done])
 
 
 def _estimated(

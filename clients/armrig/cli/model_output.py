@@ -64,11 +64,9 @@ def advice_on(fit: Fit) -> tuple[Finding, ...]:
     return tuple(replace(f, text=f"{listed(of)}: {f.text}") for f, of in channels.items())
 
 
-def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
-    """Return the names of the findings to act on."""
-    found = {f.about for f in (*doubts, *advice_on(fit)) if f.level != "good"}
-    asked = {f.about if f.about in OF_DATA else f.remedy for f in fit.findings}
-    return found | (asked - {""})
+def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> list[Finding]:
+    """Return the findings about the data, the model and the estimation that are not good."""
+    return [f for f in (*doubts, *advice_on(fit), *fit.findings) if f.level != "good"]
 
 
 def short_search_lines(found: SearchResult) -> list[str]:

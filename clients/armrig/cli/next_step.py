@@ -26,6 +26,7 @@ from armrig.models.structure_table import STRUCTURES
 if TYPE_CHECKING:
     from armrig.cli.identify import Found
     from armrig.data.dataset import Dataset, Signals
+    from armrig.data.finding import Finding
     from armrig.models.fit import Fit
     from armrig.recordings.files.recording_summary import RecordingSummary
     from armrig.recordings.recording import Recording
@@ -336,23 +337,20 @@ def validation_beside(path: Path) -> str:
 CHECK = ""
 """Result of `options_after` if the next command must be `armrig check`, which tests the data."""
 _REJECTED = {"residuals", "search", "feedback"}
-"""Findings after which a model of several signals is estimated again."""
-_LOWER = {"order", "poles"}
-_CHECKED = {"feedback", "delay", "unstable"}
+"""Codes of the findings after which a model of several signals is estimated again."""
 
 
-def after_identify(found: Found, about: Set[str]) -> None:
-    """Print the next command, which acts on the findings, saves the model or validates it.
-
-    `about` are the names of the findings to act on.
-    """
+def after_identify(found: Found, findings: Sequence[Finding]) -> None:
+    """Print the next command, which acts on the findings, saves the model or validates it."""
     fit, request, data, signals = found.fit, found.request, found.data, found.signals
     tests = None if found.validation is None else found.validation.tests
     one = (fit.ny, fit.nu) == (1, 1)
     searched = found.search is not None
     if one:
-        options = options_after(fit, request, about, searched=searched, detrended=signals.detrend)
+        detrended = signals.detrend
+        options = options_after(fit, request, findings, searched=searched, detrended=detrended)
     else:
+        about = {f.about for f in findings}
         accepted = not (about & _REJECTED or (tests is not None and tests.rejects))
         options = options_of(request)
         if not (searched or accepted):
@@ -454,46 +452,49 @@ def options_of(request: Request) -> str:
 
 
 def options_after(
-    fit: Fit, request: Request, about: Set[str], *, searched: bool, detrended: bool
+    fit: Fit,
+    request: Request,
+    findings: Sequence[Finding],
+    *,
+    searched: bool,
+    detrended: bool,
 ) -> str:
-    """Return the options with which `armrig identify` follows the advice about a channel's model.
+    """Return the options with which `armrig identify` applies the remedies of the findings.
 
-    If no finding of `about` requires action, the result contains the options of the request. If the
-    data must be tested first, the result is `CHECK`. If a search chose the model (`searched`),
-    another search would not improve its residuals. `detrended` data are without their means.
+    If no finding has a remedy, the result contains the options of the request. If the data must be
+    tested first, the result is `CHECK`. If a search chose the model (`searched`), another search
+    would not improve its residuals. `detrended` data are without their means.
     """
     kind = STRUCTURES[fit.structure]
-    orders = fit.orders
-    if "structure" in about:
+    orders, remedies = fit.orders, {f.remedy for f in findings}
+    if "structure" in remedies:
         oe = request.of_structure("oe", {"nb": orders["nb"], "nf": orders[kind.poles]})
         return options_of(structs.replace(oe, integrator=True, offset=False))
     # A constant level of y looks like an integrator. Angles are not tested for a level.
-    level = "level" in about and not fit.integrator
-    asked = "integrator" in about and not level
+    level = "level" in remedies and not fit.integrator
+    asked = "integrator" in remedies and not level
     integrator = fit.integrator or (asked and "integrator" in kind.takes)
     offset = (fit.offset or level) and "offset" in kind.takes and not integrator
     detrend = level and not (offset or detrended)
     # If the level was removed or estimated and is found again, the order is too high.
     seen = level and not detrend and offset == fit.offset
     after = structs.replace(request, integrator=integrator, offset=offset)
-    if about & _LOWER or seen or not fit.converged:
-        after = structs.replace(after, orders=_lower(fit, integrator=integrator))
-    options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in about)
-    options += " --mask-rails" * ("rails" in about)
+    if "order" in remedies or seen:
+        many = max((int(f.numbers.get("poles", 1)) for f in findings), default=1)
+        after = structs.replace(after, orders=_lower(fit, many, integrator=integrator))
+    options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in remedies)
+    options += " --mask-rails" * ("rails" in remedies)
     if options != options_of(request):
         return options
-    if about & _CHECKED:
+    if "check" in remedies:
         return CHECK
-    if "residuals" in about and not searched and fit.structure != "pem":
+    if "search" in remedies and not searched and fit.structure != "pem":
         return f"--structure {fit.structure} --search"
     return options
 
 
-def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
-    """Return the orders, lowered by the number of cancelling pairs; noise orders do not change."""
-    from armrig.validation.advice import cancelling
-
-    many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1
+def _lower(fit: Fit, many: int, *, integrator: bool) -> dict[str, int]:
+    """Return the orders without the `many` cancelling poles; noise orders do not change."""
     least = {"nb": 1, STRUCTURES[fit.structure].poles: 1 + integrator}
     return {
         name: max(n - many, min(n, least[name])) if name in least else n

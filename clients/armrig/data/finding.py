@@ -6,8 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Remedy = Literal["", "order", "integrator", "structure"]
-"""Setting to change in the next estimation; "" if no setting must change."""
+Remedy = Literal[
+    "", "check", "integrator", "level", "order", "outliers", "rails", "search", "structure"
+]
+"""Change of the next estimation; "" if no change is known.
+
+- check: test the data before a model is estimated
+- integrator: fix a pole at 1
+- level: estimate the constant level of y, or remove it from the data
+- order: lower the orders
+- outliers, rails: mark these samples missing
+- search: search other orders and noise models
+- structure: take OE with an integrator
+"""
 
 OWN_DATA = (
     "the models are judged on their own estimation data, which gives too good results: "

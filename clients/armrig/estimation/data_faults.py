@@ -126,6 +126,7 @@ def _wrong_samples(data: Dataset, e: Vector) -> Iterator[Finding]:
         f"{plural(wrong.size, 'sample')} of {data.output} look wrong ({where}) and make "
         f"{percent(100 * share)} of the squared residuals: the model follows them; "
         "mark them missing (hampel)",
+        "outliers",
         count=wrong.size,
         share=share,
     )
@@ -163,6 +164,7 @@ def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Find
         "level",
         f"{data.output} is about {model.c / gain:.3g}{unit} at u = 0 ({sigmas:.0f} standard "
         f"deviations {'or more ' if sigmas == _MAX_SHOWN_SIGMAS else ''}from 0)",
+        "level",
         level=model.c / gain,
         sigmas=sigmas,
     )

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding
+from armrig.data.finding import Finding, good, warning
 from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, may_be_one
 from armrig.models.characteristics import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import DESCRIBED
 from armrig.numerics.quantities import near_one
-from armrig.validation.data_advice import examine_data, finding
+from armrig.validation.data_advice import examine_data
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
 
 COLOURED = "raise the orders, look at the delay, or add a noise model"
@@ -149,12 +149,14 @@ def _findings(
 ) -> Iterator[Finding]:
     """Yield the findings of a channel of a model with this structure."""
     yield _about_search(fit)
-    white = not fit.trusts_robust
-    text = whiteness_sentence(fit, *_DEVIATIONS) + ("" if white else f"; {COLOURED}")
-    yield finding("residuals", text, good=white)
+    text = whiteness_sentence(fit, *_DEVIATIONS)
+    if fit.trusts_robust:
+        yield warning("residuals", f"{text}; {COLOURED}", "search")
+    else:
+        yield good("residuals", text)
     apart, at_one = _by_distance_from_one(superfluous)
     if pairs and not superfluous:
-        yield finding("order", "each pole is needed in a channel", good=True)
+        yield good("order", "each pole is needed in a channel")
     else:
         yield _about_overlap(apart, structure)
     yield from _about_pair_at_one(fit, at_one)
@@ -164,12 +166,8 @@ def _findings(
     yield from _about_first_coefficient(fit)
     if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
         text = "ARX assumes noise that passes through 1/A; an angle has noise at the output: "
-        yield finding("structure", text + "compare with OE and the option integrator", good=False)
-
-
-def cancelling(fit: Fit) -> list[_Pair]:
-    """Return pole, zero and p value of the pairs that cancel, except pairs near 1."""
-    return _by_distance_from_one(overlapping(fit))[0]
+        text += "compare with OE and the option integrator"
+        yield warning("structure", text, "structure")
 
 
 def _by_distance_from_one(pairs: list[_Pair]) -> tuple[list[_Pair], list[_Pair]]:
@@ -185,16 +183,16 @@ def _by_distance_from_one(pairs: list[_Pair]) -> tuple[list[_Pair], list[_Pair]]
 def _about_search(fit: Fit) -> Finding:
     if not fit.converged:
         text = "the search did not converge: lower the orders, or record more data"
-    elif not fit.agreed:
+        return warning("search", text, "order")
+    if not fit.agreed:
         text = "start values led to different minima: the best was taken, it may not be global"
-    else:
-        return finding("search", "one minimum" if fit.starts else "closed form", good=True)
-    return finding("search", text, good=False)
+        return warning("search", text)
+    return good("search", "one minimum" if fit.starts else "closed form")
 
 
 def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:
     if not pairs:
-        return finding("order", "no pole is cancelled by a zero", good=True)
+        return good("order", "no pole is cancelled by a zero")
     places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
     text = (
         f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order is "
@@ -202,7 +200,9 @@ def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:
     kind = DESCRIBED[structure]
     lower = " and ".join(name for name in ("nb", kind.poles) if name in kind.orders)
     lower = "the order" if lower == "order" else lower
-    return finding("order", text + f"too high by the number of pairs; lower {lower}", good=False)
+    poles = sum(2 if pole.imag else 1 for pole, *_ in pairs)
+    text += f"too high by the number of pairs; lower {lower}"
+    return warning("order", text, "order", poles=poles)
 
 
 def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
@@ -213,7 +213,7 @@ def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
     text = f"pole {_z(pole)} and zero {_z(zero)} cancel: they model a constant of "
     text += f"{fit.output} that u does not explain; remove the means (detrend), or estimate "
     text += "an offset (option offset). If you did one of these, lower the order"
-    yield finding("level", text, good=False)
+    yield warning("level", text, "level")
 
 
 def _about_poles(fit: Fit) -> Iterator[Finding]:
@@ -226,11 +226,11 @@ def _about_poles(fit: Fit) -> Iterator[Finding]:
             text += (
                 "if a controller holds an unstable rig, take ARMAX or ARX and predict; if the rig "
             )
-            yield finding("unstable", text + "settles, look at delay and orders", good=False)
+            yield warning("unstable", text + "settles, look at delay and orders", "check")
         if abs(z.imag) < _MAX_IMAGINARY and z.real + _STD_99 * std < 0:
             text = f"pole {_z(z)} is real and negative: no rig in continuous time has such a pole "
             text += "after sampling (exp(s Ts) > 0), so it models noise; lower the order"
-            yield finding("poles", text, good=False)
+            yield warning("poles", text, "order")
 
 
 def _about_integrator(fit: Fit) -> Iterator[Finding]:
@@ -245,11 +245,11 @@ def _about_integrator(fit: Fit) -> Iterator[Finding]:
         )
         if abs(z.imag) < _MAX_IMAGINARY and near:
             text = f"pole {near_one(z.real, std)} is 1 within its accuracy: {_FIX_POLE}"
-            yield finding("integrator", text, good=False)
+            yield warning("integrator", text, "integrator")
             return
     if known:
         text = f"{fit.output} integrates, and no pole of the model is 1: {_FIX_POLE}"
-        yield finding("integrator", text, good=False)
+        yield warning("integrator", text, "integrator")
 
 
 def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:
@@ -257,9 +257,8 @@ def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:
     b, std = float(fit.theta[i]), float(fit.std_robust[i])
     if std > 0 and abs(b) < _STD_99 * std:
         text = f"b1 = {b:.2g} ± {std:.2g} does not differ significantly from 0: a delay, or only "
-        yield finding(
-            "delay", text + "noise; a test decides (armrig.delay, `armrig check`)", good=False
-        )
+        text += "noise; a test decides (armrig.delay, `armrig check`)"
+        yield warning("delay", text, "check")
 
 
 def _z(z: complex) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
-from armrig.data.finding import Finding
+from armrig.data.finding import Finding, good, warning
 from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
 from armrig.data.treatment.integrating import Integration, integration
@@ -123,7 +123,7 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     if not known.integration.integrates and not known.integration.unstable:
         if level := level_without_input(data):
             remedy = OFFSET_OF_TRANSIENT if data.trends else NO_OPTION
-            yield finding("level", f"{level.text}: {remedy}", good=False)
+            yield replace(level, text=f"{level.text}: {remedy}")
         yield from _about_drift(data)
     yield from _about_history(data)
     yield from _about_feedback(known)
@@ -151,12 +151,13 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "
         text += "describe the response to u: play a u that switches often (telegraph, PRBS), or "
         text += "lower the orders"
-        yield finding("excitation", text, good=False)
+        yield warning("excitation", text)
     yield from _about_rails(data)
     poles = fit.poles()
     apart = np.all(np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std))
     if known.integration.notes and not fit.integrator and not (fit.converged and apart):
-        yield replace(_about_integrator(known.integration), level="warning")
+        found = _about_integrator(known.integration)
+        yield replace(found, level="warning", remedy=found.remedy or "integrator")
     if known.together:
         yield from _about_feedback(known)
     late = known.late
@@ -166,7 +167,7 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
         text = (
             f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: use nk={late.nk}"
         )
-        yield finding("delay", text, good=False)
+        yield warning("delay", text, "check")
 
 
 def _about_input(data: Dataset) -> Finding:
@@ -174,12 +175,12 @@ def _about_input(data: Dataset) -> Finding:
     needed = 2 * ORDER
     if order >= needed:
         text = f"u is exciting of order {order} at least: enough for {order} parameters of B and F "
-        return finding("excitation", text + "(or B and A) together", good=True)
+        return good("excitation", text + "(or B and A) together")
     if constant_input(data):
-        return finding("excitation", CONSTANT_INPUT, good=False)
+        return warning("excitation", CONSTANT_INPUT)
     text = f"u is exciting of order {order} only, and a model of order {ORDER} has {needed} "
     text += "parameters of B and F (or B and A): play a u that switches often (telegraph, PRBS)"
-    return finding("excitation", text, good=False)
+    return warning("excitation", text)
 
 
 def _about_rails(data: Dataset) -> Iterator[Finding]:
@@ -188,7 +189,7 @@ def _about_rails(data: Dataset) -> Iterator[Finding]:
     if rails:
         text = f"{np.count_nonzero(at)} of {data.N} samples of {data.output} equal its "
         text += "largest or smallest value, as at the rail of a converter: mark them missing"
-        yield finding("rails", text + " (--mask-rails)", good=False)
+        yield warning("rails", text + " (--mask-rails)", "rails")
 
 
 def _about_integrator(decided: Integration) -> Finding:
@@ -196,36 +197,36 @@ def _about_integrator(decided: Integration) -> Finding:
         text = (
             "y grows without u: a pole is outside the unit circle, and OE and BJ cannot model it; "
         )
-        return finding("unstable", text + "take ARMAX or ARX, and predict", good=False)
+        return warning("unstable", text + "take ARMAX or ARX, and predict", "check")
     if not decided.integrates:
         text = (
             "not shown, because a slow pole looks the same" if decided.undecided else "none is seen"
         )
-        return finding("integrator", text, good=True)
+        return good("integrator", text)
     text = decided.reason or "the output is an angle"
     text += ": fix its pole (OE with the option integrator), and remove no linear trend"
     text += "; --assume settling, if it settles" * bool(decided.reason)
-    return finding("integrator", text, good=True)
+    return good("integrator", text)
 
 
 def _about_missing(data: Dataset) -> Finding:
     share = data.missing / data.N
     text = f"{percent(100 * share)} of the samples: no estimator replaces them by a value"
-    return finding("missing", text, good=share < _MAX_MISSING_SHARE)
+    return (good if share < _MAX_MISSING_SHARE else warning)("missing", text)
 
 
 def _about_outliers(data: Dataset) -> Finding:
     try:
         cleaned = hampel(data)
     except ValueError as err:
-        return finding("outliers", f"not looked for: {err}", good=True)
+        return good("outliers", f"not looked for: {err}")
     found = cleaned.missing - data.missing
     if not found:
-        return finding("outliers", "none", good=True)
+        return good("outliers", "none")
     where = ", ".join(map(str, np.flatnonzero(data.valid & ~cleaned.valid)[:5]))
     text = f"{plural(found, 'sample')} of {data.output} look wrong (first {where}), and a model "
     text += "follows them: mark them missing (hampel)"
-    return finding("outliers", text, good=False)
+    return warning("outliers", text, "outliers")
 
 
 def _about_drift(data: Dataset) -> Iterator[Finding]:
@@ -236,16 +237,14 @@ def _about_drift(data: Dataset) -> Iterator[Finding]:
     for i, line in enumerate(found, 1):
         name = "drift" if len(found) == 1 else f"drift {i}"
         drifts = abs(line.z) > 2.58
-        text = f"{line}" + ("; remove it, detrend(data, order=1)" if drifts else "")
-        yield finding(name, text, good=not drifts)
+        remedy = "; remove it, detrend(data, order=1)"
+        yield warning(name, f"{line}{remedy}") if drifts else good(name, str(line))
 
 
 def _about_history(data: Dataset) -> Iterator[Finding]:
     if data.output in INTEGRATING_OUTPUTS and LINE in codes_of(data.history):
         text = "a line was removed from an output that integrates: it was the response to the mean "
-        yield finding(
-            "trend", text + "of u, not a drift; begin again from the recording", good=False
-        )
+        yield warning("trend", text + "of u, not a drift; begin again from the recording")
 
 
 def _about_feedback(known: Tested) -> Iterator[Finding]:
@@ -253,11 +252,11 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
     if loop is None:
         return
     if loop.feedback is None:
-        yield finding("feedback", f"not tested: {'; '.join(loop.remarks)}", good=True)
+        yield good("feedback", f"not tested: {'; '.join(loop.remarks)}")
         return
     p = f"p {p_relation(loop.p_value)}"
     if not loop.feedback:
-        yield finding("feedback", f"none is found ({p})", good=True)
+        yield good("feedback", f"none is found ({p})")
         return
     text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use "
     able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
@@ -269,26 +268,26 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
         text += (
             f". By chance one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
         )
-    yield finding("feedback", text, good=False)
+    yield warning("feedback", text, "check")
 
 
 def _about_delay(known: Tested) -> Iterator[Finding]:
     late = known.late
     if isinstance(late, str):
-        yield finding("delay", f"not found: {late}", good=False)
+        yield warning("delay", f"not found: {late}", "check")
     elif late.delay > 0:
         late_by = times(late.delay * late.Ts).replace(" ", NBSP)
         text = (
             f"u acts first at lag {late.nk}, {plural(late.delay, 'sample')} ({late_by}) later than "
         )
-        yield finding("delay", text + f"without a delay: estimate with nk={late.nk}", good=True)
+        yield good("delay", text + f"without a delay: estimate with nk={late.nk}")
     else:
-        yield finding("delay", f"none is seen: estimate with nk={late.nk}", good=True)
+        yield good("delay", f"none is seen: estimate with nk={late.nk}")
 
 
 def _about_linearity(data: Dataset) -> Iterator[Finding]:
     for found in in_open_loop(data):
-        yield finding("linearity", found.line, good=found.linear)
+        yield (good if found.linear else warning)("linearity", found.line)
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
@@ -308,12 +307,7 @@ def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
     apart = float(np.median(np.abs(G[0] - G[1]) / np.abs(G[1])))
     text = f"their frequency responses differ by a median of {percent(100 * apart)}"
     if apart < _MAX_DIFFERENCE:
-        yield finding("ARX and OE", text, good=True)
+        yield good("ARX and OE", text)
         return
     text += ": the noise is added to the output, but ARX assumes noise through 1/A, so the ARX "
-    yield finding("ARX and OE", text + "transfer function is biased; take OE", good=False)
-
-
-def finding(about: str, text: str, *, good: bool) -> Finding:
-    """Return a finding, which is a warning if `good` is False."""
-    return Finding(level="good" if good else "warning", about=about, text=text)
+    yield warning("ARX and OE", text + "transfer function is biased; take OE")

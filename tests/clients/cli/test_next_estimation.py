@@ -11,6 +11,7 @@ import pytest
 from armrig import Signals
 from armrig.cli.next_step import CHECK, _better_options, after_validate, options_after
 from armrig.cli.recorded_data import SignalChoice
+from armrig.data.finding import warning
 from armrig.estimation.request import Request
 
 OE: dict[str, Any] = {"structure": "oe", "orders": {"nb": 4, "nf": 3}, "nk": 2}
@@ -24,7 +25,7 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
 
 
 @pytest.mark.parametrize(
-    ("asked", "about", "how", "wanted"),
+    ("asked", "remedies", "how", "wanted"),
     [
         (OE, "", "", OPTIONS),
         (OE, "integrator", "", f"{OPTIONS} --integrator"),
@@ -34,40 +35,38 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (INTEGRATING, "level", "searched", f"{OPTIONS} --integrator"),
         (OE | {"offset": True}, "integrator", "", f"{OPTIONS} --integrator"),
         (OE, "outliers", "", f"{OPTIONS} --hampel"),
-        (OE, "outliers feedback", "", f"{OPTIONS} --hampel"),
+        (OE, "outliers check", "", f"{OPTIONS} --hampel"),
+        (OE, "rails", "", f"{OPTIONS} --mask-rails"),
         (OE, "order", "", "--structure oe --nb 3 --nf 2 --nk 2"),
-        (OE, "poles", "complex", "--structure oe --nb 2 --nf 1 --nk 2"),
-        (OE, "order", "complex real", "--structure oe --nb 1 --nf 1 --nk 2"),
-        (INTEGRATING, "order", "complex real", "--structure oe --nb 1 --nf 2 --nk 2 --integrator"),
-        (OE, "", "unconverged", "--structure oe --nb 3 --nf 2 --nk 2"),
-        (OE, "residuals", "", "--structure oe --search"),
-        (OE, "residuals", "searched", OPTIONS),
-        *((OE, f"residuals {name}", "", CHECK) for name in ("feedback", "delay", "unstable")),
+        (OE, "order", "2 poles", "--structure oe --nb 2 --nf 1 --nk 2"),
+        (OE, "order", "3 poles", "--structure oe --nb 1 --nf 1 --nk 2"),
+        (INTEGRATING, "order", "3 poles", "--structure oe --nb 1 --nf 2 --nk 2 --integrator"),
+        (OE, "search", "", "--structure oe --search"),
+        (OE, "search", "searched", OPTIONS),
+        (OE, "search check", "", CHECK),
         (ARX, "level", "", "--structure arx --na 2 --nb 3 --nk 1 --detrend"),
         (ARX, "level", "detrended", "--structure arx --na 1 --nb 2 --nk 1"),
         (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
         (ARX, "structure", "", "--structure oe --nb 3 --nf 2 --nk 1 --integrator"),
-        (BJ, "order", "complex", "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1"),
-        (PEM, "residuals", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
+        (BJ, "order", "2 poles", "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1"),
+        (PEM, "search", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
     ],
 )
 def test_the_next_estimation_follows_the_findings(
-    asked: dict[str, Any], about: str, how: str, wanted: str, monkeypatch: pytest.MonkeyPatch
+    asked: dict[str, Any], remedies: str, how: str, wanted: str
 ) -> None:
     request = Request(**asked)
-    pairs = [(pole, 0, 0) for pole, name in ((0.5 + 0.1j, "complex"), (0.5, "real")) if name in how]
-    pairs = [(complex(pole), zero, p) for pole, zero, p in pairs]
-    monkeypatch.setattr("armrig.validation.advice.cancelling", lambda _: pairs)
+    numbers = {"poles": int(how[0])} if "poles" in how else {}
+    findings: Any = [warning("x", "text", name, **numbers) for name in remedies.split()]  # type: ignore[arg-type]
     fit: Any = SimpleNamespace(
         structure=request.structure,
         orders=request.orders | {"nk": request.nk},
         integrator=request.integrator,
         offset=request.offset,
-        converged="unconverged" not in how,
     )
 
     options = options_after(
-        fit, request, set(about.split()), searched="searched" in how, detrended="detrended" in how
+        fit, request, findings, searched="searched" in how, detrended="detrended" in how
     )
 
     assert options == wanted

@@ -36,6 +36,10 @@ def told(found: Advice) -> set[str]:
     return {f.about for f in found.findings if f.level != "good"}
 
 
+def remedies(found: Advice) -> set[str]:
+    return {f.remedy for f in found.findings}
+
+
 def test_good_data_cause_no_advice_except_on_arx(plant: HandoutPlant) -> None:
     """With noise on the angle ARX and OE disagree."""
     found = armrig.advice(plant.dataset(1))
@@ -80,6 +84,7 @@ def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant
     found = armrig.advice(armrig.arx(plant.dataset(1), na=4, nb=4))
 
     assert {"residuals", "poles", "integrator", "structure"} <= told(found)
+    assert {"search", "order", "integrator", "structure"} <= remedies(found)
 
 
 def test_an_argument_that_is_neither_data_nor_a_model_is_refused() -> None:
@@ -98,7 +103,9 @@ def test_a_single_fault_of_data_is_the_only_finding() -> None:
     }
 
     for about, data in cases.items():
-        assert told(armrig.advice(data)) == {about}
+        found = armrig.advice(data)
+        assert told(found) == {about}
+        assert remedies(found) == {"", "check" if about == "feedback" else about}
 
 
 def test_a_sine_determines_neither_orders_nor_a_delay() -> None:
@@ -125,21 +132,27 @@ def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "about", "words"),
+    ("data", "about", "words", "remedy"),
     [
-        (of_second_order(np.sin(0.3 * np.arange(1500))), "excitation", "4 parameters of the model"),
-        (of_second_order(switched(), nk=4), "delay", "nk=4"),
-        (under_control(), "feedback", "u depends on y"),
-        (clipped(of_second_order(switched())), "rails", "mark them missing"),
+        (
+            of_second_order(np.sin(0.3 * np.arange(1500))),
+            *("excitation", "4 parameters of the model", ""),
+        ),
+        (of_second_order(switched(), nk=4), "delay", "nk=4", "check"),
+        (under_control(), "feedback", "u depends on y", "check"),
+        (clipped(of_second_order(switched())), "rails", "mark them missing", "rails"),
     ],
     ids=["sine", "delay", "feedback", "rails"],
 )
-def test_the_advice_compares_a_model_with_its_data(data: Dataset, about: str, words: str) -> None:
+def test_the_advice_compares_a_model_with_its_data(
+    data: Dataset, about: str, words: str, remedy: str
+) -> None:
     fit = armrig.oe(data, nb=2, nf=2, starts="few")
 
-    texts = {f.about: f.text for f in examine_fit_of(data, fit)}
+    found = {f.about: f for f in examine_fit_of(data, fit)}[about]
 
-    assert words in texts[about]
+    assert words in found.text
+    assert found.remedy == remedy
 
 
 def test_a_good_model_of_good_data_causes_no_warning() -> None:
@@ -172,6 +185,7 @@ def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, sai
     [found] = _about_integrator(fit)
 
     assert found.text.startswith(said)
+    assert found.remedy == "integrator"
 
 
 @pytest.mark.parametrize(("pole", "std"), [(0.857, 0.069), (0.9998971, 3.8e-6)])
@@ -201,8 +215,14 @@ def test_a_pole_that_is_impossible_for_the_rig_is_reported_once(
     findings = [*_about_poles(fit)]
 
     assert [finding.about for finding in findings] == about
-    ways_out = {"unstable": "look at delay and orders", "poles": "lower the order"}
-    assert all(finding.text.endswith(ways_out[finding.about]) for finding in findings)
+    ways_out = {
+        "unstable": ("look at delay and orders", "check"),
+        "poles": ("lower the order", "order"),
+    }
+    for finding in findings:
+        text, remedy = ways_out[finding.about]
+        assert finding.text.endswith(text)
+        assert finding.remedy == remedy
 
 
 def test_a_name_with_a_colon_is_complete_in_the_text() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -184,10 +185,21 @@ def test_a_pole_zero_pair_near_1_is_a_level_and_does_not_count_as_an_order(
     far, at_one = advice._by_distance_from_one(overlapping(fit))
 
     assert (len(far), len(at_one)) == (int(not near), int(near))
-    assert advice.cancelling(fit) == far
     levels = [*advice._about_pair_at_one(fit, at_one)]
     said = f"pole {pole:.3f} and zero {zero:.3f} cancel: they model a constant of alpha"
     assert [f.text.startswith(said) for f in levels] == [True] * near
+    assert [f.remedy for f in levels] == ["level"] * near
+
+
+def test_the_orders_are_too_high_by_the_cancelling_poles_or_without_convergence() -> None:
+    """A complex pole counts twice."""
+    pairs = [(0.5 + 0.1j, 0.5 + 0.1j, 0.9), (0.2 + 0j, 0.2 + 0j, 0.9)]
+    unfinished = replace(made(structure="oe"), converged=False)
+
+    cancelled, search = advice._about_overlap(pairs, "oe"), advice._about_search(unfinished)
+
+    assert (cancelled.remedy, cancelled.numbers) == ("order", {"poles": 3})
+    assert search.remedy == "order"
 
 
 @pytest.mark.parametrize(("b", "doubted"), [(0.0257, True), (-0.0257, True), (0.026, False)])
@@ -199,9 +211,8 @@ def test_a_first_coefficient_within_its_robust_deviation_may_be_a_delay(
 
     found = [*advice._about_first_coefficient(fit)]
 
-    assert [f.text.startswith(f"b1 = {b:.2g} ± 0.01 does not differ") for f in found] == [
-        True
-    ] * doubted
+    said = f"b1 = {b:.2g} ± 0.01 does not differ"
+    assert [(f.text.startswith(said), f.remedy) for f in found] == [(True, "check")] * doubted
     assert [*advice._about_first_coefficient(made(B=(0, b, 1)))] == []
 
 
