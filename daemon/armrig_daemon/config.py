@@ -351,17 +351,10 @@ def load_installed(
 ) -> Config:
     """Return the configuration of the installed files, including the rig's own file.
 
-    Parameters
-    ----------
-    environ, overrides, below
-        As in `load`.
-    system : bool
-        True to read only the machine's files; the rig's own file must then exist.
+    If `system` is True, only the machine's files are read; the rig's own file must then exist.
+    The other arguments are those of `load`.
 
-    Raises
-    ------
-    InputError
-        As in `load`; or the rig's own file is missing or belongs to another rig.
+    Raises InputError as `load`, and if the rig's own file is missing or belongs to another rig.
     """
     first = load(installed(system=system), environ, overrides, below=below)
     own = of_rig(first.rig.id)

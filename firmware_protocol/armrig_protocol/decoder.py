@@ -20,12 +20,8 @@ Received = Message | Unknown | Spoilt
 def feed(pending: bytes, data: bytes) -> tuple[bytes, list[Received]]:
     """Return the leftover bytes of an incomplete frame, and the items of all complete frames.
 
-    Parameters
-    ----------
-    pending : bytes
-        Leftover bytes of the last call, at most `MAX_STUFFED` + 1 bytes; empty at the first call.
-    data : bytes
-        New bytes.
+    `pending` contains the leftover bytes of the last call, at most `MAX_STUFFED` + 1 bytes; it is
+    empty at the first call. `data` contains the new bytes.
     """
     texts = (pending + data).split(b"\0")
     rest = texts.pop()

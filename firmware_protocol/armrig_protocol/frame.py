@@ -47,10 +47,7 @@ class Spoilt(NamedTuple):
 def encode(message: Message) -> bytes:
     """Return the bytes of `message` on the wire, including the 00 at their end.
 
-    Raises
-    ------
-    struct.error
-        A field does not fit its type.
+    Raises struct.error if a field does not fit its type.
     """
     number = TYPES[type(message)]
     fields: tuple[Any, ...] = message

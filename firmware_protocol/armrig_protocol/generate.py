@@ -264,12 +264,8 @@ def vectors_of(name: str, number: int, layout: str, fields: Sequence[str]) -> It
 
     The vectors are made from the schema alone, not by the codec that they test.
 
-    Parameters
-    ----------
-    layout : str
-        Layout of the bytes between the type and the CRC, in the letters of the struct module.
-    fields : sequence of str
-        Names of the fields; the last field takes all remaining values.
+    `layout` describes the bytes between the type and the CRC, in the letters of the struct module.
+    The last of the `fields` takes all remaining values.
     """
     text = Struct("<" + layout)
     # The bytes depend on the name alone: a field added at the end changes no byte before it.

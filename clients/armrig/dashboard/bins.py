@@ -44,14 +44,10 @@ def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.fl
     the row. The rate is therefore also known after a missing sample or the dead band. The two
     angles are assumed to differ by less than half a turn.
 
-    Parameters
-    ----------
-    before : ndarray, shape (m, 5)
-        Samples before `now`, from `signals`: see `needed_before`.
-    now : ndarray, shape (N, 5)
-        Samples from `signals`. The rate is NaN for a sample without an angle. The rate is also NaN
-        if the older angle is more than 2 `RATE_S` before the sample, unless the older angle is in
-        the previous sample.
+    `before` (m, 5) contains the samples before `now` (N, 5), both from `signals`: see
+    `needed_before`. The rate is NaN for a sample without an angle. The rate is also NaN if the
+    older angle is more than 2 `RATE_S` before the sample, unless the older angle is in the previous
+    sample.
     """
     every = np.concatenate([before, now])
     known = every[np.isfinite(every[:, 3])]

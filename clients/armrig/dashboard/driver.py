@@ -59,12 +59,8 @@ class Driver:
     def arm(self, owner: str, Ts: float | None) -> None:
         """Arm the rig at 0 V; the daemon disarms the rig if no command follows.
 
-        Raises
-        ------
-        RigError
-            The daemon refuses, or does not answer.
-        BusyDriverError
-            A run is in progress.
+        Raises RigError if the daemon refuses, or does not answer. Raises BusyDriverError if a run
+        is in progress.
         """
         with self._alone():
             self._give_back()

@@ -175,12 +175,8 @@ class RecordingRoutes:
 def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
     """Return the size of a recording and an iterator over its bytes; refuse a link.
 
-    Raises
-    ------
-    OSError, DamageError
-        The file cannot be read, is a link, or is not a regular file.
-    FileError
-        The file is not a recording.
+    Raises OSError or DamageError if the file cannot be read, is a link, or is not a regular file.
+    Raises FileError if the file is not a recording.
     """
     file = regular_file(path, may_be_link=False)
     size = os.fstat(file.fileno()).st_size

@@ -46,13 +46,9 @@ class Treatment(Protocol, Generic[P]):
 def as_dataset(data: Dataset | HasDataset) -> Dataset:
     """Return a Dataset unchanged, or the Dataset that `dataset()` of a recording returns.
 
-    Raises
-    ------
-    TypeError
-        The argument is neither a Dataset nor a recording.
-    ValueError
-        The largest magnitude of u or y is below 1e-30 and not 0. Powers of such numbers can
-        underflow in floating point.
+    Raises TypeError if the argument is neither a Dataset nor a recording. Raises ValueError if the
+    largest magnitude of u or y is below 1e-30 and not 0. Powers of such numbers can underflow in
+    floating point.
     """
     if isinstance(data, Dataset):
         _require_visible(data.signals())

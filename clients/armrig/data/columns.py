@@ -53,10 +53,7 @@ def columns(name: str, values: Any) -> Matrix:
 def plain(name: str, values: Any) -> Any:
     """Return a pandas column as an array, NaN for missing values; return other values unchanged.
 
-    Raises
-    ------
-    ValueError
-        A value is not a number, or `values` is a table instead of a column.
+    Raises ValueError if a value is not a number, or `values` is a table instead of a column.
     """
     if not is_pandas(values):
         return values

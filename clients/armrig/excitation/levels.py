@@ -77,11 +77,8 @@ def staircase(
 def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> Vector:
     """Return a copy (N,) of an input in V; all values must be inside [low, high].
 
-    Raises
-    ------
-    ValueError
-        A value is outside the interval or is not a number. The message contains the index of the
-        first such value.
+    Raises ValueError if a value is outside the interval or is not a number. The message contains
+    the index of the first such value.
     """
     require_levels(low=low, high=high)
     given = column("u", u)

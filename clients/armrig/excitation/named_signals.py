@@ -26,10 +26,7 @@ def named_signal(
     to half of the Nyquist frequency. A telegraph signal switches at a sample with probability `a`.
     A prbs holds each value for 1/(2 a) samples, so that both have the same mean switching rate.
 
-    Raises
-    ------
-    ValueError
-        No input has this name, or a setting is not allowed.
+    Raises ValueError if no input has this name, or a setting is not allowed.
     """
     if name == "telegraph":
         return telegraph(N, a, low, high, seed)
@@ -91,10 +88,7 @@ def realisations(
     The lines are all harmonics up to half of the Nyquist frequency. The effective value is the
     largest value with which all multisines fit into the interval. Their seeds are seed, seed + 1, …
 
-    Raises
-    ------
-    ValueError
-        A setting is outside the range that `multisine` allows.
+    Raises ValueError if a setting is outside the range that `multisine` allows.
     """
     require_integers(N=(N, 1), R=(R, 1), seed=(seed, 0), periods=(periods, 1))
     lines = range(1, max(1, N // periods // 4) + 1)

@@ -67,12 +67,8 @@ def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Se
     The endpoint is an address such as tls/0.0.0.0:7447. `armrig pki router` writes the file
     `certificate`. `names` is the file of the access list.
 
-    Raises
-    ------
-    ValueError
-        The endpoint is not tls/HOST:PORT, or a file cannot be used.
-    OperationError
-        The router cannot listen on the endpoint.
+    Raises ValueError if the endpoint is not tls/HOST:PORT, or a file cannot be used. Raises
+    OperationError if the router cannot listen on the endpoint.
     """
     if check_listen(endpoint) != "tls":
         msg = f"{endpoint!r}: a router identifies rigs and people by their certificates: use "

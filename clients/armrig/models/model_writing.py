@@ -33,10 +33,7 @@ FORMS: dict[str, type[Matrices] | type[Polynomials]] = {
 def save_fit(fit: Fit, path: str | PathLike[str]) -> Path:
     """Write a model as JSON and return the path.
 
-    Raises
-    ------
-    OSError
-        The file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     path = Path(path)
     path.write_text(model_text(fit), encoding="utf-8")

@@ -53,10 +53,8 @@ def simulated(model: Fit, part: Dataset) -> Vector:
 def predicted(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array:
     """Return ŷ, as `Fit.predict` documents.
 
-    Raises
-    ------
-    ValueError
-        horizon is below 1, or the data differ from the model in signals, units or Ts.
+    Raises ValueError if horizon is below 1, or the data differ from the model in signals, units or
+    Ts.
     """
     require_same_signals(model, data)
     _require_horizon(horizon)

@@ -145,6 +145,9 @@ def infer(
 ) -> Inference:
     """Return covariance, loss and tests of whiteness from the residuals of all experiments.
 
+    Raises ValueError if the number of residuals of an output does not exceed the number of its
+    parameters.
+
     Parameters
     ----------
     experiments, W
@@ -163,11 +166,6 @@ def infer(
     prewhitening : float, default 0
         Number of noise parameters that were fitted to the residuals, such as the order of an
         autoregression. It is subtracted from the degrees of freedom of the Ljung-Box test.
-
-    Raises
-    ------
-    ValueError
-        The number of residuals of an output does not exceed the number of its parameters.
     """
     outputs = list(zip(*experiments, strict=True))
     ny = len(outputs)

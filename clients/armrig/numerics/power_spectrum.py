@@ -26,10 +26,7 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     longest stretch without a missing sample. Stretches that are shorter than a segment are not
     used.
 
-    Raises
-    ------
-    ValueError
-        All stretches without a missing sample are shorter than 16 samples.
+    Raises ValueError if all stretches without a missing sample are shorter than 16 samples.
 
     References
     ----------

@@ -227,14 +227,9 @@ def collect(
     When the run begins, `tell` gets the motion that the daemon predicts for this input. `way_out`
     is the remedy for a fault; by default the command that resets this rig.
 
-    Raises
-    ------
-    InterruptedRunError
-        Ctrl-C after the rig was armed; the rig was stopped.
-    RigError
-        The run was refused or ended early; the message contains the reason and the remedy.
-    ValueError
-        The length is not possible at the sampling time. The rig is disarmed.
+    Raises InterruptedRunError at Ctrl-C after the rig was armed; the rig was stopped. Raises
+    RigError if the run was refused or ended early; the message contains the reason and the remedy.
+    Raises ValueError if the length is not possible at the sampling time. The rig is disarmed.
     """
     with Rig(rig, connect=connect) as opened:
         status = opened.status()

@@ -88,12 +88,8 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
 
     The range is start <= t < stop, in s from the run's first sample.
 
-    Raises
-    ------
-    FileError
-        The file cannot be loaded (see `armrig.load`), or the range contains no message.
-    OSError
-        The file cannot be opened or read.
+    Raises FileError if the file cannot be loaded (see `armrig.load`), or the range contains no
+    message. Raises OSError if the file cannot be opened or read.
     """
     found = run_content(files_of(path), start, stop, digest=False)
     content, manifest = found.content, found.manifest

@@ -145,12 +145,8 @@ def local_rigs() -> list[str]:
 def open_endpoint(where: str) -> Connection:
     """Connect to an endpoint with several rigs, such as a router.
 
-    Raises
-    ------
-    NoReplyError
-        Nobody listens at the endpoint.
-    RigError
-        `where` is not an endpoint, or the credential in `[client]` cannot be used.
+    Raises NoReplyError if nobody listens at the endpoint. Raises RigError if `where` is not an
+    endpoint, or the credential in `[client]` cannot be used.
     """
     way = _way(where, None, _settings(""))
     try:
@@ -174,13 +170,9 @@ def open_connection(
 
     The directories of local sockets must be writable for their owners only.
 
-    Raises
-    ------
-    NoReplyError
-        Nobody listens at the endpoint.
-    RigError
-        `connect` is not an endpoint, the credential cannot be used, or another user owns the
-        directory of a socket or may write to it.
+    Raises NoReplyError if nobody listens at the endpoint. Raises RigError if `connect` is not an
+    endpoint, the credential cannot be used, or another user owns the directory of a socket or may
+    write to it.
     """
     settings = _settings(rig)
     where = connect or settings.connect

@@ -115,10 +115,7 @@ class Conversation:
     ) -> list[Message]:
         """Return the messages, except STATUS, up to the first message for which `found` is true.
 
-        Raises
-        ------
-        Broken
-            `found` is false for every message that arrives in time.
+        Raises Broken if `found` is false for every message that arrives in time.
         """
         end_ns = self.line.now_ns() + round(within_ms * 1e6)
         looked = 0
@@ -193,10 +190,7 @@ class Conversation:
 def only(kind: type[M], came: list[Message]) -> M:
     """Return the only message of this kind.
 
-    Raises
-    ------
-    Broken
-        There is no message of this kind, or more than one message.
+    Raises Broken if there is no message of this kind, or more than one message.
     """
     found = [m for m in came if isinstance(m, kind)]
     if len(found) != 1:

@@ -14,10 +14,8 @@ class SerialLine:
     def __init__(self, port: str, baud: int) -> None:
         """Open the port.
 
-        Raises
-        ------
-        LinkError
-            The port cannot be opened; `TakenPortError` if another program has it open.
+        Raises LinkError if the port cannot be opened; `TakenPortError` if another program has it
+        open.
         """
         self._port, self._baud = port, baud
         self._link = open_link(port, baud)

@@ -59,17 +59,10 @@ def run(
     A device that floods the line, or answers for minutes, breaks the current rule. The later rules
     are then not tested.
 
-    Parameters
-    ----------
-    report : callable
-        Function that is called with each result as soon as its rule has been tested.
-    wanted : sequence of Rule
-        The rules to test, in order.
+    The rules in `wanted` are tested in order. `report` is called with each result as soon as its
+    rule has been tested.
 
-    Raises
-    ------
-    Broken
-        The device does not answer HELLO.
+    Raises Broken if the device does not answer HELLO.
     """
     results: list[Result] = []
     left = iter(wanted)

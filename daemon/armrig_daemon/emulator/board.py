@@ -74,12 +74,8 @@ class Board:
     ) -> None:
         """Put the rig at rest, with the pin low.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of the noise of the readings.
-        witness : callable, optional
-            Function that is called at each change of the voltage.
+        `rng` is the source of the noise of the readings. `witness` is called at each change of the
+        voltage.
         """
         self._plant = plant.build(
             settings.arm_parameters(),

@@ -128,14 +128,9 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
     The guards are checked after the conversion of theta_1. SAMPLE is created afterwards and reports
     the fault.
 
-    Parameters
-    ----------
-    t_us : int
-        Device time at which the conversion of theta_1 was triggered, in µs.
-    y0, y1 : int
-        Readings of theta_1 and alpha.
-    late : bool
-        True if the conversions had to wait for the conversions of another sample.
+    `t_us` is the device time at which the conversion of theta_1 was triggered, in µs; `y0` and `y1`
+    are the readings of theta_1 and alpha. `late` is True if the conversions had to wait for the
+    conversions of another sample.
     """
     wanted, config = fw.pending.popleft(), fw.config
     events: list[Message] = []

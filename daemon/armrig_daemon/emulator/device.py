@@ -40,10 +40,7 @@ class Device:
     ) -> None:
         """Switch the device on.
 
-        Parameters
-        ----------
-        witness : callable, optional
-            Function that is called at each change of the terminal voltage.
+        `witness` is called at each change of the terminal voltage.
         """
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)

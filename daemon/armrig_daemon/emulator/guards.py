@@ -28,15 +28,9 @@ NOTHING_SEEN = Guards()
 def watch(guards: Guards, y0: int, y1: int, *, rail_ticks: int, turns: int) -> tuple[Guards, Cause]:
     """Return the state of the guards after a sample, and the cause of a fault or NONE.
 
-    Parameters
-    ----------
-    y0, y1 : int
-        Readings of theta_1 and alpha.
-    rail_ticks : int
-        Number of consecutive samples at a rail that causes a fault; 0 disables this guard.
-    turns : int
-        Rotation since START, in either direction, that causes a fault, in hundredths of a turn; 0
-        disables this guard.
+    `y0` and `y1` are the readings of theta_1 and alpha. `rail_ticks` is the number of consecutive
+    samples at a rail that causes a fault. `turns` is the rotation since START, in either direction,
+    that causes a fault, in hundredths of a turn. 0 disables a guard.
     """
     last = y0 if guards.y0 is None else guards.y0
     turned = guards.turned + (y0 - last + _TURN_CODES // 2) % _TURN_CODES - _TURN_CODES // 2

@@ -96,12 +96,8 @@ class Harness:
     ) -> None:
         """Start the harness.
 
-        Parameters
-        ----------
-        baud : int
-            Speed of the host's line, in bit/s.
-        trace : Path, optional
-            VCD file with the levels of the PWM pin and the enable line.
+        `baud` is the speed of the host's line, in bit/s. `trace` is a VCD file with the levels of
+        the PWM pin and the enable line.
         """
         arguments = [str(program), "--baud", str(baud)]
         if trace is not None:

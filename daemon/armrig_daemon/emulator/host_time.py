@@ -32,12 +32,8 @@ class HostTime:
     def given_ns(self, now_ns: int, due_ns: int = 0) -> int:
         """Return the emulation time, which the caller passes to the device.
 
-        Parameters
-        ----------
-        now_ns : int
-            Current monotonic time.
-        due_ns : int
-            Emulation time, in ns, until which the process intended to wait at the last call.
+        `now_ns` is the current monotonic time. `due_ns` is the emulation time, in ns, until which
+        the process intended to wait at the last call.
         """
         late_ns = now_ns - max(self._read_ns, self.monotonic_ns(due_ns))
         self._read_ns = now_ns
@@ -68,12 +64,7 @@ class StallReports:
     def update(self, held_up_ns: int, now_ns: int) -> None:
         """Report new stalls, if the last report is old enough.
 
-        Parameters
-        ----------
-        held_up_ns : int
-            Sum of all stalls so far, in ns.
-        now_ns : int
-            Emulation time.
+        `held_up_ns` is the sum of all stalls so far, in ns, and `now_ns` the emulation time.
         """
         if held_up_ns > self._reported_ns and now_ns >= self._next_ns:
             self._report(held_up_ns - self._reported_ns)

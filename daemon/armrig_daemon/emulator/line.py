@@ -45,10 +45,7 @@ class Line:
     def offer(self, port: Path, stack: ExitStack) -> None:
         """Create `port`, by which programs open the line; `stack` removes it.
 
-        Raises
-        ------
-        OperationError, OSError
-            The port cannot be created.
+        Raises OperationError or OSError if the port cannot be created.
         """
         raise NotImplementedError
 

@@ -65,22 +65,13 @@ def build(
 ) -> Plant:
     """Return the plant for these parameters.
 
-    Parameters
-    ----------
-    arm : ArmParameters
-        Inertias, spring, gear, motor and viscous friction.
-    arm_removed : bool, default False
-        True if the rotating part is removed: alpha stays 0 and the chassis turns alone.
-    coulomb_nm, stiffening : float, default 0
-        Coulomb friction T_c in Nm, and cubic part k_3 of the spring in Nm/rad³; 0 disables the
-        effect.
-    substep_ns : int, default 100 000
-        Step of the Strang splitting, in ns; it has no effect without friction and stiffening.
+    `arm` has the inertias, spring, gear, motor and viscous friction. If `arm_removed` is True,
+    alpha stays 0 and the chassis turns alone. `coulomb_nm` is the Coulomb friction T_c in Nm, and
+    `stiffening` the cubic part k_3 of the spring in Nm/rad³; 0 disables the effect. `substep_ns` is
+    the step of the Strang splitting, in ns; it has no effect without friction and stiffening.
 
-    Raises
-    ------
-    ValueError
-        `coulomb_nm` or `stiffening` is negative or not finite, or the step is not positive.
+    Raises ValueError if `coulomb_nm` or `stiffening` is negative or not finite, or the step is not
+    positive.
     """
     for name, value in (("coulomb_nm", coulomb_nm), ("stiffening", stiffening)):
         if not isfinite(value) or value < 0:
@@ -106,10 +97,7 @@ def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
     direction. Each stop or reversal adds an error of at most T_c substep / J_1 in speed. A chassis
     at rest stays at rest while |torque| <= T_c.
 
-    Raises
-    ------
-    ValueError
-        `dt_ns` is negative.
+    Raises ValueError if `dt_ns` is negative.
 
     References
     ----------

@@ -94,6 +94,8 @@ def emulate(
     If a simulated board's pins violate a rule, the exit code is 1. Each kind of violation is
     printed once.
 
+    Raises OperationError if `port` or `trace` cannot be created.
+
     Parameters
     ----------
     port : Path
@@ -110,11 +112,6 @@ def emulate(
         Function that is called after a stall of this process, if the settings tolerate stalls. Its
         argument is the time for which the device's clock stood still, in ns. The function must not
         wait.
-
-    Raises
-    ------
-    OperationError
-        `port` or `trace` cannot be created.
     """
     with ExitStack() as stack:
         wake = _ended_by(stack)

@@ -74,16 +74,9 @@ def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Ge
     (section 24.7). A reading is therefore the code of the nearest step, and the mean error over a
     step is 0.
 
-    Parameters
-    ----------
-    fraction : float or None
-        Voltage as a fraction of the reference; None if the wiper has no contact.
-    bits : int
-        Resolution, 1 ... 16.
-    noise_v : float
-        Standard deviation of the noise, in V; 0 for no noise.
-    rng : numpy.random.Generator
-        Source of the noise.
+    `fraction` is the voltage as a fraction of the reference; None if the wiper has no contact.
+    `bits` is the resolution, 1 ... 16, and `noise_v` the standard deviation of the noise from
+    `rng`, in V; 0 for no noise.
     """
     if fraction is None:
         return 0

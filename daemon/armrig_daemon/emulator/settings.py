@@ -180,10 +180,7 @@ def load(path: Path) -> EmulatorSettings:
 def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> Path:
     """Return the path of the harness: the value of ARMRIG_FIL, or the program in the checkout.
 
-    Raises
-    ------
-    OperationError
-        The program does not exist; the message shows how to build it.
+    Raises OperationError if the program does not exist; the message shows how to build it.
     """
     program = Path(environ.get(HARNESS_VARIABLE) or checkout / "simavr" / "fil")
     if not program.is_file():
@@ -197,10 +194,8 @@ def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> P
 def firmware_image(image: Path | None) -> Path:
     """Return the path of the firmware: `image`, or the shipped firmware of the Uno.
 
-    Raises
-    ------
-    OperationError
-        The file does not exist, cannot be read, or is not a complete Intel HEX file.
+    Raises OperationError if the file does not exist, cannot be read, or is not a complete Intel HEX
+    file.
     """
     found = image or shipped_image()
     if not found.is_file():

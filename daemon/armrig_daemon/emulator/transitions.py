@@ -126,10 +126,7 @@ def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Mes
 def check_config(config: Config, *, ts_min_us: int, skew_us: int) -> Code:
     """Return OK, or the code with which this device refuses `config`.
 
-    Parameters
-    ----------
-    ts_min_us, skew_us : int
-        Values of HELLO_R.
+    `ts_min_us` and `skew_us` are values of HELLO_R.
     """
     pairs_more = config.oversampling - 1
     allowed = (

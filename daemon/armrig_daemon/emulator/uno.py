@@ -53,18 +53,11 @@ class Uno:
     ) -> None:
         """Switch the board on.
 
-        Parameters
-        ----------
-        program, image : Path
-            Path of the harness, and of the firmware as Intel HEX.
-        settings : EmulatorSettings
-            Settings of the arm, its sensors and the line's speed; the binary determines all other
-            properties.
-        boot_loader : bool, default False
-            True if a reset by the port starts Optiboot, which ignores bytes for a second and clears
-            MCUSR.
-        trace : Path, optional
-            VCD file with the levels of the PWM pin and the enable line.
+        `program` is the path of the harness, and `image` of the firmware as Intel HEX. From
+        `settings`, only the arm, its sensors and the line's speed are used; the binary determines
+        all other properties. If `boot_loader` is True, a reset by the port starts Optiboot, which
+        ignores bytes for a second and clears MCUSR. `trace` is a VCD file with the levels of the
+        PWM pin and the enable line.
         """
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)

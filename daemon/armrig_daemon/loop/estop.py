@@ -31,10 +31,8 @@ def estop(
 
     If a daemon has opened the port, no byte is sent and the daemon is not disturbed.
 
-    Raises
-    ------
-    LinkError
-        The port cannot be opened or written; `TakenPortError` if another program has opened it.
+    Raises LinkError if the port cannot be opened or written; `TakenPortError` if another program
+    has opened it.
     """
     until_s = time.monotonic() + within_s
     link = _opened(port, baud, time.monotonic() + port_wait_s)

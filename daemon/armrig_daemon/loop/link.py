@@ -55,11 +55,8 @@ class TakenPortError(LinkError):
 def open_link(port: str, baud: int) -> Link:
     """Open a serial port, or the socket of an emulated rig if `port` is `unix:PATH`.
 
-    Raises
-    ------
-    LinkError
-        The port cannot be opened; `NoPortError` if it does not exist, `TakenPortError` if another
-        program has opened it.
+    Raises LinkError if the port cannot be opened; `NoPortError` if it does not exist,
+    `TakenPortError` if another program has opened it.
     """
     try:
         path = socket_path(port)

@@ -59,10 +59,8 @@ class ProcessPorts:
     def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
         """Take the pipes and open the line; if the port is missing, the loop waits for the port.
 
-        Raises
-        ------
-        LinkError
-            The port is used by another program, is not permitted, or is not a serial port.
+        Raises LinkError if the port is used by another program, is not permitted, or is not a
+        serial port.
         """
         self._settings = settings
         self._orders_fd = orders_fd

@@ -47,10 +47,8 @@ class Networks(NamedTuple):
 def networks_of(config: Config) -> Networks:
     """Return the network endpoints that a configuration opens.
 
-    Raises
-    ------
-    InputError
-        A key of `[access]` is missing or contradicts another key, or a file cannot be used.
+    Raises InputError if a key of `[access]` is missing or contradicts another key, or a file cannot
+    be used.
     """
     return Networks(network_of(config), router_of(config))
 
@@ -58,10 +56,7 @@ def networks_of(config: Config) -> Networks:
 def router_of(config: Config) -> Network | None:
     """Return the router to connect to, or None if the configuration names no router.
 
-    Raises
-    ------
-    InputError
-        The rig's certificate is missing or cannot be used.
+    Raises InputError if the rig's certificate is missing or cannot be used.
     """
     access, rig = config.access, config.rig.id
     if not access.router:
@@ -92,10 +87,8 @@ def router_of(config: Config) -> Network | None:
 def network_of(config: Config) -> Network | None:
     """Return the network endpoint at which the daemon itself listens, or None.
 
-    Raises
-    ------
-    InputError
-        A key of `[access]` is missing or contradicts another key, or a file cannot be used.
+    Raises InputError if a key of `[access]` is missing or contradicts another key, or a file cannot
+    be used.
     """
     access = config.access
     _check_keys(access)

@@ -22,18 +22,11 @@ def checked_calibration(
 
     The ranges of zeros, angles, gain and offset were checked when the request was decoded.
 
-    Parameters
-    ----------
-    raw : bytes
-        Samples from which the calibration was estimated.
-    device : dict
-        Properties that the device reported.
+    `raw` contains the samples from which the calibration was estimated. `device` contains the
+    properties that the device reported.
 
-    Raises
-    ------
-    ValueError
-        The calibration was not measured on this rig and device, or the samples do not belong to the
-        calibration. `wraps` of a potentiometer differs from the configuration.
+    Raises ValueError if the calibration was not measured on this rig and device, or the samples do
+    not belong to it. It also raises ValueError if `wraps` differs from the configuration.
     """
     made = check_measured(calibration, raw)
     uid = str(device.get("uid", made.device_uid))  # without a device, the core will refuse

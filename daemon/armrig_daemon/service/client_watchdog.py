@@ -47,10 +47,8 @@ def not_newer(n: int, last: int) -> CommandRefusedError:
 def renewed(presence: ClientWatchdog | None, sign: Renew, now_s: float) -> ClientWatchdog:
     """Return the watchdog after a sign of life.
 
-    Raises
-    ------
-    CommandRefusedError
-        There is no run, the run belongs to another client, or the sign of life is old.
+    Raises CommandRefusedError if there is no run, the run belongs to another client, or the sign of
+    life is old.
     """
     if presence is None or sign.lease != presence.lease:
         text = "no run of this lease is planned or running"

@@ -88,13 +88,8 @@ class Commands:
     ) -> None:
         """Create the handler; no lease is in force.
 
-        Parameters
-        ----------
-        say : callable
-            Logs a line: its arguments are the level, the text, and the fields by keyword.
-        note : callable
-            Publishes and records a note: its arguments are the monotonic time in ns, text and
-            owner.
+        `say` logs a line: its arguments are the level, the text, and the fields by keyword. `note`
+        publishes and records a note: its arguments are the monotonic time in ns, text and owner.
         """
         self._config = config
         self._rig = rig
@@ -326,13 +321,9 @@ def signed(said: str, by: str) -> str:
 
     Programs read the checked identity from `owner_checked` in the status, the log and the manifest.
 
-    Parameters
-    ----------
-    said : str
-        Name that the client gives; round brackets in it become square brackets.
-    by : str
-        Checked identity, such as `certificate alice`; "" on the Unix socket, where the daemon
-        trusts every client that may open the socket.
+    `said` is the name that the client gives; round brackets in it become square brackets. `by` is
+    the checked identity, such as `certificate alice`; "" on the Unix socket, where the daemon
+    trusts every client that may open the socket.
     """
     begin = said.strip()[:_MAX_NAME_CHARACTERS]  # the rest of a very long name would delay a stop
     name = "".join(map(_square, printable(begin).strip()[:_MAX_NAME_CHARACTERS]))

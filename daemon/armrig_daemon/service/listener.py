@@ -122,20 +122,13 @@ class Listener:
     ) -> None:
         """Listen at the endpoint, or connect to the router.
 
-        Parameters
-        ----------
-        admit : callable
-            Function that zenoh's threads call with each command that passes the limits.
-        past : callable
-            Function that returns the answer to a request for the history. Its arguments are the
-            number of the first requested message, and the offset of the clocks in ns.
-        network : Network, optional
-            Network endpoint with its permissions; None is the Unix socket.
+        zenoh's threads call `admit` with each command that passes the limits. `past` returns the
+        answer to a request for the history; its arguments are the number of the first requested
+        message, and the offset of the clocks in ns. `network` is a network endpoint with its
+        permissions; None is the Unix socket.
 
-        Raises
-        ------
-        zenoh.ZError
-            The endpoint is in use or cannot be opened, or the router does not answer.
+        Raises zenoh.ZError if the endpoint is in use or cannot be opened, or the router does not
+        answer.
         """
         self._admit = admit
         self._known_by = "" if network is None else network.known_by

@@ -23,14 +23,9 @@ class NetworkGuard:
     ) -> None:
         """Start with an open network.
 
-        Parameters
-        ----------
-        count : callable
-            Returns the number of open files.
-        shut : callable
-            Ends all links of the network, and stops listening.
-        open_again : callable
-            Listens again; returns the reason of a failure, or an empty text.
+        `count` returns the number of open files. `shut` ends all links of the network, and stops
+        listening. `open_again` listens again, and returns the reason of a failure, or an empty
+        text.
         """
         self._count, self._shut, self._open_again = count, shut, open_again
         self._again_s = 0.0
@@ -39,12 +34,7 @@ class NetworkGuard:
     def look(self, now_s: float, *, is_busy: bool) -> tuple[str, str] | None:
         """Shut or open the network if necessary; after a change, return a log line and its level.
 
-        Parameters
-        ----------
-        now_s : float
-            The monotonic time, in s.
-        is_busy : bool
-            True if a client holds the rig.
+        `now_s` is the monotonic time, in s. `is_busy` is True if a client holds the rig.
         """
         if self._is_shut:
             return self._open(now_s) if now_s >= self._again_s else None

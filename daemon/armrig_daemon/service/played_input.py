@@ -23,10 +23,8 @@ def one_a_line(volts: NDArray[np.float64]) -> bytes:
 def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
     """Return the voltages of an experiment, (N,) in V.
 
-    Raises
-    ------
-    ValueError
-        A voltage is outside the limits, or a step is too large; the message names the first index.
+    Raises ValueError if a voltage is outside the limits, or a step is too large; the message names
+    the first index.
     """
     volts = np.asarray(u, dtype=np.float64)
     low, high, slew = limits.u_min_v, limits.u_max_v, limits.slew_v

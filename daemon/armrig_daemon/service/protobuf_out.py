@@ -14,11 +14,8 @@ _DISTRIBUTIONS = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_u
 def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns: int) -> Outgoing:
     """Return a record as a message.
 
-    Parameters
-    ----------
-    clock_offset_ns : int
-        Real-time clock minus monotonic clock, in ns, for the wall-clock time in the message of a
-        log record.
+    `clock_offset_ns` is the real-time clock minus the monotonic clock, in ns, for the wall-clock
+    time in the message of a log record.
     """
     match record:
         case Gap():

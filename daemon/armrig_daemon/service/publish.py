@@ -69,21 +69,11 @@ class Session:
     ) -> None:
         """Listen; zenoh's threads call `wake` when a command has arrived.
 
-        Parameters
-        ----------
-        endpoint : str
-            Endpoint of the Unix socket.
-        network : Network, optional
-            Network endpoint at which the session also listens.
-        router : Network, optional
-            Router to which the session also connects, as soon as the router answers.
+        `endpoint` is the endpoint of the Unix socket. The session also listens at the endpoint of
+        `network`. It also connects to `router`, as soon as the router answers.
 
-        Raises
-        ------
-        zenoh.ZError
-            The endpoint is in use or cannot be created.
-        NetworkError
-            The endpoint of the network is in use or cannot be opened.
+        Raises zenoh.ZError if the endpoint is in use or cannot be created. Raises NetworkError if
+        the endpoint of the network is in use or cannot be opened.
         """
         self.lease = b""  # lease in force; with b"", no command with a lease is admitted
         self._waiting = {
@@ -133,10 +123,7 @@ class Session:
     def open_network(self) -> None:
         """Listen also at the endpoint of the network.
 
-        Raises
-        ------
-        NetworkError
-            The endpoint is in use or cannot be opened.
+        Raises NetworkError if the endpoint is in use or cannot be opened.
         """
         if self._network is None:
             return
@@ -197,10 +184,7 @@ class History:
     def __init__(self, life: bytes, most_bytes: int = MOST_HISTORY_BYTES) -> None:
         """Create an empty history.
 
-        Parameters
-        ----------
-        life : bytes
-            16 B that identify this start of a daemon.
+        `life` consists of 16 B that identify this start of a daemon.
         """
         self._life, self._most = life, most_bytes
         self._kept: dict[int, tuple[str, bytes]] = {}

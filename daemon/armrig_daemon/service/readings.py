@@ -70,12 +70,9 @@ def objection(
 ) -> Refused | None:
     """Return the refusal to arm a rig with these readings, or None.
 
-    Parameters
-    ----------
-    turns_per_volt_s : float
-        Turns of a moving chassis per Vs of input, as the model predicts.
-    alpha_is_read : bool
-        True if the arm is mounted, and the shaft of its potentiometer stops at the ends.
+    `turns_per_volt_s` is the number of turns of a moving chassis per Vs of input, as the model
+    predicts. `alpha_is_read` is True if the arm is mounted, and the shaft of its potentiometer
+    stops at the ends.
     """
     newest = readings.newest
     if newest is None:

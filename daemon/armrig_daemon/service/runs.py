@@ -130,24 +130,13 @@ class Runs:
     ) -> tuple[pipe.Run, RunAccepted]:
         """Return the order to the loop, and the answer to the client if the loop accepts the order.
 
-        Parameters
-        ----------
-        request : Run
-            Request of the client.
-        Ts : float
-            Sampling time of the lease, in s.
-        theta_1_rad : float, optional
-            Angle of the chassis, in rad.
-        alive : callable
-            Function that is called after each slow step, because the plan may take seconds.
+        `request` is the request of the client, `Ts` the sampling time of the lease in s, and
+        `theta_1_rad` the angle of the chassis in rad. `alive` is called after each slow step,
+        because the plan may take seconds.
 
-        Raises
-        ------
-        CommandRefusedError
-            Another run is requested or running, or there is no room for the recording. The
-            exception is a ValueError.
-        ValueError
-            A voltage or the rehearsal is outside the limits.
+        Raises CommandRefusedError if another run is requested or running, or there is no room for
+        the recording. The exception is a ValueError. Raises ValueError if a voltage or the
+        rehearsal is outside the limits.
         """
         if not self.is_idle:
             busy = "an experiment is running: stop it first, or wait for its end"
@@ -213,12 +202,8 @@ class Runs:
     ) -> Path:
         """Open the recording of the run that starts; return the path of the unfinished file.
 
-        Raises
-        ------
-        RecordingError
-            The file cannot be created.
-        LookupError
-            No client has requested this run.
+        Raises RecordingError if the file cannot be created. Raises LookupError if no client has
+        requested this run.
         """
         planned, self._planned = self._planned, None
         early_notes, self._early_notes = self._early_notes, []
@@ -313,10 +298,7 @@ class Runs:
     def finished(self, timeout: float = 0.0) -> tuple[str, str]:
         """Return the level and text of a log line if a recording is complete, else two empty texts.
 
-        Parameters
-        ----------
-        timeout : float
-            Longest time to wait for the recording, in s; the recording is then given up.
+        After `timeout`, in s, the recording is given up.
         """
         recording = self._finishing
         if recording is None or self._last is None:

@@ -46,10 +46,8 @@ def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
 def unreachable(endpoint: str, devices: str) -> str:
     """Return the reason why no client can connect over a network, or an empty text.
 
-    Parameters
-    ----------
-    devices : str
-        Contents of /proc/net/dev: two lines of headings, then a line for each interface.
+    `devices` is the content of /proc/net/dev: two lines of headings, then a line for each
+    interface.
     """
     interfaces = {line.split(":")[0].strip() for line in devices.splitlines()[2:]}
     host, _ = network_address(endpoint) or ("", 0)

@@ -98,17 +98,11 @@ class Service:
     ) -> None:
         """Catch the signals; start nothing yet.
 
-        Parameters
-        ----------
-        stalls_fd : int, optional
-            Pipe with the reports of an emulator: times, in ns, for which the emulator's clock stood
-            still.
-        notifier : Notifier, optional
-            Connection to systemd; default: no connection.
-        check_configuration : callable, optional
-            Function that is called at SIGHUP. It reads the configuration again, and raises
-            ValueError if the configuration is refused. Without this function, SIGHUP ends the
-            service.
+        `stalls_fd` is a pipe with the reports of an emulator: times, in ns, for which the
+        emulator's clock stood still. `notifier` is the connection to systemd; default: no
+        connection. `check_configuration` is called at SIGHUP: it reads the configuration again, and
+        raises ValueError if the configuration is refused. Without this function, SIGHUP ends the
+        service.
         """
         self._notifier = Notifier({}) if notifier is None else notifier
         self._check_configuration = check_configuration

@@ -23,10 +23,7 @@ class Uplink:
     def __init__(self, endpoint: str, open_way: Callable[[], Listener]) -> None:
         """Start the attempts.
 
-        Parameters
-        ----------
-        open_way : callable
-            Returns the listener; raises zenoh.ZError if the router does not answer.
+        `open_way` returns the listener; it raises zenoh.ZError if the router does not answer.
         """
         self._endpoint, self._open_way = endpoint, open_way
         self._listener: Listener | None = None

@@ -82,17 +82,10 @@ class VirtualService:
     def record(self, request: Run) -> Path:
         """Arm, play and record a run; return the path of the complete recording.
 
-        Parameters
-        ----------
-        request : Run
-            Request of a client; its lease and number are replaced.
+        The lease and the number of `request` are replaced.
 
-        Raises
-        ------
-        OperationError
-            The run was refused, or ended before its last sample.
-        ValueError
-            A voltage or the rehearsal is outside the limits, or nothing can be recorded.
+        Raises OperationError if the run was refused, or ended before its last sample. Raises
+        ValueError if a voltage or the rehearsal is outside the limits, or nothing can be recorded.
         """
         self._until(lambda: self._state is not None and self._state.phase == "safe", "is not ready")
         granted = self._ask(pipe.Arm(owner="virtual time", lease=LEASE, ts_us=0))
@@ -174,10 +167,7 @@ def _name(seed: int, codes: bytes) -> str:
 def requests_of(text: bytes) -> list[Run]:
     """Return the runs in `text`; each line is a `run` command as JSON, without its lease.
 
-    Raises
-    ------
-    ValueError
-        A line is not a run; the message names the line and the error.
+    Raises ValueError if a line is not a run; the message names the line and the error.
     """
     runs: list[Run] = []
     for number, line in enumerate(text.splitlines(), 1):

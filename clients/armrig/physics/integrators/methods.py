@@ -118,10 +118,7 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
 def method_named(name: str) -> Method:
     """Return the method with this name.
 
-    Raises
-    ------
-    ValueError
-        There is no method with this name.
+    Raises ValueError if there is no method with this name.
     """
     if name not in METHODS:
         raise InputError(f"method={name!r} is none of {', '.join(METHODS)}")

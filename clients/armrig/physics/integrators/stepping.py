@@ -24,10 +24,7 @@ def system(
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return A (n, n), B (n, m) and x0 (n,) as arrays; a B of shape (n,) has one input.
 
-    Raises
-    ------
-    ValueError
-        The shapes do not match, or a number is not finite.
+    Raises ValueError if the shapes do not match, or a number is not finite.
     """
     for name, given in (("A", A), ("B", B), ("x0", x0)):
         if given is not None and np.iscomplexobj(np.asarray(given)):

@@ -112,22 +112,12 @@ def read(
 ) -> Content | None:
     """Return the content of the file at `path`, or None if it is not an MCAP file.
 
-    Parameters
-    ----------
-    streams : collection of str
-        Streams whose messages are kept.
-    part : Part, optional
-        Part to read; the first chunk with a sample is always read. By default the whole file is
-        read.
-    digest : bool
-        Compute the hash of the whole file.
+    Messages of the `streams` are kept. By default the whole file is read; of a `part`, the first
+    chunk with a sample is always read. `digest` determines whether the hash of the whole file is
+    computed.
 
-    Raises
-    ------
-    OSError
-        The file cannot be opened or read.
-    DamageError
-        The file is not a regular file: reading a pipe or a device could block or never end.
+    Raises OSError if the file cannot be opened or read. Raises DamageError if the file is not a
+    regular file: reading a pipe or a device could block or never end.
     """
     with byte_source(path, is_hashed=digest) as source:
         if source is None:

@@ -196,14 +196,8 @@ def _parts(experiment: str) -> tuple[str, bool, str]:
 def summary_of(path: Path) -> RecordingSummary:
     """Return the summary of a recording; only a few kilobytes of the file are read.
 
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    ForeignError
-        Another program wrote the file.
-    DamageError
-        The file is incomplete, or not a recording of armrig.
+    Raises OSError if the file cannot be read. Raises ForeignError if another program wrote the
+    file. Raises DamageError if the file is incomplete, or not a recording of armrig.
     """
     try:
         metadata = read_metadata(path)
@@ -264,12 +258,8 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
     A few short reads suffice for a recording of any length. Damaged samples are not detected,
     because the samples are not read.
 
-    Raises
-    ------
-    OSError
-        The file cannot be opened or read.
-    DamageError
-        The file is not an MCAP file, or the summary at its end is missing or damaged.
+    Raises OSError if the file cannot be opened or read. Raises DamageError if the file is not an
+    MCAP file, or the summary at its end is missing or damaged.
     """
     with regular_file(path) as stream:
         if stream.read(len(MAGIC)) != MAGIC:

@@ -73,12 +73,8 @@ def replay(path: Path) -> Replay:
     `path` is a file. To replay all parts of a run, give the name of the run. The replay compares
     all frames to the device and all samples in the file.
 
-    Raises
-    ------
-    FileError
-        The file is not a recording of armrig, or its core steps are missing or of another release.
-    OSError
-        The file cannot be read.
+    Raises FileError if the file is not a recording of armrig, or its core steps are missing or of
+    another release. Raises OSError if the file cannot be read.
     """
     try:
         paths = files_of(path)

@@ -27,17 +27,9 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     The emulator writes lines that can be read from the descriptor. Each line is a time, in ns, for
     which the device's clock stood still.
 
-    Parameters
-    ----------
-    config : Config
-        Configuration with the table [emulator].
-    directory : Path
-        Directory of the emulator's socket.
+    `config` is a configuration with the table [emulator]. The emulator's socket is in `directory`.
 
-    Raises
-    ------
-    OperationError
-        The emulator ended, or took too long to start.
+    Raises OperationError if the emulator ended, or took too long to start.
     """
     path = directory / f"{config.rig.id}-{os.getpid()}.line"
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)

@@ -72,15 +72,8 @@ def journal_entry(level: str, message: str, fields: Mapping[str, str]) -> bytes:
 
     Each field has a name, a length and its bytes, so that no value can add another field.
 
-    Parameters
-    ----------
-    level : str
-        Level of the line.
-    message : str
-        The line.
-    fields : mapping
-        Fields of the line. The field `run` becomes ARMRIG_RUN in the journal. An empty field is
-        omitted.
+    `message` is the line, with its level and its fields. The field `run` becomes ARMRIG_RUN in the
+    journal. An empty field is omitted.
 
     References
     ----------
