@@ -21,7 +21,6 @@ from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import expect, kinds, rule, shown
 
-_U32 = 0xFFFF_FFFF
 _SAMPLE_LIMIT_MS = 30
 """Time to wait for a sample, in ms; every sample arrives within this time."""
 _ROUNDED_US = 3

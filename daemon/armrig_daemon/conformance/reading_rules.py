@@ -24,7 +24,6 @@ from armrig_daemon.conformance.exchange_rules import elapsed, trigger
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import NotTried, codes, expect, rule, shown
 
-_U32 = 0xFFFF_FFFF
 _SAMPLE_LIMIT_MS = 30
 """Time to wait for a sample, in ms; every sample arrives within this time."""
 _ROUNDED_US = 3

@@ -9,7 +9,6 @@ from textwrap import fill
 from armrig_protocol.messages import Estop, HelloReply, State, Stop
 
 from armrig_daemon.conformance import (
-    arming_rules,
     byte_rules,
     configuration_rules,
     exchange_rules,
@@ -18,7 +17,6 @@ from armrig_daemon.conformance import (
     reading_rules,
     scheduled_rules,
     sequence_rules,
-    setpoint_rules,
     state_rules,
 )
 from armrig_daemon.conformance.conversation import Broken, EndlessError
@@ -32,11 +30,9 @@ RULES: tuple[Rule, ...] = (
     *byte_rules.RULES,
     *sequence_rules.RULES,
     *state_rules.RULES,
-    *arming_rules.RULES,
     *configuration_rules.RULES,
     *exchange_rules.RULES,
     *reading_rules.RULES,
-    *setpoint_rules.RULES,
     *scheduled_rules.RULES,
     *guard_rules.RULES,
     *load_rules.RULES,
