@@ -126,14 +126,6 @@ def next_status(host: Host) -> Status:
     raise Broken(f"no STATUS in {_STATUS_MS / 1000:g} s")
 
 
-RULES = (
-    _spoilt,
-    _stale_hello_length,
-    _too_long,
-    _cut,
-    _lost_end,
-    _empty,
-    _counted,
-)
+RULES = (_spoilt, _stale_hello_length, _too_long, _cut, _lost_end, _empty, _counted)
 LAST = (_sender,)
 """Rules about all frames of a session, tested at the end of the session."""

@@ -152,13 +152,5 @@ def _mode(host: Host) -> None:
     expect(reply.code == (Code.OK if offered else Code.UNSUPPORTED), [reply])
 
 
-RULES = (
-    _accepted,
-    _refused,
-    _limits,
-    _rest,
-    _nonce,
-    _unsupported,
-    _mode,
-)
+RULES = (_accepted, _refused, _limits, _rest, _nonce, _unsupported, _mode)
 WHO = (_hello,)

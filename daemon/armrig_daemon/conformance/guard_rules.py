@@ -58,16 +58,14 @@ def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") ->
 def _watchdog(host: Host) -> None:
     for state in (State.ARMED, State.RUN):
         for watchdog_ms in (20, 100, 250):
-            host.to_idle()
-            host.reach(state, watchdog_ms=watchdog_ms)
+            host.enter(state, watchdog_ms=watchdog_ms)
             _bites(host, watchdog_ms, host.rx_us)
 
 
 @rule(7, "HELLO, spoilt, stale and unknown frames do not feed the watchdog", silent=True)
 def _unfed(host: Host) -> None:
     for what in ("HELLO", "spoilt", "stale", "unknown"):
-        host.to_idle()
-        host.reach(State.RUN, watchdog_ms=60)
+        host.enter(State.RUN, watchdog_ms=60)
         fed_us, newest = host.rx_us, host.seq
         ahead = (newest + 1) & 0xFFFF
         data = {
@@ -107,8 +105,7 @@ def _fed(host: Host) -> None:
 @rule(7, "In IDLE and READY, at 0 V, the watchdog is off", silent=True)
 def _idle(host: Host) -> None:
     for state in (State.IDLE, State.READY):
-        host.to_idle()
-        host.reach(state, watchdog_ms=20)
+        host.enter(state, watchdog_ms=20)
         came = [*host.listen(100), *host.fence()]
         expect(not came and host.state == state, came)
 
@@ -183,14 +180,4 @@ def _supply(host: Host) -> None:
     expect(second.stack_free >= 128, f"{second.stack_free} B of stack left")
 
 
-RULES = (
-    _fed,
-    _rails,
-    _no_guard,
-    _still,
-    _watchdog,
-    _unfed,
-    _idle,
-    _left_alone,
-    _supply,
-)
+RULES = (_fed, _rails, _no_guard, _still, _watchdog, _unfed, _idle, _left_alone, _supply)

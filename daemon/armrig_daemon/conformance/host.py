@@ -152,6 +152,11 @@ class Host(Conversation):
         if self.state != state:
             raise Broken(f"state {self.state} on the way to {state.name}")
 
+    def enter(self, state: State, **config: int) -> None:
+        """Go to `state` from any state; `config` overrides values of `CONFIG`."""
+        self.to_idle()
+        self.reach(state, **config)
+
     def alive(self, ms: float, until: Callable[[Message], bool] | None = None) -> list[Message]:
         """Send KEEPALIVEs for `ms`, or until a message matches; return the messages."""
         end_ns = self.line.now_ns() + round(ms * 1e6)

@@ -77,8 +77,7 @@ def _overtaken(host: Host) -> None:
     config = {"oversampling": m, "ts_us": ts_min_us(host, m) + 10_000}
     came: list[Message] = []
     for _ in range(5):
-        host.to_idle()
-        host.reach(State.RUN, **config)
+        host.enter(State.RUN, **config)
         host.k += 1
         host.put_together([Exchange(0, 0, host.k, 30_000), Stop(0, 0)])
         came = [*host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
@@ -97,8 +96,7 @@ def _overtaken(host: Host) -> None:
 def _need_cal(host: Host) -> None:
     if not host.known.capabilities & Capability.CAL:
         for state in (State.IDLE, State.READY, State.ARMED):
-            host.to_idle()
-            host.reach(state)
+            host.enter(state)
             came = host.ask(Cal, channel=0, zero=0, n=1)
             expect(codes(came) == [Code.UNSUPPORTED], came)
         raise NotTried("the device offers no CAL")
@@ -148,11 +146,4 @@ def _cal_meanwhile(host: Host) -> None:
     expect(TYPES[Cal] not in [m.of_type for m in came if isinstance(m, Ack)], came)
 
 
-RULES = (
-    _mean_time,
-    _waiting,
-    _overtaken,
-    _cal,
-    _cal_bounds,
-    _cal_meanwhile,
-)
+RULES = (_mean_time, _waiting, _overtaken, _cal, _cal_bounds, _cal_meanwhile)

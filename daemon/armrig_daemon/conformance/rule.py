@@ -18,7 +18,7 @@ from armrig_protocol.messages import (
     State,
 )
 
-from armrig_daemon.conformance.conversation import Broken
+from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.host import Host
 
 
@@ -66,6 +66,14 @@ def expect(holds: bool, came: object) -> None:
     """Raise `Broken` with the device's behaviour unless the rule holds."""
     if not holds:
         raise Broken(shown(came))
+
+
+def expect_trip(came: list[Message], was: State, cause: Cause, detail: int) -> None:
+    """Expect one message, the EVENT of a transition from `was` to FAULT."""
+    expect(kinds(came) == [Event], came)
+    event = only(Event, came)
+    reported = (event.was, event.state, event.cause, event.detail)
+    expect(reported == (was, State.FAULT, cause, detail), f"{reported}")
 
 
 def shown(came: object) -> str:

@@ -27,7 +27,7 @@ from armrig_protocol.messages import (
 from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.exchange_rules import elapsed, expect_watchdog
 from armrig_daemon.conformance.host import Host
-from armrig_daemon.conformance.rule import NotTried, codes, expect, kinds, rule
+from armrig_daemon.conformance.rule import NotTried, codes, expect, expect_trip, kinds, rule
 
 TS_US = 5_000
 NOISE = [(7_919 * k + 5_003) % 60_000 for k in range(2_000)]
@@ -187,11 +187,7 @@ def _slew(host: Host) -> None:
 
 def _trips(host: Host, k0: int, u: list[int], cause: Cause, detail: int) -> None:
     put_setpoints(host, k0, u)
-    came = host.fence()
-    expect(kinds(came) == [Event], came)
-    event = only(Event, came)
-    reported = (event.was, event.state, event.cause, event.detail)
-    expect(reported == (State.ARMED, State.FAULT, cause, detail), f"{reported}")
+    expect_trip(host.fence(), State.ARMED, cause, detail)
 
 
 @rule(6, "Sample k applies u[k], the voltage of index k in the first frame that contains index k")

@@ -65,8 +65,7 @@ def _unknown(host: Host) -> None:
 @rule(2, "Outside ARMED and RUN, HELLO is always accepted, and its seq is then the newest")
 def _hello(host: Host) -> None:
     for state in (State.IDLE, State.READY, State.ESTOP):
-        host.to_idle()
-        host.reach(state)
+        host.enter(state)
         came = host.ask(Hello, seq=(host.seq - 1_000) & _U16, **_HELLO)
         expect(kinds(came) == [HelloReply], came)
 
@@ -74,8 +73,7 @@ def _hello(host: Host) -> None:
 @rule(2, "In ARMED and RUN, an old HELLO is answered ACK(STALE)")
 def _hello_armed(host: Host) -> None:
     for state in (State.ARMED, State.RUN):
-        host.to_idle()
-        host.reach(state)
+        host.enter(state)
         newest = host.seq
         host.put(Hello, seq=(newest - 5) & _U16, **_HELLO)
         host.seq = newest
@@ -86,8 +84,7 @@ def _hello_armed(host: Host) -> None:
 @rule(2, "STOP takes effect with any seq, and moves the newest seq only forward")
 def _stop_always(host: Host) -> None:
     for kind, state in ((Stop, State.IDLE), (Estop, State.ESTOP)):
-        host.to_idle()
-        host.reach(State.RUN)
+        host.enter(State.RUN)
         newest = host.seq
         host.put(kind, seq=(newest - 5) & _U16)
         host.put(Keepalive, seq=(newest - 3) & _U16)  # newer than the STOP, but still stale
@@ -136,14 +133,4 @@ def _reset(host: Host) -> None:
     expect(not any(isinstance(m, Sample) for m in came), came)
 
 
-RULES = (
-    _stale,
-    _ahead,
-    _unknown,
-    _hello,
-    _hello_armed,
-    _stop_always,
-    _echo,
-    _boot,
-    _reset,
-)
+RULES = (_stale, _ahead, _unknown, _hello, _hello_armed, _stop_always, _echo, _boot, _reset)

@@ -84,8 +84,7 @@ REFUSALS = tuple(
 @rule(3, "HELLO, EXCHANGE, PING and KEEPALIVE are accepted in any state but BOOT")
 def _everywhere(host: Host) -> None:
     for state in STATES:
-        host.to_idle()
-        host.reach(state)
+        host.enter(state)
         host.hello()
         came = host.ask(Keepalive)
         expect(not [m for m in came if not isinstance(m, HelloReply)], came)
@@ -117,8 +116,7 @@ def _way(host: Host) -> None:
 @rule(3, "STOP leads from READY, ARMED and RUN to IDLE, which has no configuration")
 def _stop(host: Host) -> None:
     for state in (State.READY, State.ARMED, State.RUN):
-        host.to_idle()
-        host.reach(state)
+        host.enter(state)
         came = host.ask(Stop)
         expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
         left = host.configure(ts_us=0)
@@ -139,8 +137,7 @@ def _zero_volts(host: Host) -> None:
     }
     state_flags = Flag.ARMED | Flag.RUN | Flag.ESTOP | Flag.RANGE | Flag.WATCHDOG | Flag.SLEW
     for state in STATES:
-        host.to_idle()
-        host.reach(state)
+        host.enter(state)
         for _ in range(2):
             sample = host.sample(40_000)
             expect(state is State.RUN or sample.u_k == 0, [sample])
@@ -233,8 +230,7 @@ def _old_arming(host: Host) -> None:
 @rule(3, "ESTOP leads from any state to ESTOP, with a token other than 0 in EVENT and HELLO_R")
 def _estop(host: Host) -> None:
     for state in STATES[:-1]:
-        host.to_idle()
-        host.reach(state)
+        host.enter(state)
         before = host.hello().token
         event = only(Event, host.ask(Estop))
         expect(
@@ -255,8 +251,7 @@ def _estop_again(host: Host) -> None:
 @rule(3, "Only CLEAR_FAULT with the right token leads from FAULT and ESTOP to IDLE")
 def _clear(host: Host) -> None:
     for state in (State.FAULT, State.ESTOP):
-        host.to_idle()
-        host.reach(state)
+        host.enter(state)
         token = host.hello().token
         for wrong in (0, token ^ 1, token ^ 0x8000_0000):
             came = host.ask(ClearFault, token=wrong)
