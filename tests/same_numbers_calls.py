@@ -175,6 +175,9 @@ PARTS = ("ararx", "armax", "iv4", "load_fit", "pem")
 """Calls of which none is: models, of which `arx`, `bj`, `n4sid` and `oe` show all members."""
 
 LEFT_OUT = {
+    "*.white*.ljung_box": "stands in the test of the residuals, or is NaN",
+    "*.white*.doubtful": "follows from two p values",
+    "*.white*.unclear": "follows from two p values",
     "*.starts[[]*].iterations": "the way of a search",
     "*.starts[[]*].converged": "the way of a search",
     "pem odd.free[[]*].transients": "two of four are dependent: rounding decides which is 0",

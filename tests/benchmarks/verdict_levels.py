@@ -1,9 +1,8 @@
 """Share of right models that the tests of their residuals reject at the level 5 %.
 
-Each cell has a structure, a colour of the noise and N. Both the estimation data and other data are
-judged. The last columns are the runs in which the answer is "cannot tell". Three cells also count
-the wrong answers of `open_loop` (level 5 %) and, with the argument `delay`, of `delay`. Run it with
-the project's environment::
+Each cell has a structure, a colour of the noise and N; the estimation data and others are judged.
+The last columns count "cannot tell". Three cells also count the wrong answers of `open_loop` (level
+5 %) and, with the argument `delay`, of `delay`::
 
     python -m tests.benchmarks.verdict_levels [runs] [delay]
 """

@@ -103,7 +103,7 @@ def residual_lines(tests: ResidualTest) -> list[str]:
     return [
         f"residuals on {where} data, {listed([str(n) for n in counts])} samples; {LEVEL}",
         f"  residuals {tests.white}{look}",
-        f"  no dynamics missing: {_p(tests.missing_dynamics, DYNAMICS)}",
+        f"  no dynamics missing: {tests.blind or _p(tests.missing_dynamics, DYNAMICS)}",
         f"  no feedback seen: {_p(tests.feedback, FEEDBACK)}",
         *([f"  no power: {tests.powerless}"] if tests.powerless else []),
         *(
@@ -173,7 +173,9 @@ def residual_facts(
             **_whiteness(tests),
             "p_no_dynamics_missing": tests.missing_dynamics,
             "p_no_feedback": tests.feedback,
-            "no_power": tests.powerless,
+            "no_power": tests.powerless or tests.blind,
+            "error_ratio": tests.error_ratio,
+            "p_no_larger_errors": tests.larger_errors,
         }
     )
     if tests.missing_dynamics_by_pair.size == 1:

@@ -15,8 +15,9 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whiteness import autoregression
 
+Autoregression = tuple[Array, float]
+"""C of the autoregression C e = white noise, and the variance of the white noise."""
 _FILTER_ROWS = 1 << 16  # rows filtered at once, so that the memory does not grow with the data
 _SUM_ROWS = 1 << 11  # rows summed at once
 _MIN_WHITENED = 30  # least number of errors from which the correlation of outputs is estimated
@@ -37,13 +38,12 @@ def pairwise_covariance(e: Array) -> Array:
     return np.asarray(inside * np.outer(std, std))
 
 
-def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
+def exogenous_score(blocks: Sequence[Array], noise: Autoregression) -> Array:
     """Return M = Psi^T R Psi for a Psi that does not depend on the noise (output error).
 
-    R is the covariance matrix of an autoregression fitted to the residuals (Yule-Walker, order by
-    AIC). With R = s² H H^T, M is s² (H^T Psi)^T (H^T Psi). H^T Psi is computed by filtering Psi
-    backwards in time. For white residuals the order is 0, and the sandwich form equals the classic
-    form.
+    R is the covariance matrix of the noise. With R = s² H H^T, M is s² (H^T Psi)^T (H^T Psi). H^T
+    Psi is computed by filtering Psi backwards in time. For white noise the order is 0, and the
+    sandwich form equals the classic form.
 
     References
     ----------
@@ -56,16 +56,16 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
         [Psi[max(b - _FILTER_ROWS, 0) : b] for b in range(len(Psi), 0, -_FILTER_ROWS)]
         for Psi in blocks
     ]
-    return exogenous_score_in_blocks(whole, residuals, blocks[0].shape[1])
+    return exogenous_score_in_blocks(whole, noise, blocks[0].shape[1])
 
 
 def exogenous_score_in_blocks(
-    experiments: Iterable[Iterable[Array]], residuals: Sequence[Array], d: int
+    experiments: Iterable[Iterable[Array]], noise: Autoregression, d: int
 ) -> Array:
     """Return `exogenous_score` for Psi in blocks of rows (n, d), the last block first."""
     from scipy.signal import lfilter
 
-    C, s2 = autoregression(residuals)
+    C, s2 = noise
     total = np.zeros((d, d))
     for blocks in experiments:
         state = np.zeros((d, C.size - 1))
@@ -77,20 +77,23 @@ def exogenous_score_in_blocks(
     return total
 
 
-def joint_exogenous_score(H: Sequence[Sequence[Array]], e: Sequence[Sequence[Array]]) -> Array:
+def joint_exogenous_score(
+    H: Sequence[Sequence[Array]],
+    e: Sequence[Sequence[Array]],
+    noise: Sequence[Autoregression],
+) -> Array:
     """Return the covariance of the sum of H_i(t) e_i(t) over t and outputs i.
 
-    H and e have one array for each experiment and output. The residuals of each output are
-    autoregressive, and the errors of the autoregressions are correlated at the same instant. H must
-    not depend on the noise. For one output the result is `exogenous_score`.
+    H and e have one array for each experiment and output. `noise` contains the autoregression of
+    each output; the errors of the autoregressions are correlated at the same instant. H must not
+    depend on the noise. For one output the result is `exogenous_score`.
     """
     from scipy.signal import lfilter
 
     ny = len(e[0])
     if ny == 1:
-        return exogenous_score([h for (h,) in H], [x for (x,) in e])
-    fitted = [autoregression([of[i] for of in e]) for i in range(ny)]
-    models, variances = zip(*fitted, strict=True)
+        return exogenous_score([h for (h,) in H], *noise)
+    models, variances = zip(*noise, strict=True)
     # A value that depends on a missing sample is NaN.
     white = [
         np.column_stack([np.convolve(x, C)[: x.size] for x, C in zip(of, models, strict=True)])

@@ -24,7 +24,12 @@ from typing import Any, Literal
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.numerics.covariance import correlated_score, joint_exogenous_score, pairwise_covariance
+from armrig.numerics.covariance import (
+    Autoregression,
+    correlated_score,
+    joint_exogenous_score,
+    pairwise_covariance,
+)
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.least_squares import Basis
 from armrig.numerics.polynomial import Array
@@ -32,6 +37,7 @@ from armrig.numerics.whiteness import (
     LJUNG_BOX,
     NOT_TESTED,
     Whiteness,
+    autoregression,
     default_lags,
     joined,
     ljung_box,
@@ -75,6 +81,10 @@ class OutputQuality:
     white: Whiteness
     """Result of the whiteness test of the errors; `NOT_TESTED` if no test was requested or
     possible."""
+    autoregression: tuple[float, ...] = ()
+    """Coefficients of C, with C(q) e = white noise; empty if they are not known."""
+    innovation_variance: float = float("nan")
+    """Variance of C(q) e."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -174,8 +184,14 @@ def infer(
     degrees = np.array(
         [_degrees(of, N, d) for of, N, d in zip(outputs, counts.tolist(), parameters, strict=True)]
     )
+    noise = [autoregression([r.e for r in of]) for of in outputs]
     quality = tuple(
-        quality_of(of, test=test, rounding=rounding, prewhitening=prewhitening) for of in outputs
+        replace(
+            quality_of(of, test=test, rounding=rounding, prewhitening=prewhitening),
+            autoregression=tuple(C.tolist()),
+            innovation_variance=s2,
+        )
+        for of, (C, s2) in zip(outputs, noise, strict=True)
     )
     inflation = counts / degrees
     if ny == 1:
@@ -183,7 +199,7 @@ def infer(
     else:
         e = np.vstack([np.column_stack([r.e for r in of]) for of in experiments])
         Lambda = pairwise_covariance(e) * np.sqrt(np.outer(inflation, inflation))
-    M = _score(experiments, score) * float(np.sum(counts) / np.sum(degrees))
+    M = _score(experiments, score, noise) * float(np.sum(counts) / np.sum(degrees))
     return Inference(
         covariance=W @ _white_score(experiments, Lambda) @ W.T,
         covariance_robust=W @ M @ W.T,
@@ -212,11 +228,13 @@ def _white_score(experiments: Sequence[Sequence[OutputResiduals]], Lambda: Array
     return np.asarray(sum(Lambda[pair] * product for pair, product in pairs))
 
 
-def _score(experiments: Sequence[Sequence[OutputResiduals]], score: Score) -> Array:
+def _score(
+    experiments: Sequence[Sequence[OutputResiduals]], score: Score, noise: Sequence[Autoregression]
+) -> Array:
     """Return M, the covariance of the sum of H_i(t) e_i(t)."""
     H, e = [[r.H for r in of] for of in experiments], [[r.e for r in of] for of in experiments]
     if score == "exogenous":
-        return joint_exogenous_score(H, e)
+        return joint_exogenous_score(H, e, noise)
     if len(experiments[0]) == 1:
         return correlated_score([h for (h,) in H], [v for (v,) in e])
     scores = [np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in of], axis=0) for of in experiments]

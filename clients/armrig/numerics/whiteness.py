@@ -24,8 +24,10 @@ BAND_99_PERCENT = 2.58
 """Two-sided 99 % quantile of the normal distribution."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
+SCALED = "scaled Ljung-Box test"
 _MIN_SIZE = 0.1  # least size of a tested combination of effects, relative to the largest
 _ROBUST_LIMIT = 3.5  # robust standard deviations at which residuals are cut off
+_MAX_BURG = 100_000  # residuals; the bias of Yule and Walker's equations is of the order 1/N
 _MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the portmanteau test
 
 
@@ -37,17 +39,33 @@ class Whiteness:
     """p value of the hypothesis that the residuals are white; NaN if there was no test."""
     test: str
     """Name of the test; "" if it is not known."""
+    ljung_box: float = float("nan")
+    """p value of the Ljung-Box test, which does not allow for uncertain parameters; NaN if it was
+    not compared."""
+
+    @property
+    def unclear(self) -> bool:
+        """True if only the Ljung-Box test rejects whiteness at `WHITE_LEVEL`."""
+        return self.p_value >= WHITE_LEVEL > self.ljung_box
 
     @property
     def coloured(self) -> bool:
         """True if the test rejects whiteness at `WHITE_LEVEL`."""
         return self.p_value < WHITE_LEVEL
 
+    @property
+    def doubtful(self) -> bool:
+        """True if one of the two tests rejects whiteness at `WHITE_LEVEL`."""
+        return self.coloured or self.unclear
+
     def __str__(self) -> str:
         """Return the text that follows "residuals": coloured (p < 0.001, Ljung-Box test)."""
         if isnan(self.p_value):
             return "not tested (too few, or all zero)"
         by = f", {self.test}" if self.test else ""
+        if self.unclear:
+            box = f"p {p_relation(self.ljung_box)}, {LJUNG_BOX}"
+            return f"perhaps coloured (p {p_relation(self.p_value)}{by}; {box})"
         return f"{'coloured' if self.coloured else 'white'} (p {p_relation(self.p_value)}{by})"
 
 
@@ -101,22 +119,37 @@ def autoregression(
 
     The order has the least value of the criterion, by default AIC.
 
-    The Yule-Walker equations are solved by Levinson's recursion, so that C is stable. For white
-    residuals the order is usually 0.
+    Burg's recursion minimises the forward and backward errors of each order. C is therefore
+    stable, and nearly unbiased for a resonance in short data, unlike that of Yule and Walker [2]_.
+    These equations determine C only if most stretches without a missing sample are too short, or
+    the data are so long that they are quicker and as exact. For white residuals the order is
+    usually 0.
 
     References
     ----------
-    .. [1] P. Stoica, R. Moses, *Spectral Analysis of Signals*, 2005, sections 3.4-3.5.
+    .. [1] P. Stoica, R. Moses, *Spectral Analysis of Signals*, 2005, sections 3.4-3.5 and 3.9.3.
+    .. [2] M. J. L. de Hoon et al., "Why Yule-Walker should not be used for autoregressive
+       modelling", Ann. Nucl. Energy 23 (1996) 1219-1228.
     """
     N = sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals)
     highest = min(int(10 * log10(max(N, 10))), N // 10)
-    R, _ = autocovariance(joined(residuals, highest), highest)
+    ahead = behind = joined(residuals, 1)  # a value that depends on a missing sample is NaN
+    whole = np.convolve(np.isfinite(ahead), np.ones(highest + 1, dtype=int), "valid") > highest
+    burg = N <= _MAX_BURG and 2 * np.count_nonzero(whole) >= N
+    R, _ = autocovariance(joined(residuals, highest), 0 if burg else highest)
     best: tuple[float, Vector, float] = (float(criterion(R[0], 0, N)), np.ones(1), float(R[0]))
     C, s2 = np.ones(1), float(R[0])
     for order in range(1, highest + 1):
         if s2 <= 0:
             break
-        reflection = -float(C @ R[order:0:-1]) / s2
+        if burg:
+            ahead, behind = ahead[1:], behind[:-1]
+            known = np.isfinite(ahead) & np.isfinite(behind)
+            f, b = ahead[known], behind[known]
+            reflection = -2 * float(f @ b) / max(float(f @ f + b @ b), 1e-300)
+            ahead, behind = ahead + reflection * behind, behind + reflection * ahead
+        else:
+            reflection = -float(C @ R[order:0:-1]) / s2
         if abs(reflection) >= 1:  # missing samples can make R indefinite
             break
         C = np.append(C, 0.0) + reflection * np.append(0.0, C[::-1])
@@ -221,7 +254,8 @@ def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
         # Scale times chi-squared has the mean of z^T z and, if scale > 1, also its variance.
         value = np.maximum(value, 0.0)
         scale = max(1.0, float(np.sum(value**2) / max(np.sum(value), 1e-300)))
-        Q, degrees, test = float(z @ z) / scale, float(np.sum(value)) / scale, LJUNG_BOX
+        Q, degrees = float(z @ z) / scale, float(np.sum(value)) / scale
+        test = LJUNG_BOX if scale == 1 else SCALED
     return Whiteness(p_value=portmanteau_p_value(Q, max(degrees, 1.0), N), test=test)
 
 
@@ -280,15 +314,23 @@ def two_sided(level: float) -> float:
     return sqrt(2) * float(erfinv(level))
 
 
-def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = None) -> float:
+def joint_p_value(
+    s: Array,
+    M: Array,
+    least: float = 1e-8,
+    N: float | None = None,
+    *,
+    independent: bool = False,
+) -> float:
     """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0.
 
     An eigenvector of the correlation matrix of s does not count if its eigenvalue is less than the
     share `least` of the largest. Give N if the noise variance in M is an estimate with N degrees of
     freedom. Then s^T M^+ s / N has the beta distribution with the parameters k/2 and (N - k)/2,
-    where k is the rank. For large k a chi-squared test would reject too rarely.
+    where k is the rank. For large k a chi-squared test would reject too rarely. If the estimate is
+    `independent` of s, because it is from other data, s^T M^+ s / k has an F(k, N) distribution.
     """
-    from scipy.special import betainc, chdtrc
+    from scipy.special import betainc, chdtrc, fdtrc
 
     scale = np.sqrt(np.maximum(np.diag(M), 0.0))
     used = scale > 1e-10 * max(float(scale.max(initial=0.0)), 1e-300)
@@ -301,6 +343,8 @@ def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = Non
     k, Q = int(np.count_nonzero(kept)), np.sum(z**2 / value[kept])
     if N is None:
         return float(chdtrc(k, Q))
+    if independent:
+        return float(fdtrc(k, max(N, 1.0), Q / k))
     if k >= N:
         return float("nan")
     return float(betainc((N - k) / 2, k / 2, max(1.0 - Q / N, 0.0)))

@@ -21,6 +21,7 @@ from armrig.recordings.jitter import angle_of_jitter, fastest_rate
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import doubts_of_calibration
 from armrig.report.study import AssessedFit, Study, each_output
+from armrig.validation.residual_test import UNKNOWN
 
 MIN_BIASED_RMS_RATIO = 3.0
 """Ratio of the rms errors of an ARX model and the best model, above which ARX is called biased."""
@@ -128,10 +129,14 @@ def _residual_verdict(model: AssessedFit) -> str:
     whiteness = tests.white.p_value
     if np.isnan([whiteness, tests.missing_dynamics]).any():
         return f"{model.name}: too few residuals to test."
-    white, free = not tests.white.coloured, tests.missing_dynamics >= WHITE_LEVEL
+    white, free = not tests.white.doubtful, tests.missing_dynamics >= WHITE_LEVEL
     if tests.powerless and white and free:
         return f"The residual tests of {model.name} have no power: {tests.powerless}."
     said = f"{tests.white} and "
+    if tests.blind:
+        return (
+            f"On validation data the residuals of {model.name} are {said}{UNKNOWN}: {tests.blind}."
+        )
     said += (
         f"{'un' if free else ''}correlated with past input (p {p_relation(tests.missing_dynamics)})"
     )

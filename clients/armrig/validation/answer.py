@@ -13,7 +13,7 @@ from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
-from armrig.validation.residual_test import ResidualTest
+from armrig.validation.residual_test import NOT_LINEAR, UNKNOWN, ResidualTest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,9 +23,14 @@ if TYPE_CHECKING:
 _DATA_FIRST = "correct the data first, see below"
 OF_DATA = frozenset({"outliers", "level"})
 """Names of the findings about the data; the estimation and the advice use the same names."""
+NOT_MISSING = "no dynamics missing"
+MORE_DATA = "estimate from more data, or with lower orders"
 NOISE = "look at the noise model or the orders"
 DYNAMICS = "look at the orders or the delay"
-FEEDBACK = "look at the experiment, or the delay is too large"
+FEEDBACK = (
+    "look at the experiment (was u held between samples, and recorded at the time of y?), or the "
+    "delay is too large"
+)
 LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _MORE_TESTS = f"{LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
 _ON_OWN_DATA = " on its estimation data"
@@ -56,6 +61,7 @@ def answer(
         untested = all(isnan(q.white.p_value) for q in fit.quality)
         return said if untested else f"{said}\n{_MORE_TESTS}"
     simulated = f"to {simulated_to(validation[0])}" if fit.ny == 1 else simulation(validation.rows)
+    simulated += f"; {tests.larger}" * bool(tests.larger)
     return (
         f"{said}\nSimulated on the validation data it fits {simulated}.\n{tests_sentence(tests)}."
     )
@@ -97,9 +103,11 @@ def _errors(row: Comparison) -> str:
 
 def tests_sentence(tests: ResidualTest) -> str:
     """Return the result of the tests of the residuals, with p values and the level."""
-    failed, passed = [], []
+    failed, doubts, passed = [], [], []
     if tests.white.coloured:
         failed.append(f"they are {tests.white}: {NOISE}")
+    elif tests.white.unclear:
+        doubts.append(f"they are {tests.white}: {MORE_DATA}")
     else:
         passed.append(str(tests.white))
     # If u is not white, missing dynamics also affect the lags at which feedback is tested.
@@ -110,20 +118,26 @@ def tests_sentence(tests: ResidualTest) -> str:
         (
             tests.missing_dynamics,
             f"dynamics are missing ({{}}): {DYNAMICS}",
-            "no dynamics missing",
+            NOT_MISSING,
         ),
         (tests.feedback, feedback, "no feedback seen"),
     ):
         said = f"p {p_relation(p)}"
         if p < WHITE_LEVEL:
             failed.append(bad.format(said))
+        elif tests.blind and good == NOT_MISSING:
+            doubts.append(f"{UNKNOWN}: {tests.blind}")
         else:
+            if good == NOT_MISSING and tests.white.doubtful:
+                good = NOT_LINEAR
             passed.append(f"{good} ({said})" if p >= 0 else f"{good}: {UNTESTED}")
+    rest = [f"passed: {', '.join(passed)}"] if passed else []
     if failed:
-        rest = [f"passed: {', '.join(passed)}"] if passed else []
-        return f"Its residuals do not pass: {'; '.join([*failed, *rest, LEVEL])}"
+        return f"Its residuals do not pass: {'; '.join([*failed, *doubts, *rest, LEVEL])}"
     if tests.powerless:
         return f"The tests of its residuals have no power: {tests.powerless}"
+    if doubts:
+        return f"It is not clear that its residuals pass: {'; '.join([*doubts, *rest, LEVEL])}"
     if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
         return f"Residuals {tests.white}; {UNTESTED}"
     return f"Its residuals pass: {', '.join(passed)}; {LEVEL}"

@@ -264,6 +264,9 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
     if loop.may_be_direct_term:
         text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
         text += "take nk=1"
+    else:
+        text += ". An input that is not held between samples, or that is recorded later than "
+        text += f"{loop.output}, looks the same"
     if loop.p_value >= CHANCE_LEVEL:
         text += (
             f". By chance one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"

@@ -218,7 +218,7 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
 
 def _verdict(found: Whiteness) -> str:
     """Return whether the residuals are white, with the p value and the level, as text."""
-    if np.isnan(found.p_value):
+    if np.isnan(found.p_value) or found.unclear:
         return f"residuals {found}"
     verdict = "coloured" if found.coloured else "white"
     return f"residuals {verdict}: {_p(found.p_value)} ({_JOINT})"

@@ -50,7 +50,7 @@ class Part:
 
 
 def parts_of(fit: Fit, data: Dataset | Signals) -> tuple[list[Part], Array]:
-    """Return the residuals of each experiment, and the covariance of the parameters of Psi."""
+    """Return the residuals of each experiment, and J: the parameters of Psi are J theta."""
     if isinstance(data, Signals) and (fit.ny, fit.nu) != (1, 1):
         return _parts_by_differences(fit, data)
     data = as_dataset(data)
@@ -67,19 +67,18 @@ def parts_of(fit: Fit, data: Dataset | Signals) -> tuple[list[Part], Array]:
                 G=known[:, None, None].astype(np.float64),
             )
         )
-    return parts, _free_covariance(fit)
+    return parts, _to_free(fit)
 
 
-def _free_covariance(fit: Fit) -> Array:
-    """Return the covariance of the free parameters; an integrator is divided out of F or A."""
+def _to_free(fit: Fit) -> Array:
+    """Return J, so that J theta are the free parameters; an integrator is divided out of F or A."""
+    J = np.eye(fit.theta.size)
     if not fit.integrator:
-        return fit.covariance_robust
-    part, size = fit.slice_of(fit.integrating), fit.theta.size
+        return J
+    part = fit.slice_of(fit.integrating)
     # f̃_k = f_1 + … + f_k undoes f_k = f̃_k - f̃_(k-1).
-    summing = np.eye(size)
-    summing[part, part] = np.tri(part.stop - part.start)
-    summing = np.delete(summing, part.stop - 1, axis=0)
-    return np.asarray(summing @ fit.covariance_robust @ summing.T)
+    J[part, part] = np.tri(part.stop - part.start)
+    return np.delete(J, part.stop - 1, axis=0)
 
 
 def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
@@ -99,7 +98,8 @@ def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
     # estimate of the initial states would amplify rounding errors.
     states = [r.combination(part, std) for r, part in zip(at_theta, experiments, strict=True)]
     by: list[list[Array]] = []
-    for direction in _directions(fit).T:
+    directions = _directions(fit)
+    for direction in directions.T:
         ahead, behind = (responses(fit.theta + h * _STEP * direction) for h in (1, -1))
         by.append(
             [
@@ -127,7 +127,7 @@ def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
         S = S @ basis.W
         Psi = Psi - S @ (basis.Q.T @ _stacked(G @ Psi))
         found.append(Part(u=part.u - mean, e=e, S=S, Psi=Psi, G=G))
-    return found, np.eye(len(by))
+    return found, np.linalg.pinv(directions)
 
 
 def _directions(fit: Fit) -> Array:

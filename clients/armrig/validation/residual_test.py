@@ -12,19 +12,31 @@ from numpy.typing import NDArray
 
 from armrig.data.finding import Finding
 from armrig.numerics.polynomial import Array
-from armrig.numerics.quantities import listed, p_relation
-from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
+from armrig.numerics.quantities import listed, p_relation, plural
+from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _DYNAMICS = "no dynamics missing", "dynamics missing", "orders or delay"
-_FEEDBACK = "no feedback", "feedback, or a delay too large", "experiment"
+_FEEDBACK = (
+    "no feedback",
+    "feedback, or a delay too large",
+    "experiment (was u held between samples, and recorded at the time of y?)",
+)
+_OLDER = (
+    "the model's file contains no noise, so the noise is that of these residuals: misfit is partly "
+    "hidden. Estimate the model again"
+)
+NOT_LINEAR = "no dynamics missing that are linear in u"
+UNKNOWN = "the data do not show whether dynamics are missing"
 _NOT_VALID = "until the dynamics are modelled, the test of feedback is not valid"
-_MOST_ALLOWED = 10.0
+MAX_ALLOWANCE = 10.0
 """Largest factor by which uncertain parameters may widen the bands of a test. With a larger factor,
 the test has no power."""
+_MIN_VALUES = 30
+"""Least number of independent values from which the tests of the input find missing dynamics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -108,6 +120,14 @@ class ResidualTest:
     allowance: float
     """Factor by which the parameters' uncertainty widens the band of a typical
     cross-correlation."""
+    error_ratio: float
+    """Ratio of the rms error of an output to that at the estimation, with the allowance for the
+    parameters; NaN on estimation data. Of several outputs, the one with the least p value."""
+    larger_errors: float
+    """p value of the hypothesis that the errors are not larger than at the estimation."""
+    noise_of_estimation: bool
+    """True if the noise is that of the estimation; False on estimation data and for a model from an
+    older file, whose noise is found in these residuals."""
     on_estimation_data: bool
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
@@ -129,7 +149,7 @@ class ResidualTest:
     @property
     def rejects(self) -> bool:
         """True if a joint test rejects the model."""
-        p = self.white.p_value, self.missing_dynamics, self.feedback
+        p = self.white.p_value, self.missing_dynamics, self.feedback, self.larger_errors
         return any(value < WHITE_LEVEL for value in p)
 
     @property
@@ -141,8 +161,44 @@ class ResidualTest:
 
     @property
     def powerless(self) -> str:
-        """Reason why the tests have no power, with a remedy; "" if they have power."""
-        return lack_of_power(self.allowance, on_estimation_data=self.on_estimation_data)
+        """Reason why the tests have no power, with a remedy; "" if they have power.
+
+        On other data the bands contain the deviations of the parameters. With huge deviations, such
+        as that of a pole at 1, all residuals would pass.
+        """
+        if self.on_estimation_data or not self.allowance > MAX_ALLOWANCE:
+            return ""
+        finite = np.isfinite(self.allowance)
+        by = f"by a factor of {self.allowance:.0f}" if finite else "without limit"
+        return (
+            f"the deviations of the parameters widen the bands of the correlations {by}, so these "
+            "tests find nothing. Fix a pole near 1 (option integrator), lower the orders, or "
+            "record more data"
+        )
+
+    @property
+    def blind(self) -> str:
+        """Reason why the data do not show whether dynamics are missing; "" if they do."""
+        if not self.white.doubtful or self.missing_dynamics < WHITE_LEVEL:
+            return ""
+        values = int(np.min((BAND_99_PERCENT / np.maximum(self.cross_band, 1e-9)) ** 2))
+        if values >= _MIN_VALUES:
+            return self.powerless
+        return (
+            "the coloured residuals and u change so slowly that they are worth "
+            f"{plural(values, 'independent value')}. Record longer, or change u more often"
+        )
+
+    @property
+    def larger(self) -> str:
+        """Sentence on errors that are larger than at the estimation; "" if they are not."""
+        if not self.larger_errors < WHITE_LEVEL:
+            return ""
+        return (
+            f"its errors one step ahead are {self.error_ratio:.2g} times as large as on the "
+            f"estimation data (p {p_relation(self.larger_errors)}): more noise, or the model does "
+            "not hold for these data"
+        )
 
     def __getitem__(self, channel: tuple[str, str]) -> PairTest:
         """Return the tests of one output and input: tests["alpha", "u"].
@@ -192,13 +248,18 @@ class ResidualTest:
         several = self.missing_dynamics_by_pair.size > 1
         counts = np.isfinite(self.e).sum(axis=0)
         look = ": look at the noise model or order" if self.white.coloured else ""
+        dynamics = (NOT_LINEAR, *_DYNAMICS[1:]) if self.white.doubtful else _DYNAMICS
+        unknown = self.blind and f"{UNKNOWN}: {self.blind}"
         not_valid = several and self.missing_dynamics < WHITE_LEVEL
         lines = [
             f"residuals on {where} data, {listed([str(n) for n in np.atleast_1d(counts)])} samples",
             f"  {'all outputs together: ' * (len(self.outputs) > 1)}{self.white}{look}",
-            f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
+            f"  {unknown or _verdict(*dynamics, self.missing_dynamics)}",
             f"  {_NOT_VALID if not_valid else _verdict(*_FEEDBACK, self.feedback)}",
         ]
+        lines += [f"  {self.larger}"] * bool(self.larger)
+        if not (self.noise_of_estimation or self.on_estimation_data):
+            lines.append(f"  {_OLDER}")
         if len(self.outputs) > 1:
             each = zip(self.outputs, self.white_by_output, strict=True)
             lines += [f"  {name}: {white}" for name, white in each]
@@ -233,19 +294,3 @@ def _verdict(good: str, bad: str, look: str, p: float) -> str:
     if p < WHITE_LEVEL:
         return f"{bad} (p {p_relation(p)}): look at the {look}"
     return f"{good} (p {p_relation(p)})"
-
-
-def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:
-    """Return the reason why the tests have no power, with a remedy; "" if they have power.
-
-    The tests on validation data allow for the uncertainty of the parameters. If this uncertainty is
-    huge, all residuals pass the tests. An example is the uncertainty of a pole that is 1 within
-    rounding errors.
-    """
-    if on_estimation_data or not allowance > _MOST_ALLOWED:
-        return ""
-    return (
-        "the deviations of the parameters widen the bands of the correlations by a factor "
-        f"of {allowance:.0f}, so these tests find nothing. Fix a pole near 1 "
-        "(option integrator), lower the orders, or record more data"
-    )

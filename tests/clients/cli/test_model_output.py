@@ -68,7 +68,8 @@ def test_each_finding_is_reported_once(
 
 def _tests(**changes: Any) -> Any:
     of: dict[str, Any] = {"white": _white(0.4), "whiteness": 0.4, "on_estimation_data": False}
-    of |= {"missing_dynamics": 0.3, "feedback": 0.2, "powerless": "", "e": np.array([1, np.nan])}
+    of |= {"missing_dynamics": 0.3, "feedback": 0.2, "e": np.array([1, np.nan])}
+    of |= {"powerless": "", "blind": "", "larger": ""}
     of |= {"autocorrelation": np.array([1.0, 0.2, -0.2, 0.0]), "autocorrelation_band": 0.1}
     of |= {"cross_lags": np.arange(-2, 3), "cross_std": np.full(5, 0.1), "outputs": ("y",)}
     of |= {"missing_dynamics_by_pair": np.full((1, 1), 0.3), "white_by_output": (_white(0.4),)}
@@ -90,8 +91,8 @@ def test_the_tests_of_the_residuals_have_a_line_each() -> None:
         "residuals on estimation data, 1 samples; a p below 0.01 rejects",
         "  residuals coloured (p = 0.001, T): look at the noise model or the orders",
         "  no dynamics missing: too few samples or residuals for the test",
-        "  no feedback seen: p = 0.009, rejected: look at the experiment, or the delay is too "
-        "large",
+        "  no feedback seen: p = 0.009, rejected: look at the experiment (was u held between "
+        "samples, and recorded at the time of y?), or the delay is too large",
         "  no power: u rests",
     ]
 
@@ -134,8 +135,8 @@ def test_a_pair_fails_its_test_at_the_level_of_all_pairs_together() -> None:
 def test_the_tests_of_each_pair_are_in_json_with_its_names() -> None:
     white = [_white(p) for p in (0.3, 0.2, 0.1)]
     tests = _pairs(
-        **{"white_by_output": white[1:], "missing_dynamics": 0.4, "powerless": ""},
-        **{"whiteness": 0.3, "whiteness_test": "T"},
+        **{"white_by_output": white[1:], "missing_dynamics": 0.4, "powerless": "", "blind": ""},
+        **{"error_ratio": 1.0, "larger_errors": 0.5, "whiteness": 0.3, "whiteness_test": "T"},
     )
     rows: Any = [
         SimpleNamespace(output=name, fit_percent=p, rms_error=1 - p, velocity_fit_percent=None,

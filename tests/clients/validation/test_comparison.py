@@ -19,7 +19,7 @@ from armrig.estimation.polynomial_structures import armax, bj, oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.comparison import compare
-from armrig.validation.projection import _free_covariance
+from armrig.validation.projection import _to_free
 from armrig.validation.residuals import residuals
 from scipy.stats import chi2
 
@@ -175,7 +175,8 @@ def test_the_covariance_of_the_free_parameters_determines_that_of_all_coefficien
     for k in range(3):
         by_free[3 + k : 5 + k, 3 + k] = [1.0, -1.0]
 
-    free = _free_covariance(fit)
+    J = _to_free(fit)
+    free = J @ fit.covariance_robust @ J.T
 
     scale = np.sqrt(np.outer(np.diag(fit.covariance_robust), np.diag(fit.covariance_robust)))
     back = by_free @ free @ by_free.T

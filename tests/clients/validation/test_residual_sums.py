@@ -17,13 +17,14 @@ from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array, filtered
-from armrig.numerics.whiteness import autoregression, joint_p_value, portmanteau
+from armrig.numerics.whiteness import joint_p_value, portmanteau
 from armrig.validation.output_whiteness import _white, white_by_output
 from armrig.validation.projection import parts_of, projection
 from armrig.validation.residuals import residuals
 from armrig_core.errors import InputError
 from scipy.stats import chi2
 
+from tests.benchmarks.verdict_levels import drawn
 from tests.clients.validation.plants import SAMPLES, oe_of_two_outputs, two_outputs
 from tests.plants import chassis_and_arm
 from tests.sampling import sampled
@@ -60,13 +61,17 @@ def written_out(fit: Fit, judged: Dataset, *, own: bool) -> tuple[Array, Array, 
         lagged = lagged_inputs(part, float(np.mean(judged.u)), L)
         lagged[~np.isfinite(r.e)] = 0.0
         Z.append(np.column_stack([r.unknown.without(column) for column in lagged.T]))
-    C, s2 = autoregression([known[0].e, known[1].e])
-    assert C.size == 1  # white: R_e is s² I
+    (quality,) = fit.quality
+    assert len(quality.autoregression) == 1  # white: R_e is s² I, and on other data s² as estimated
+    s2 = fit.noise_variance
     whole, Psi = np.vstack(Z), np.vstack([r.Psi for r in known])
     scale = float(np.sqrt(np.sum(whole[:, L] ** 2) * (e @ e)))
     s = whole.T @ e
     if own:
         Q = np.linalg.qr(Psi)[0]
+        estimated = Psi.shape[1] + sum(r.unknown.span.shape[1] for r in known)
+        N = np.count_nonzero(np.isfinite(np.concatenate([r.e for r in known])))
+        s2 = (e @ e) / (N - estimated)
         whole = whole - Q @ (Q.T @ whole)
         return s, s2 * whole.T @ whole, scale
     slope = whole.T @ Psi
@@ -84,8 +89,10 @@ def test_the_input_is_tested_by_the_sums_of_the_docstring(own: bool) -> None:
     s, M, scale = written_out(fit, judged, own=own)
     past, future = slice(L, None), slice(0, L)
     assert tested.on_estimation_data is own
-    assert tested.missing_dynamics == pytest.approx(joint_p_value(s[past], M[past, past]), rel=1e-6)
-    assert tested.feedback == pytest.approx(joint_p_value(s[future], M[future, future]), rel=1e-6)
+    n = fit.N * fit.loss / fit.noise_variance  # degrees of freedom of s²
+    for p, at in ((tested.missing_dynamics, past), (tested.feedback, future)):
+        expected = joint_p_value(s[at], M[at, at], 1e-4, n, independent=not own)
+        assert p == pytest.approx(expected, rel=1e-6)
     np.testing.assert_array_equal(tested.cross_lags, np.arange(-L, L + 1))
     np.testing.assert_allclose(tested.cross_correlation, s / scale, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(tested.cross_std, np.sqrt(np.diag(M)) / scale, rtol=1e-6)
@@ -126,7 +133,7 @@ def test_the_whiteness_test_accounts_for_the_estimated_parameters(own: bool) -> 
     tested = residuals(fit, judged, lags=L)
 
     p = {
-        asked: portmanteau(*signals, L, None if asked else fit.covariance_robust).p_value
+        asked: portmanteau(*signals, L, None if asked else fit.covariance).p_value
         for asked in (True, False)
     }
     assert abs(p[True] - p[False]) > 1e-3
@@ -272,20 +279,20 @@ def test_an_input_that_follows_an_output_shows_as_feedback() -> None:
 
 
 @pytest.mark.parametrize("shape", ["1x1", "2x2"])
-@pytest.mark.parametrize("factor", [1e2, 1e4])
+@pytest.mark.parametrize("factor", [20.0, 1e4])
 def test_the_allowance_is_a_factor_of_deviations(shape: str, factor: float) -> None:
-    """The variance of the parameters is added to that of the noise."""
+    """The variance of the parameters is added to that of the noise, and must be less."""
     fit = oe(data(1, 400), nb=2, nf=2) if shape == "1x1" else oe_of_two_outputs(0)
     judged = data(2, 300) if shape == "1x1" else two_outputs(100)
     wide = replace(fit, covariance_robust=factor * fit.covariance_robust)
 
     sure, unsure = (residuals(one, judged) for one in (fit, wide))
 
-    assert unsure.allowance**2 - 1 == pytest.approx(factor * (sure.allowance**2 - 1), rel=1e-3)
+    expected = factor * (sure.allowance**2 - 1) if factor < 100 else np.inf
+    assert unsure.allowance**2 - 1 == pytest.approx(expected, rel=1e-3)
     assert 0.9 < sure.allowance < 2
     assert not sure.powerless
-    said = f"correlations by a factor of {unsure.allowance:.0f}"
-    assert (said in unsure.powerless) == (unsure.allowance > 10)
+    assert ("correlations without limit" in unsure.powerless) == (factor > 100)
 
 
 def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
@@ -305,7 +312,7 @@ def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
         expected = (x @ z) / np.sqrt(np.sum(e[:, i] ** 2) * np.sum(left**2))
         at = int(np.flatnonzero(found.cross_lags == k)[0])
         assert found.cross_correlation[i, j, at] == pytest.approx(expected, abs=1e-9)
-    np.testing.assert_allclose(found.cross_std, 1 / np.sqrt(SAMPLES), rtol=0.5)
+    np.testing.assert_allclose(found.cross_std, 1 / np.sqrt(SAMPLES), rtol=0.6)
 
 
 def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
@@ -323,8 +330,9 @@ def test_the_test_of_several_outputs_is_for_one_output_the_portmanteau_test(own:
     """With few samples, to the digits, on the estimation data and on others."""
     fitted, judged = data(1, 50), data(1 if own else 11, 50)
     fit = oe(fitted, nb=2, nf=2)
-    parts, covariance = parts_of(fit, judged)
-    projected, of_theta = projection(parts, own=own), None if own else covariance
+    parts, J = parts_of(fit, judged)
+    projected = projection(parts, own=own)
+    of_theta = None if own else J @ fit.covariance_robust @ J.T
     Lambda = pairwise_covariance(np.vstack([part.e for part in parts]))
 
     white = _white(projected, Lambda, 1 / np.sqrt(Lambda), of_theta, L)
@@ -333,3 +341,75 @@ def test_the_test_of_several_outputs_is_for_one_output_the_portmanteau_test(own:
     assert fit.estimated_from(judged) is own
     assert white.test == expected.test
     assert white.p_value == pytest.approx(expected.p_value, rel=1e-6)
+
+
+def pendulum() -> tuple[Dataset, Dataset]:
+    """Return two halves of a pendulum that a held torque drives to large angles."""
+    rng = np.random.default_rng(1)
+    u, x, y = np.repeat(rng.uniform(0, 1, 20), 120), np.zeros(2), np.empty(2400)
+    for k in range(2400):
+        y[k] = x[0]
+        for _ in range(4):
+            x = x + 0.0025 * np.array([x[1], 60 * u[k] - 0.8 * x[1] - 90 * np.sin(x[0])])
+    y += 0.002 * rng.standard_normal(2400)
+    whole = Dataset(u=u - u[:1200].mean(), y=y - y[:1200].mean(), Ts=0.01)
+    return whole[:1200], whole[1200:]
+
+
+@pytest.mark.parametrize("orders", [(2, 2), (5, 7)])
+def test_a_wrong_model_is_not_white(orders: tuple[int, int]) -> None:
+    """Its uncertain parameters and its own residuals would allow any misfit."""
+    first, other = pendulum()
+
+    tested = residuals(oe(first, nb=orders[0], nf=orders[1], starts="few"), other)
+
+    assert tested.ljung_box < 1e-6
+    assert tested.white.coloured
+    assert "no dynamics missing (p" not in repr(tested)
+
+
+def test_a_right_model_passes_in_resonant_noise() -> None:
+    """Yule and Walker's equations would reject in 15 % of the runs at 5 %."""
+    p = []
+    for seed in range(25):
+        rng = np.random.default_rng([5, seed])
+        own, other = (drawn("oe", "resonant", 200, rng) for _ in range(2))
+        fit = oe(own, nb=2, nf=2, starts="few")
+        tested = [residuals(fit, judged) for judged in (own, other)]
+        p += [p for test in tested for p in (test.missing_dynamics, test.feedback)]
+
+    assert np.mean(np.array(p) < 0.05) < 0.08
+
+
+def test_larger_errors_than_at_the_estimation_are_reported() -> None:
+    fit, other = oe(data(1, 400), nb=2, nf=2), data(2, 400)
+    noisier = other.replaced(y=other.y + 3 * (data(3, 400).y - data(4, 400).y), step=None)
+
+    same, worse = residuals(fit, other), residuals(fit, noisier)
+
+    assert same.larger == ""
+    assert worse.error_ratio > 2
+    assert "times as large as on the estimation data (p < 0.001)" in repr(worse)
+    assert worse.rejects
+
+
+def test_a_model_of_an_older_file_is_tested_with_the_noise_of_its_residuals() -> None:
+    fit, other = oe(data(1, 400), nb=2, nf=2), data(2, 400)
+    older = replace(fit, quality=(replace(fit.quality[0], autoregression=()),))
+
+    tested = residuals(older, other)
+
+    assert not tested.noise_of_estimation
+    assert tested.missing_dynamics == pytest.approx(residuals(fit, other).missing_dynamics, abs=0.2)
+    assert "Estimate the model again" in repr(tested)
+
+
+def test_coloured_residuals_do_not_show_whether_dynamics_are_missing_if_u_is_slow() -> None:
+    rng = np.random.default_rng(4)
+    u, e = np.repeat(rng.choice([-1.0, 1.0], 8), 100), rng.standard_normal(800)
+    seen = Dataset(u=u, y=filtered([0, 1], [1, -0.5], u) + filtered([1], [1, -0.99], e), Ts=0.1)
+
+    tested = residuals(oe(seen, nb=1, nf=1), seen)
+
+    assert "independent values. Record longer" in tested.blind
+    assert "the data do not show whether dynamics are missing" in repr(tested)

@@ -30,6 +30,7 @@ from armrig.numerics.polynomial import summation
 from armrig.numerics.whiteness import (
     LJUNG_BOX,
     Whiteness,
+    autoregression,
     default_lags,
     joined,
     ljung_box,
@@ -385,7 +386,8 @@ def _plain(rows: FirRegression) -> Posterior:
     _require_rank(basis, d, "lags")
     g = basis.coefficients(R[:, d])
     degrees = rows.N - d - rows.nuisance
-    middle = exogenous_score_in_blocks(rows.backwards(), rows.residuals(g), d) * rows.N / degrees
+    noise = autoregression(rows.residuals(g))
+    middle = exogenous_score_in_blocks(rows.backwards(), noise, d) * rows.N / degrees
     bread = basis.W @ basis.W.T
     variance = float(R[d, d] ** 2) / degrees
     covariance = bread @ middle @ bread

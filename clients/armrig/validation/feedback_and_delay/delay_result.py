@@ -165,7 +165,8 @@ class Delay(Quantisation):
         if self.may_be_feedback:
             return f"{self.nk_range}: a direct term, or feedback, which looks the same"
         if self.delay < 0:
-            return f"{self.nk_range}: a direct term, u acts within its own sample"
+            early = "a direct term (u acts within its own sample), a Ts longer than the response"
+            return f"{self.nk_range}: {early}, or u recorded later than y"
         late = f"{plural(self.delay, 'sample')} ({times(self.delay * self.Ts)})"
         late = f"{late} in addition to the hold" if self.delay else "no input delay"
         return f"{self.nk_range}: {late}"

@@ -231,4 +231,4 @@ def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
             "u(t) depends on y(t), but later u do not: a rig that responds within the sample (nk = "
             "0, y read after u is applied) looks the same",
         )
-    return ()
+    return ("an input that is not held between samples, or recorded later than y, looks the same",)
