@@ -245,7 +245,7 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
         "orders": fields_of(found, "nb nf nk"),
         "structures": [dict(s) for s in found.structures],
         **fields_of(found, of),
-        "reasons": [line.removeprefix("- ") for line in found.explain().splitlines()],
+        "reasons": [*found.reasons],
     }
 
 

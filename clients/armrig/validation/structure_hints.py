@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
+from armrig.data.finding import Finding, good, warning
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectra import explained
@@ -125,15 +126,26 @@ class StructureHints:
 
         return figure_of(plot_structure(self, ax=ax))
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings about excitation, integrator, shape, order, roll-off, phase and delay."""
+        return tuple(_findings(self))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Texts of the findings, and the further structures."""
+        others = ", ".join(_named(s) for s in self.structures[1:])
+        more = [f"try also: {others}"] if others else []
+        return (*(f"{f.about}: {f.text}" for f in self.findings), *more)
+
     def explain(self) -> str:
         """Return the reasons as text, one line for each reason."""
-        return "\n".join(f"- {line}" for line in _reasons(self))
+        return "\n".join(f"- {line}" for line in self.reasons)
 
     def __repr__(self) -> str:
         """Return the first structure and the reasons."""
-        return f"structure hints: begin with {_named(self.structures[0])}\n" + "\n".join(
-            f"  {line}" for line in _reasons(self)
-        )
+        lines = [f"structure hints: begin with {_named(self.structures[0])}", *self.reasons]
+        return "\n  ".join(lines)
 
 
 @each_channel(together=lambda found: f"all channels: {call_of_all(found)}")
@@ -376,16 +388,15 @@ def call_of_all(found: Mapping[Name, StructureHints]) -> str:
     return f"oe(data, {given}, integrator={integrating or False})"
 
 
-def _reasons(h: StructureHints) -> Iterator[str]:
+def _findings(h: StructureHints) -> Iterator[Finding]:
     if h.excitation < (needed := h.nb + h.nf):
-        yield (
-            f"excitation: u is exciting of order {h.excitation} only and does not determine the "
-            f"{needed} parameters of this structure: play a u that switches often (telegraph, PRBS)"
-        )
-    yield from _about_integrator(h)
+        text = f"u is exciting of order {h.excitation} only and does not determine the {needed} "
+        text += "parameters of this structure: play a u that switches often (telegraph, PRBS)"
+        yield warning("excitation", text)
+    yield _about_integrator(h)
     if h.resonances or h.antiresonances:
         what = "the rate" if h.integrator else "y"
-        yield f"shape of {what}: {_extremes_told(h)}"
+        yield good(f"shape of {what}", _extremes_told(h))
     shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
     with_integrator = h.integrator and h.integrator_shown
     n = h.order - with_integrator
@@ -394,49 +405,42 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         more = f"; nf = {h.nf} has the shortest description, which noise alone may cause: keep it "
         more += f"only if a model with nf = {h.order} has coloured residuals, or if physics has "
         more += "more poles"
-    yield (
-        f"order: Hankel singular values {shown} …, uncertainty alone causes up to "
-        f"{h.threshold:.2g}: {n or 'none'} {'stands' if n <= 1 else 'stand'} out"
-        f"{', and the integrator' if with_integrator else ''}{more}"
-    )
+    text = f"Hankel singular values {shown} …, uncertainty alone causes up to {h.threshold:.2g}: "
+    text += f"{n or 'none'} {'stands' if n <= 1 else 'stand'} out"
+    yield good("order", f"{text}{', and the integrator' if with_integrator else ''}{more}")
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
-        yield (
-            f"roll-off: {minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "
-            f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to these frequencies"
-        )
+        text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "
+        text += f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to these frequencies"
+        yield good("roll-off", text)
     if h.phase_delay is not None and h.phase_delay > h.spectrum.Ts / 2:
-        yield (
-            "phase: in addition to the lag of the roll-off, the phase lags like a delay of "
-            f"{times(h.phase_delay)}; the hold causes {times(h.spectrum.Ts / 2)} of this delay"
-        )
+        text = "in addition to the lag of the roll-off, the phase lags like a delay of "
+        text += f"{times(h.phase_delay)}; the hold causes {times(h.spectrum.Ts / 2)} of this delay"
+        yield good("phase", text)
     yield _about_delay(h)
-    if others := [_named(s) for s in h.structures[1:]]:
-        yield f"try also: {', '.join(others)}"
 
 
-def _about_integrator(h: StructureHints) -> Iterator[str]:
+def _about_integrator(h: StructureHints) -> Finding:
     verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
     if not h.integrator_shown:
         verdict = "not shown, because a slow pole looks the same: try both"
     if h.low_slope is None:
-        yield f"integrator: {verdict}"
-        return
+        return good("integrator", verdict)
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
         verdict = f"a slow pole, and {verdict}, since a pole at 1 fits worse"
-    yield (
-        f"integrator: |G| has a slope of {minus(f'{h.low_slope:.3g}')} dB "
-        f"a decade at low frequency (0 without one, −20 with one): {verdict}"
-    )
+    text = f"|G| has a slope of {minus(f'{h.low_slope:.3g}')} dB a decade at low frequency "
+    return good("integrator", f"{text}(0 without one, −20 with one): {verdict}")
 
 
-def _about_delay(h: StructureHints) -> str:
+def _about_delay(h: StructureHints) -> Finding:
     if h.nk_interval is None:
-        return "delay: not shown (armrig.delay, `armrig check` say why)"
+        return good("delay", "not shown (armrig.delay, `armrig check` say why)")
     low, high = h.nk_interval
     if low < high:
-        return f"delay: nk between {low} and {high} (armrig.delay, `armrig check` test it)"
+        text = f"nk between {low} and {high} (armrig.delay, `armrig check` test it)"
+        return good("delay", text)
     if h.nk == 0:
-        return "delay: u acts at lag 0: a direct term, or feedback, which looks the same (nk = 0)"
+        text = "u acts at lag 0: a direct term, or feedback, which looks the same (nk = 0)"
+        return good("delay", text)
     shown = f"an input delay of {plural(h.nk - 1, 'sample')}" if h.nk > 1 else "no input delay"
-    return f"delay: u acts at lag {h.nk}: {shown} (nk = {h.nk})"
+    return good("delay", f"u acts at lag {h.nk}: {shown} (nk = {h.nk})")
