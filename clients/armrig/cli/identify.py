@@ -175,6 +175,9 @@ def hints(
         doubts = {name: data_doubts(one) for name, one in each_channel(data)}
         found = by_channel(partial(structure_hints, integrator=signals.integrator), data)
     require_result(found.values())
+    for channel, one in found.items():
+        if not isinstance(one, str):  # the hints judge the excitation for their own structure
+            doubts[channel] = [d for d in doubts[channel] if d.about != "excitation"]
     known = {name: one for name, one in found.items() if not isinstance(one, str)}
 
     def facts() -> dict[str, Any]:
