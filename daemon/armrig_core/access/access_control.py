@@ -36,14 +36,9 @@ MOST_MESSAGE_BYTES = 8 << 20  # longest message over a network, so that no clien
 def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
     """Return the access control for a network: only operators and observers have permissions.
 
-    Parameters
-    ----------
-    rig : str
-        Id of the rig.
-    people : AccessList
-        Access list with the operators and the observers. A revoked client is in neither list.
-    subject : {"cert_common_names", "usernames"}
-        Property by which zenoh identifies the clients.
+    `people` is the access list of rig `rig`, with the operators and the observers; a revoked client
+    is in neither list. zenoh identifies the clients by the property `subject`: "cert_common_names"
+    or "usernames".
     """
     rules, policies = _watching(rig), []
     shared = [rule["id"] for rule in rules]

@@ -69,10 +69,8 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def read_access_list(path: Path) -> AccessList:
     """Return the access list in a file.
 
-    Raises
-    ------
-    FileError
-        The file cannot be read, is not TOML, or contains a key or a name that is not allowed.
+    Raises FileError if the file cannot be read, is not TOML, or contains a key or a name that is
+    not allowed.
     """
     try:
         return msgspec.convert(read_toml(path, LIMIT), AccessList)

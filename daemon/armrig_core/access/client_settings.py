@@ -30,18 +30,12 @@ class ClientSettings:
 def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> ClientSettings:
     """Return the settings in the given files and environment variables.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        TOML files; a later file overrides an earlier one. A file that this user may not read, such
-        as the daemon's file, is ignored.
-    environ : mapping
-        Environment variables; variables that begin with `ARMRIG_CLIENT_` override the files.
+    A later file of `paths` overrides an earlier one. A file that this user may not read, such as
+    the daemon's file, is ignored. Variables of `environ` that begin with `ARMRIG_CLIENT_` override
+    the files.
 
-    Raises
-    ------
-    ValueError
-        A file is not TOML, or its table has an unknown key or a value that is not text.
+    Raises ValueError if a file is not TOML, or its table has an unknown key or a value that is not
+    text.
     """
     settings = ClientSettings()
     for path in paths:

@@ -124,12 +124,9 @@ def _this_user() -> str:
 def read_credential(path: Path, purpose: Purpose) -> Credential:
     """Return the credential in a file; it must be valid now and for `purpose`.
 
-    Raises
-    ------
-    FileError
-        The file cannot be read, other users can read it, or a part of it is missing. The key does
-        not belong to the certificate. The certificate is not signed by the authority in the file,
-        is not valid now, or has another purpose.
+    Raises FileError if the file cannot be read, other users can read it, or a part of it is
+    missing. It also raises FileError if the key does not belong to the certificate. The authority
+    in the file must have signed the certificate, which must be valid now and have this purpose.
     """
     data = _read(path, purpose)
     blocks = [(match[1], match[0]) for match in _BLOCK.finditer(data)]
@@ -256,11 +253,8 @@ def _base64(data: bytes) -> str:
 def read_users(path: Path) -> dict[str, str]:
     """Return the password of each user in a file.
 
-    Raises
-    ------
-    FileError
-        The file cannot be read, or users other than its owner can read it. A line is not
-        user:password, a password is too short, or a user is listed twice.
+    Raises FileError if the file cannot be read, or users other than its owner can read it. It also
+    raises FileError if a line is not user:password, a password is too short, or a user repeats.
     """
 
     def check(found: os.stat_result) -> None:

@@ -22,10 +22,7 @@ _CREDENTIALS = Struct("iII")  # struct ucred of unix(7): pid, uid, gid
 def socket_path(port: str) -> Path | None:
     """Return the path of the socket that a port names; None for a serial port.
 
-    Raises
-    ------
-    ValueError
-        The path is empty or too long for a socket.
+    Raises ValueError if the path is empty or too long for a socket.
     """
     if not port.startswith(SOCKET_PREFIX):
         return None
@@ -51,12 +48,8 @@ def lock_path(path: Path) -> Path:
 def require_safe_folder(path: Path) -> None:
     """Refuse a path at which other users could replace the socket.
 
-    Raises
-    ------
-    InputError
-        Another user owns the folder, or may write to it.
-    OSError
-        The folder does not exist or cannot be read.
+    Raises InputError if another user owns the folder, or may write to it. Raises OSError if the
+    folder does not exist or cannot be read.
     """
     try:
         require_trusted(path.parent.lstat(), owners={os.geteuid(), 0})
@@ -67,10 +60,7 @@ def require_safe_folder(path: Path) -> None:
 def is_socket(path: Path) -> bool:
     """Return whether `path` is a socket, and not a link to a socket.
 
-    Raises
-    ------
-    FileNotFoundError
-        `path` does not exist.
+    Raises FileNotFoundError if `path` does not exist.
     """
     return stat.S_ISSOCK(path.lstat().st_mode)
 

@@ -35,14 +35,7 @@ def socket_directory(
     `$XDG_RUNTIME_DIR`. Without both variables, the directory is `armrig-<uid>` in the temporary
     directory.
 
-    Parameters
-    ----------
-    environ : mapping
-        The environment, such as os.environ.
-    uid : int
-        Id of the user, for the private directory in `temporary`.
-    temporary : path
-        The temporary directory.
+    `uid` is the id of the user, for the private directory in the temporary directory `temporary`.
     """
     if service := environ.get("RUNTIME_DIRECTORY"):
         return PurePosixPath(service.split(":")[0])
@@ -56,18 +49,11 @@ def require_trusted(found: os.stat_result, *, owners: Collection[int]) -> None:
 
     Such a user could replace the socket and answer instead of the daemon.
 
-    Parameters
-    ----------
-    found : os.stat_result
-        State of the directory itself, from `lstat`.
-    owners : collection of int
-        Ids of the users who may own the directory.
+    `found` is the state of the directory itself, from `lstat`. The users with the ids `owners` may
+    own the directory.
 
-    Raises
-    ------
-    InputError
-        Another user owns the directory or may write to it. The path is a link or not a directory.
-        The message names only this defect, not the directory.
+    Raises InputError if another user owns the directory or may write to it, or the path is a link
+    or not a directory. The message names only this defect, not the directory.
     """
     if stat.S_ISLNK(found.st_mode):
         raise InputError("is a symbolic link, which may lead to another user's directory")
@@ -83,10 +69,7 @@ def require_trusted(found: os.stat_result, *, owners: Collection[int]) -> None:
 def endpoint(rig: str, directory: PurePosixPath) -> str:
     """Return the zenoh endpoint of a rig whose socket is in `directory`.
 
-    Raises
-    ------
-    ValueError
-        The id cannot be part of a key, or the path is too long for a socket.
+    Raises ValueError if the id cannot be part of a key, or the path is too long for a socket.
     """
     path = directory / f"{check_rig_id(rig)}.sock"
     length = len(bytes(str(path), "utf-8", "surrogateescape"))
@@ -101,11 +84,8 @@ def endpoint(rig: str, directory: PurePosixPath) -> str:
 def check_listen(where: str) -> str:
     """Return the protocol, tls or tcp, of an endpoint that listens on a network.
 
-    Raises
-    ------
-    ValueError
-        The protocol is neither tls nor tcp, or the protocol is tcp and other machines can reach
-        the address.
+    Raises ValueError if the protocol is neither tls nor tcp, or the protocol is tcp and other
+    machines can reach the address.
     """
     found = _NETWORK.fullmatch(where)
     if found is None or not 0 < int(found[4]) < 1 << 16:

@@ -127,12 +127,8 @@ _LONG_BATCHES = 16  # of 64 KiB: fifteen long answers; a longer answer would be 
 def transport(most_received: int, held_us: int = HELD_US) -> dict[str, Any]:
     """Return zenoh's `transport` settings of a session that never waits for a client.
 
-    Parameters
-    ----------
-    most_received : int
-        Longest received message, in B.
-    held_us : int, optional
-        Longest time for which a message that may not be dropped waits for a link, in µs.
+    `most_received` is the longest received message, in B. `held_us` is the longest time for which a
+    message that may not be dropped waits for a link, in µs.
     """
     control = {"drop": {"wait_before_drop": 0}, "block": {"wait_before_close": held_us}}
     return {
@@ -147,10 +143,7 @@ def transport(most_received: int, held_us: int = HELD_US) -> dict[str, Any]:
 def owned_session(endpoint: str, *, most_received: int) -> dict[str, Any]:
     """Return the configuration of a session that listens only at `endpoint` and is not discovered.
 
-    Parameters
-    ----------
-    most_received : int
-        Longest received message, in B.
+    `most_received` is the longest received message, in B.
     """
     return {
         "mode": "peer",

@@ -299,11 +299,8 @@ class CommandRefusedError(InputError):
 def parse(name: str, payload: bytes) -> Requests:
     """Return the command `name` with its fields decoded from JSON.
 
-    Raises
-    ------
-    ValueError
-        The command is unknown, the payload is not JSON, or a field is not allowed; the message
-        names the cause.
+    Raises ValueError if the command is unknown, the payload is not JSON, or a field is not allowed;
+    the message names the cause.
     """
     kind = REQUESTS.get(name)
     if kind is None:

@@ -20,17 +20,11 @@ def read_bounded(
 ) -> bytes:
     """Return the bytes of a regular file.
 
-    Parameters
-    ----------
-    check : callable
-        Function that is called with the stat result of the open file. It raises an exception if the
-        file may not be read.
+    `check` is called with the stat result of the open file, and raises an exception if the file may
+    not be read.
 
-    Raises
-    ------
-    OSError
-        The file cannot be read, is not regular (a pipe may block, a device may never end), or has
-        more than `most` bytes.
+    Raises OSError if the file cannot be read, is not regular (a pipe may block, a device may never
+    end), or has more than `most` bytes.
     """
     # O_NONBLOCK: do not wait until somebody writes to a pipe. Windows has neither flag.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
@@ -49,12 +43,8 @@ def read_bounded(
 def read_text(path: Path, most: int) -> str:
     """Return the text of a regular file, without the byte order mark that some editors write.
 
-    Raises
-    ------
-    FileError
-        The file is not encoded as UTF-8.
-    OSError
-        The file cannot be read, as in `read_bounded`.
+    Raises FileError if the file is not encoded as UTF-8. Raises OSError if the file cannot be read,
+    as in `read_bounded`.
     """
     return decoded(read_bounded(path, most))
 
@@ -62,10 +52,7 @@ def read_text(path: Path, most: int) -> str:
 def decoded(data: bytes) -> str:
     """Return the text that `data` encodes, without the byte order mark that some editors write.
 
-    Raises
-    ------
-    FileError
-        `data` is not UTF-8.
+    Raises FileError if `data` is not UTF-8.
     """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise FileError("it is saved as UTF-16: save it as UTF-8")

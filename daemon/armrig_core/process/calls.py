@@ -43,11 +43,8 @@ def check_call(
 ) -> None:
     """Refuse arguments that do not fit the signature `asked`.
 
-    Raises
-    ------
-    TypeError
-        Arguments are missing, unknown or too many. The message names these arguments and shows the
-        correct call.
+    Raises TypeError if arguments are missing, unknown or too many. The message names these
+    arguments and shows the correct call.
     """
     try:
         asked.bind(*args, **options)

@@ -28,14 +28,8 @@ def log_prefix(level: str, fd: int = 2) -> str | None:
 def journal_prefix(level: str, stderr: os.stat_result, stream: str) -> str | None:
     """Return the prefix with the priority of a line; None if the journal does not read `stderr`.
 
-    Parameters
-    ----------
-    level : str
-        Level of the log line.
-    stderr : os.stat_result
-        State of standard error, from fstat.
-    stream : str
-        $JOURNAL_STREAM: device and inode of the stream that the journal reads.
+    `level` is the level of the log line, and `stderr` the state of standard error, from fstat.
+    `stream` is $JOURNAL_STREAM: device and inode of the stream that the journal reads.
     """
     if stream != f"{stderr.st_dev}:{stderr.st_ino}":
         return None

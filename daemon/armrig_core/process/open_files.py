@@ -28,10 +28,7 @@ def require(program: str, *, memory_mib: int, files: int) -> None:
     Must be called before the import of zenoh and numpy, which abort or block with too little
     memory. The soft limit on open files is raised to `files`.
 
-    Parameters
-    ----------
-    memory_mib : int
-        Necessary address space, in MiB; each thread reserves 64 MiB.
+    `memory_mib` is the necessary address space, in MiB; each thread reserves 64 MiB.
     """
     space = resource.getrlimit(resource.RLIMIT_AS)[0]
     if space != resource.RLIM_INFINITY and space < memory_mib << 20:

@@ -15,10 +15,7 @@ _LONG_WORD = re.compile(rf"'[^']{{{_MAX_WORD},}}'|\"[^\"]{{{_MAX_WORD},}}\"|\S{{
 def printable(text: str, keep: str = "") -> str:
     r"""Return the text with unprintable characters escaped as in Python, such as \x1b.
 
-    Parameters
-    ----------
-    keep : str
-        Characters that are not escaped, such as a line break.
+    The characters in `keep`, such as a line break, are not escaped.
     """
     if text.isprintable():
         return text
@@ -28,10 +25,7 @@ def printable(text: str, keep: str = "") -> str:
 def json_printable(text: str) -> str:
     r"""Return an equivalent JSON text in which unprintable characters are escaped, such as \u001b.
 
-    Parameters
-    ----------
-    text : str
-        JSON without line breaks between its tokens.
+    `text` is JSON without line breaks between its tokens.
     """
     if text.isprintable():
         return text

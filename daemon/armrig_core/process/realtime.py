@@ -105,16 +105,9 @@ def _pin(cpu: int | None) -> bool:
 def leave_fifo(but: int | None = None) -> bool:
     """Return to the ordinary scheduling policy, which later children and threads inherit.
 
-    Parameters
-    ----------
-    but : int, optional
-        Id of the thread that keeps its priority.
-
-    Returns
-    -------
-    bool
-        True if no other thread of this process is at SCHED_FIFO any more. If a filter of system
-        calls forbids sched_setscheduler, the threads stay at SCHED_FIFO.
+    The thread with the id `but` keeps its priority. The result is True if no other thread of this
+    process is at SCHED_FIFO any more. If a filter of system calls forbids sched_setscheduler, the
+    threads stay at SCHED_FIFO.
     """
     for path in Path("/proc/self/task").iterdir():  # all threads, also those of numpy's libraries
         thread = int(path.name)
@@ -134,10 +127,7 @@ def be_prompt(thread: int) -> None:
 def end_with_parent(parent: int | None = None) -> None:
     """Let the kernel end this process by SIGTERM when its parent ends.
 
-    Parameters
-    ----------
-    parent : int, optional
-        Id of the process that started this process; the parent may already have ended.
+    `parent` is the id of the process that started this process; it may already have ended.
     """
     parent = os.getppid() if parent is None else parent
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)

@@ -24,12 +24,8 @@ Table = dict[str, Any]
 def read_toml(path: Path, most: int) -> dict[str, Any]:
     """Return the tables of a TOML file; the file may have at most `most` bytes.
 
-    Raises
-    ------
-    FileError
-        The file is not TOML, is not encoded as UTF-8, or is nested too deeply.
-    OSError
-        The file cannot be read, or is too long.
+    Raises FileError if the file is not TOML, is not encoded as UTF-8, or is nested too deeply.
+    Raises OSError if the file cannot be read, or is too long.
     """
     return toml_tables(read_text(path, most))
 
@@ -37,10 +33,7 @@ def read_toml(path: Path, most: int) -> dict[str, Any]:
 def toml_tables(text: str) -> dict[str, Any]:
     """Return the tables in a TOML text.
 
-    Raises
-    ------
-    FileError
-        The text is not TOML, or is nested too deeply.
+    Raises FileError if the text is not TOML, or is nested too deeply.
     """
     if _DEEP_KEY.search(text):
         raise FileError(f"nested too deeply: a key has at most {_MAX_KEY_PARTS} parts")
@@ -68,10 +61,7 @@ def _check_depth(tables: dict[str, Any]) -> None:
 def convert(table: Table, kind: type[T]) -> T:
     """Return the table as a value of the type `kind`, with each key checked.
 
-    Raises
-    ------
-    InputError
-        A key is unknown, or a value has a wrong type or is out of its range.
+    Raises InputError if a key is unknown, or a value has a wrong type or is out of its range.
     """
     try:
         return msgspec.convert(table, kind)

@@ -58,10 +58,7 @@ class Waiter:
     def __init__(self) -> None:
         """Create a waiter that watches no descriptor yet.
 
-        Raises
-        ------
-        OSError
-            The process may open no more descriptors.
+        Raises OSError if the process may open no more descriptors.
         """
         self._epoll = select.epoll()
         self._timer: int = _libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
@@ -101,10 +98,8 @@ class Waiter:
     def wait_until(self, deadline_ns: int) -> list[tuple[int, int]]:
         """Return the ready descriptors, each with its `EPOLL…` flags; [] at the deadline.
 
-        Parameters
-        ----------
-        deadline_ns : int
-            Time on the monotonic clock, in ns; if this time is past, the call returns at once.
+        `deadline_ns` is a time on the monotonic clock, in ns; if this time is past, the call
+        returns at once.
         """
         if deadline_ns != self._due_ns:  # a loop waits for the same deadline many times
             self._due_ns = deadline_ns

@@ -40,12 +40,8 @@ class Unpacker:
     def records(self, body: bytes) -> bytes:
         """Check a chunk; return its unpacked records.
 
-        Raises
-        ------
-        DamageError
-            The chunk is too large, cannot be unpacked, or has a wrong checksum.
-        struct.error, UnicodeDecodeError
-            `body` does not have the form of a chunk.
+        Raises DamageError if the chunk is too large, cannot be unpacked, or has a wrong checksum.
+        Raises struct.error or UnicodeDecodeError if `body` does not have the form of a chunk.
         """
         _, _, size, crc, n = _HEAD.unpack_from(body)
         at = _HEAD.size

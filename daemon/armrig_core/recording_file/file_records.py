@@ -96,17 +96,10 @@ def file_records(
 ) -> Iterator[Record]:
     """Yield the records up to the final magic.
 
-    Parameters
-    ----------
-    source : ByteSource
-        Reader of the file, positioned after the magic.
-    spend : callable
-        Function that is called for each record with the record's work, in units of the budget.
+    `source` is positioned after the magic. `spend` is called for each record with the record's
+    work, in units of the budget.
 
-    Raises
-    ------
-    DamageError
-        The file ends early or is damaged.
+    Raises DamageError if the file ends early or is damaged.
     """
     ended = False
     while True:

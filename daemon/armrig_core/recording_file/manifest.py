@@ -140,10 +140,7 @@ def _fields(metadata: dict[str, str]) -> dict[str, Any]:
 def manifest_of(metadata: dict[str, str]) -> Manifest:
     """Return the manifest in a metadata record named `RUN`.
 
-    Raises
-    ------
-    msgspec.DecodeError
-        An entry is missing, is not JSON, or has another type.
+    Raises msgspec.DecodeError if an entry is missing, is not JSON, or has another type.
     """
     return msgspec.convert(_fields(metadata), Manifest)
 

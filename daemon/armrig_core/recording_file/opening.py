@@ -27,15 +27,9 @@ _ROOT_UID = 0
 def byte_source(path: Path, *, is_hashed: bool = False) -> Iterator[ByteSource | None]:
     """Yield a reader of a file's bytes after the MCAP magic; None for a file without the magic.
 
-    Parameters
-    ----------
-    is_hashed : bool
-        True if the caller will request the hash of the file.
+    `is_hashed` is True if the caller will request the hash of the file.
 
-    Raises
-    ------
-    OSError, DamageError
-        As in `regular_file`.
+    Raises the exceptions of `regular_file`.
     """
     with regular_file(path) as stream:
         size = os.fstat(stream.fileno()).st_size
@@ -46,18 +40,10 @@ def byte_source(path: Path, *, is_hashed: bool = False) -> Iterator[ByteSource |
 def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
     """Open a regular file; refuse another user's link, which could lead to a private file.
 
-    Parameters
-    ----------
-    may_be_link : bool
-        True to follow a link of this user or of root.
+    If `may_be_link` is True, a link of this user or of root is followed.
 
-    Raises
-    ------
-    OSError
-        The file cannot be opened or read.
-    DamageError
-        The path is a link that is not followed, or is not a regular file. A pipe may block, and a
-        device may never end.
+    Raises OSError if the file cannot be opened or read. Raises DamageError if the path is a link
+    that is not followed, or is not a regular file. A pipe may block, and a device may never end.
     """
     try:
         stream = open(path, "rb", opener=no_link)  # noqa: SIM115 - the caller closes it

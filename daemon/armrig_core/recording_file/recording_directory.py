@@ -22,12 +22,8 @@ OF_SERVICE = Path("/var/lib/armrig/recordings")
 def installed(rig: str = "", *, system: bool = False) -> list[Path]:
     """Return the configuration files that exist; a later file overrides an earlier one.
 
-    Parameters
-    ----------
-    rig : str
-        Id of a rig, whose own file in /etc/armrig overrides the file for all rigs.
-    system : bool
-        True to leave out the files of the user.
+    The own file of `rig` in /etc/armrig overrides the file for all rigs. If `system` is True, the
+    files of the user are left out.
     """
     own = [of_rig(rig)] if rig else []
     user = [] if system else [Path(platformdirs.user_config_dir("armrig")) / SYSTEM.name]
@@ -42,10 +38,7 @@ def of_rig(rig: str) -> Path:
 def directory_of(given: str) -> Path:
     """Return the directory that a configuration names; "" is the user's own directory.
 
-    Raises
-    ------
-    ValueError
-        The path begins with the home of an unknown user.
+    Raises ValueError if the path begins with the home of an unknown user.
     """
     if not given:
         return Path(platformdirs.user_data_dir("armrig")) / "recordings"
@@ -58,17 +51,10 @@ def directory_of(given: str) -> Path:
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
     """Return the recordings directory that these files and variables configure.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        TOML files; a later file overrides an earlier one. All other keys are ignored.
-    environ : mapping
-        Environment variables; `ARMRIG_RECORDING_DIRECTORY` overrides the files.
+    `paths` are TOML files; a later file overrides an earlier one. All other keys are ignored. The
+    variable `ARMRIG_RECORDING_DIRECTORY` in `environ` overrides the files.
 
-    Raises
-    ------
-    ValueError
-        A file cannot be read, or names no directory.
+    Raises ValueError if a file cannot be read, or names no directory.
     """
     given: Any = ""
     for path in paths:
@@ -84,10 +70,7 @@ def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> P
     the service's directory. The result is then the service's directory. The service records the
     runs of all members of its group in this directory.
 
-    Raises
-    ------
-    ValueError
-        A file cannot be read, or names no directory.
+    Raises ValueError if a file cannot be read, or names no directory.
     """
     own = recording_directory(paths, environ)
     is_unused = own == directory_of("") and not own.exists()

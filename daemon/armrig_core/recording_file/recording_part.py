@@ -46,10 +46,8 @@ class Part:
     ) -> None:
         """Create the file and write header, schemas, manifest and attachments to the kernel.
 
-        Raises
-        ------
-        OSError
-            The file cannot be created, or a file with this name exists. No new file is left.
+        Raises OSError if the file cannot be created, or a file with this name exists. No new file
+        is left.
         """
         _check_free(path)
         self.path = path
@@ -140,13 +138,8 @@ class Part:
     def flush(self) -> None:
         """Write all pending messages to the kernel, or none of them.
 
-        Raises
-        ------
-        EndsHereError
-            All messages are written, but the disk is full.
-        OSError
-            No message is written. The file ends with the last flush, and nothing may be added to
-            it.
+        Raises EndsHereError if all messages are written, but the disk is full. Raises OSError if no
+        message is written. The file ends with the last flush, and nothing may be added to it.
         """
         self._writer.flush()
         if not self._pending.size:
@@ -212,15 +205,7 @@ class Part:
     def follow(self) -> bool:
         """Check that the name still belongs to the open file; if not, find the file's new path.
 
-        Returns
-        -------
-        bool
-            True if the file was moved.
-
-        Raises
-        ------
-        ChangedError
-            The file was deleted.
+        Return True if the file was moved. Raises ChangedError if the file was deleted.
         """
         if self._is_at(self.active):
             return False

@@ -80,12 +80,8 @@ class Recovery:
         The undamaged beginning is kept. The recovery appends a record of itself, and an outcome if
         the file has none. When the new file is on the disk, it replaces the old file.
 
-        Raises
-        ------
-        NotOursError
-            The file is being written, or belongs to another rig.
-        RecoveryError
-            The file cannot be recovered and stays as it is.
+        Raises NotOursError if the file is being written, or belongs to another rig. Raises
+        RecoveryError if the file cannot be recovered and stays as it is.
         """
         if not path.name.endswith(f".mcap{ACTIVE}"):
             raise RecoveryError(

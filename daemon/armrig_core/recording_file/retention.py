@@ -83,10 +83,7 @@ class Retention:
         The newest run stays, however large it is. A run with an unfinished file stays, too. If the
         newest run is older than `keep_days`, the clock may be wrong, and the age removes no run.
 
-        Parameters
-        ----------
-        now_s : float
-            Time of day, in s since the epoch.
+        `now_s` is the time of day, in s since the epoch.
         """
         found = self._runs()
         total = sum(run.size for run in found)

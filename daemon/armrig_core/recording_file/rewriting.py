@@ -126,12 +126,8 @@ class Rewriter:
 def compact(source: Path, target: Path) -> None:
     """Copy all records of the complete recording `source` to `target`, and sync `target`.
 
-    Raises
-    ------
-    OSError
-        The disk is full, or `target` exists already.
-    DamageError
-        `source` is damaged.
+    Raises OSError if the disk is full, or `target` exists already. Raises DamageError if `source`
+    is damaged.
     """
     with byte_source(source) as read, target.open("xb") as written:
         if read is None:

@@ -25,10 +25,8 @@ class NotOursError(RecoveryError):
 def unfinished(folder: Path, rig: str = "") -> list[Path]:
     """Return the files of a folder that have the name of an unfinished recording, sorted.
 
-    Parameters
-    ----------
-    rig : str
-        Id of the rig; "" for any rig. For rig 1, the result also contains the files of rig 1-b.
+    `rig` is the id of the rig; "" for any rig. For rig 1, the result also contains the files of rig
+    1-b.
     """
     try:
         return sorted(folder.glob(f"{rig}-*.mcap{ACTIVE}" if rig else f"*.mcap{ACTIVE}"))

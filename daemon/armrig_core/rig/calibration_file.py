@@ -51,11 +51,8 @@ def toml_of(calibration: Calibration) -> str:
 def tables_of(path: Path) -> dict[str, Any]:
     """Return the tables of the TOML file at `path`; check only the hash of the raw samples.
 
-    Raises
-    ------
-    FileError
-        The file cannot be read or is not TOML, or the samples next to it are not the samples from
-        which the calibration was estimated.
+    Raises FileError if the file cannot be read or is not TOML, or the samples next to it are not
+    the samples from which the calibration was estimated.
     """
     try:
         tables = read_toml(path, _TOML_LIMIT)
@@ -83,15 +80,10 @@ def read_calibration(path: Path) -> Calibration:
 def check_measured(calibration: Calibration, raw: bytes) -> Made:
     """Return the origin of a calibration; refuse a calibration that was not measured.
 
-    Parameters
-    ----------
-    raw : bytes
-        The compressed samples from which the calibration was estimated.
+    `raw` contains the compressed samples from which the calibration was estimated.
 
-    Raises
-    ------
-    FileError
-        The calibration was not measured or is too long, or `raw` are not its samples.
+    Raises FileError if the calibration was not measured or is too long, or `raw` are not its
+    samples.
     """
     made, error = calibration.made, ""
     if made is None:
@@ -112,10 +104,8 @@ def check_measured(calibration: Calibration, raw: bytes) -> Made:
 def raw_samples(calibration: Calibration) -> bytes:
     """Return the compressed samples of a calibration; b"" if it has no file or no samples.
 
-    Raises
-    ------
-    FileError
-        The samples are missing or too long, or the calibration was not estimated from them.
+    Raises FileError if the samples are missing or too long, or the calibration was not estimated
+    from them.
     """
     made = calibration.made
     if made is None or not (made.file and made.raw_sha256):

@@ -15,12 +15,8 @@ SOCKET_PREFIX: Final = "unix:"
 def is_emulated(*, uid: str, port: str) -> bool:
     """Return whether the identity of the device or the port shows that a rig is emulated.
 
-    Parameters
-    ----------
-    uid : str
-        Identity that the device reported, in hexadecimal.
-    port : str
-        Port to which the daemon was connected.
+    `uid` is the identity that the device reported, in hexadecimal. `port` is the port to which the
+    daemon was connected.
     """
     return uid == f"{EMULATOR_UID:016x}" or port == VIRTUAL_PORT or port.startswith(SOCKET_PREFIX)
 

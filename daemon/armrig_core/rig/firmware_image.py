@@ -48,12 +48,8 @@ def shipped_image() -> Path:
 def read_image(path: Path) -> FirmwareImage:
     """Read an Intel HEX file.
 
-    Raises
-    ------
-    FileError
-        The file is not Intel HEX, is damaged or cut off, or has no data at address 0.
-    OSError
-        The file cannot be read.
+    Raises FileError if the file is not Intel HEX, is damaged or cut off, or has no data at address
+    0. Raises OSError if the file cannot be read.
     """
     text = read_bounded(path, _MAX_FILE_B)
     try:

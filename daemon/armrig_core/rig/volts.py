@@ -16,10 +16,7 @@ U_MAX_V = FULL_SCALE_MV / 1000
 def code_of(u: float) -> int:
     """Return the code nearest to the voltage `u`, in V.
 
-    Raises
-    ------
-    ValueError
-        `u` is not a number in [0, 5]. The voltage is never clamped.
+    Raises ValueError if `u` is not a number in [0, 5]. The voltage is never clamped.
     """
     if not 0.0 <= u <= U_MAX_V:  # also true of NaN
         why = f"a voltage outside 0 … {U_MAX_V:g} V destroys the rig"

@@ -62,10 +62,7 @@ def encode_past(
 def decode_past(data: bytes) -> Past:
     """Return the answer that `data` encodes.
 
-    Raises
-    ------
-    MalformedReplyError
-        `data` is not an answer.
+    Raises MalformedReplyError if `data` is not an answer.
     """
     if len(data) > ANSWER_LIMIT:
         raise MalformedReplyError(f"{len(data)} B: an answer has at most {ANSWER_LIMIT} B")

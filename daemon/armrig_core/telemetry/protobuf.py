@@ -183,10 +183,7 @@ def message_class(name: str) -> Any:
 def decoded(name: str, data: bytes) -> Any:
     """Decode `data` as a message with the full name `name`; missing numbers are `ABSENT`.
 
-    Raises
-    ------
-    google.protobuf.message.DecodeError
-        `data` is not a protobuf message.
+    Raises google.protobuf.message.DecodeError if `data` is not a protobuf message.
     """
     message = message_class(name)()
     message.CopyFrom(_without_numbers(name))
