@@ -115,10 +115,8 @@ def _daemon(host: Host) -> list[HostCheck]:
 
 
 def _refused(daemon: StatusReport, what: str) -> str:
-    """Return the remedy for a right that the daemon's loop lacks; "" if the right was granted.
-
-    The daemon reports a refused right by its name, followed by the remedy in brackets.
-    """
+    """Return the remedy for a right that the daemon's loop lacks; "" if the right was granted."""
+    # The daemon reports a refused right by its name, followed by the remedy in brackets.
     reported = daemon.host.get("refused", [])
     lines = [str(line) for line in (reported if isinstance(reported, list) else [reported])]
     line = next((line for line in lines if line.startswith(what)), "")

@@ -104,11 +104,7 @@ class FleetRecorder:
             self._tell_error(f"rig {recorded.rig}: its recording ended: {err}")
 
     def _may_begin(self, rig: str) -> bool:
-        """Return True if a recording of a rig may begin.
-
-        A rig's first recording may always begin. A further recording may begin only if a full disk
-        ended the last recording, and the disk has space again.
-        """
+        """Return True for a rig's first recording, and if a disk that was full has space again."""
         if rig not in self._threads:
             return True
         if self._threads[rig].is_alive() or time.monotonic() < self._recorded[rig].again_s:

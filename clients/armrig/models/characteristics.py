@@ -247,11 +247,7 @@ def _length(modulus: Vector) -> int:
 def _extreme(
     omega: Vector, of_grid: Vector, slope: Callable[[float], float], *, sign: int
 ) -> float:
-    """Return the frequency of the most prominent peak, or NaN if no peak has a prominence of 1 dB.
-
-    If sign is -1, the function searches for a dip instead. A peak is found on the grid first. Its
-    exact frequency is the root of the slope of |G|² between the neighbouring points of the grid.
-    """
+    """Return the frequency of the most prominent peak (sign -1: dip); NaN if none reaches 1 dB."""
     from scipy.optimize import brentq
     from scipy.signal import find_peaks
 
@@ -268,10 +264,7 @@ def _extreme(
 
 
 def _horner(p: list[float], x: complex) -> complex:
-    """Return the value at x of the polynomial p, whose first coefficient has the highest power.
-
-    `numpy.polyval` is 50 times slower.
-    """
+    """Return p(x), highest power first, 50 times as fast as `numpy.polyval`."""
     value = 0j
     for coefficient in p:
         value = value * x + coefficient

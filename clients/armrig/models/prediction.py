@@ -283,11 +283,9 @@ def findings_on_own_data(
 
 
 def _overlap(model: Any, data: Dataset | Signals) -> tuple[float, float] | None:
-    """Return start and end, in s, of the overlap of a model's estimation data with these data.
+    """Return start and end, in s of the file, of the overlap of a model's data with these data.
 
-    The times are relative to the first sample of the file. The result is None if there is no
-    overlap. The result is also None if the data are from different files, or if one of the data
-    sets contains several merged parts.
+    The result is None without an overlap, for different files, and for merged parts.
     """
     source = getattr(model, "source", "")
     if not source or source != data.source or data.Ts is None:

@@ -102,10 +102,7 @@ def directions(model: Fit) -> Matrix:
 
 
 def _stable(model: Fit, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the draws with all poles inside the unit circle.
-
-    A pole fixed at 1 is ignored.
-    """
+    """Return a mask of the draws with all poles, except one fixed at 1, inside the unit circle."""
     inside = np.ones(theta.shape[0], dtype=bool)
     for letter in "af":
         z = roots_of(model, theta, letter, known)

@@ -176,10 +176,7 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
 
 
 def _compressed(e: Array, J: Array) -> tuple[_Linear, Array]:
-    """Return (s, V^T, U^T Q^T e) and the scale (n,).
-
-    The decompositions are J / scale = Q R and R = U s V^T.
-    """
+    """Return (s, V^T, U^T Q^T e) and the scale (n,), with J / scale = Q R and R = U s V^T."""
     scale = column_norms(J)
     scale[scale == 0] = 1.0
     # e is the last column, so that R contains Q^T e and Q itself is not needed.

@@ -200,10 +200,7 @@ def _fitted(
 
 
 def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tuple[Vector, Vector]:
-    """Return the fitted counts of the samples, reduced to one turn, and the numbers of turns.
-
-    Each reduced count is within half a turn of `centre`.
-    """
+    """Return fitted counts, reduced to within half a turn of `centre`, and the numbers of turns."""
     m, d = settled.volts.size, x[-1]
     line = x[settled.level] + x[m + settled.level] * settled.t
     n = direction * np.floor((line - centre) / d + 0.5)
@@ -237,12 +234,8 @@ def _least(values: Vector, otherwise: float) -> float:
 
 
 def _bracketed(bracket: tuple[float, float], variance: float) -> Figure:
-    """Return the middle of an interval with its standard deviation.
-
-    The squared standard deviation is the variance of a uniform distribution over the interval plus
-    `variance`.
-    """
-    low, high = bracket
+    """Return the middle of an interval that contains a value, and its standard deviation."""
+    low, high = bracket  # the value is uniformly distributed, with a further `variance`
     return Figure(value=(low + high) / 2, std=sqrt((high - low) ** 2 / 12 + variance))
 
 

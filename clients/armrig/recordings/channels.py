@@ -87,10 +87,7 @@ def _calibrated(
 
 
 def _on_grid(values: Vector, present: Mask) -> Vector:
-    """Return values (N,) on the grid, from values (n,) of the samples that arrived.
-
-    The value of a missing sample is NaN.
-    """
+    """Return values (n,) of the samples that arrived on the grid (N,), NaN for missing samples."""
     if values.size == present.size:
         return values
     on_grid = np.full(present.size, np.nan)

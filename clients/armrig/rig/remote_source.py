@@ -70,10 +70,7 @@ class RemoteSource:
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
     def _asked(self, first: int, life: bytes) -> Past | None:
-        """Return the answer of the daemon with the id `life`, or of the only daemon that answers.
-
-        Each daemon chooses its id at its start.
-        """
+        """Return the answer of the daemon with the id `life`, or of the only answering daemon."""
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}
         refused = False

@@ -161,11 +161,9 @@ def _torque(plant: Plant, x: State, u: float) -> float:
 
 
 def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) -> State:
-    """Return the state after the exact impulses of friction and of the stiffening spring.
-
-    Only the spring acts on the absolute speed of the arm, theta_1' + alpha'.
-    """
+    """Return the state after the exact impulses of friction and of the stiffening spring."""
     theta, alpha, omega, rate = x
+    # Only the spring acts on the absolute speed of the arm, theta_1' + alpha'.
     spring = plant.stiffening * alpha * alpha * alpha * dt_s
     rate -= spring / plant.arm.J_2
     if held:

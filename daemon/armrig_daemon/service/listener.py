@@ -222,10 +222,7 @@ class Listener:
         return name, f"{self._known_by} {asker}"
 
     def _is_too_many(self, name: str) -> bool:
-        """Count a query without a lease; return whether it exceeds the limit.
-
-        Only the zenoh thread of the query's queryable may call this.
-        """
+        """Count a query, in the thread of its queryable; return whether it exceeds the limit."""
         kind = name if name in _COUNTED else ""  # all unknown names are of one kind
         left = admission.take(self._buckets.get(kind, admission.Bucket()), time.monotonic())
         if left is not None:

@@ -148,10 +148,7 @@ def streamed(path: Path, stream: str) -> Iterator[Any]:
 
 
 def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[None]:
-    """Read to the end or to the first damage, and yield after each record.
-
-    The description of the damage is stored in the content.
-    """
+    """Read to the end or to the first damage, which the content names; yield after each record."""
     content = reader.content
     wanted = Wanted(left=INPUT)
     if part is not None:

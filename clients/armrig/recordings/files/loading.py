@@ -360,10 +360,7 @@ def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
 
 
 def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
-    """Return the applied voltage u (N,), in V.
-
-    For a missing sample, u is the held voltage in its gap record, or NaN without a gap record.
-    """
+    """Return the voltage (N,) in V; that of a missing sample is in its gap record, else NaN."""
     applied = samples["u_applied_v"]
     if applied.size == rows.N:
         return applied.copy()

@@ -158,12 +158,9 @@ def _values(message: bytes) -> tuple[Any, ...]:
 
 
 def _copy_fields(data: bytes, samples: NDArray[np.void]) -> None:
-    """Copy the fields of the first rows of `data` to `samples`.
-
-    Consecutive fields of one size are copied together. Copies of single fields take three times as
-    long.
-    """
+    """Copy the fields of the first rows of `data` to `samples`."""
     n = samples.size
+    # Fields of one size are copied together. Copies of single fields take three times as long.
     for count, size, at, place in _BLOCKS if n else ():
         kind = f"<u{size}"
         rows = np.ndarray((n, count), kind, data, at, (_ROW_SIZE, 1 + size))
