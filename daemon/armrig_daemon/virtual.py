@@ -12,7 +12,7 @@ from typing import Protocol
 
 from armrig_daemon.decisions.state import Event, LinkUp, Ordered, Received, Rules
 from armrig_daemon.emulator.board import Board
-from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.device import Device, TimedDevice
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Orders, Record, take_records
@@ -23,21 +23,12 @@ Line = Callable[[bytes], bytes]
 """Function that returns the bytes that a line delivers for the sent bytes."""
 
 
-class VirtualDevice(Protocol):
-    """Device that gets the time as an argument: the emulated device, or the firmware's binary."""
+class VirtualDevice(TimedDevice, Protocol):
+    """A device in virtual time: the emulated device, or the firmware's binary."""
 
     @property
     def board(self) -> Board:
         """Return the pins and the arm."""
-
-    def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the line to the device."""
-
-    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Advance to a time; return the sent frames, each with the time of its last byte."""
-
-    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Advance to a limit or to the next event; return the time and the sent frames."""
 
 
 SwitchOn = Callable[[EmulatorSettings, int], VirtualDevice]

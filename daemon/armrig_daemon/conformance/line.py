@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from armrig_daemon.emulator.device import TimedDevice
 
 _NS_PER_MS = 1_000_000
 
@@ -22,22 +25,6 @@ class Line(Protocol):
 
     def now_ns(self) -> int:
         """Return a monotonic time in ns; it is used only to limit waits."""
-
-
-class TimedDevice(Protocol):
-    """A device whose time is an argument; the opening of its port may reset it."""
-
-    def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to the device."""
-
-    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Advance to a time; return the sent frames, each with the time of its last byte."""
-
-    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Advance to `limit_ns` or, if earlier, to a sent frame; return the time and the frames."""
-
-    def reset(self, now_ns: int) -> None:
-        """Reset the processor; bytes on the wires are lost."""
 
 
 class VirtualLine:

@@ -6,6 +6,8 @@ at its own time and in order. A late caller therefore gets the same bytes with t
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from armrig_protocol import frame
 from armrig_protocol.messages import Ack, Cause, Exchange, Sample, State
@@ -27,6 +29,22 @@ SUPPLY_NS = 100_000_000
 MOST_PENDING = 2
 _BOOT = State.BOOT
 POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
+
+
+class TimedDevice(Protocol):
+    """A device whose time is an argument; the opening of its port may reset it."""
+
+    def receive(self, now_ns: int, data: bytes) -> None:
+        """Put bytes on the wire to the device."""
+
+    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Advance to a time; return the sent frames, each with the time of its last byte."""
+
+    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
+        """Advance to `limit_ns` or, if earlier, to a sent frame; return the time and the frames."""
+
+    def reset(self, now_ns: int) -> None:
+        """Reset the processor; bytes on the wires are lost."""
 
 
 class Device:

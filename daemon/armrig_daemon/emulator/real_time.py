@@ -27,7 +27,7 @@ from armrig_core.process.waiting import Waiter
 from armrig_protocol.messages import Cause, State
 
 from armrig_daemon.emulator.board import Board, Change, Witness
-from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.device import Device, TimedDevice
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 from armrig_daemon.emulator.host_time import HostTime, StallReports
 from armrig_daemon.emulator.line import READ_BYTES, Line, Terminal
@@ -41,8 +41,8 @@ PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
 
 
-class RealTimeDevice(Protocol):
-    """A device that gets the time as an argument: the emulated device or the firmware's binary."""
+class RealTimeDevice(TimedDevice, Protocol):
+    """A device in real time: the emulated device or the firmware's binary."""
 
     @property
     def board(self) -> Board:
@@ -60,20 +60,11 @@ class RealTimeDevice(Protocol):
     def violations(self) -> Sequence[Violated]:
         """Return the violations at the simulated pins so far."""
 
-    def reset(self, now_ns: int) -> None:
-        """Reset the processor."""
-
-    def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to the device."""
-
     def rx_backlog_ns(self, now_ns: int) -> int:
         """Return the time for which the sent bytes still occupy the wire to the device, in ns."""
 
     def visible_ns(self) -> int:
         """Return a time before which `advance` need not be called."""
-
-    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Advance to a time; return the sent frames, each with the time of its last byte."""
 
 
 SwitchOn = Callable[[EmulatorSettings, int, Witness], RealTimeDevice]
