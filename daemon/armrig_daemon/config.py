@@ -304,23 +304,11 @@ def load(
 ) -> Config:
     """Return the configuration from defaults, files, environment and command line.
 
-    A value of a later source overrides the value of an earlier source.
+    A value of a later source overrides the value of an earlier source. All TOML files in `paths`
+    must exist. Only variables of `environ` that begin with `ARMRIG_` are read. `overrides` are the
+    values of the command line, and `below` the defaults, both by table and key.
 
-    Parameters
-    ----------
-    paths : list of Path
-        TOML files; all must exist.
-    environ : mapping
-        Environment variables; only variables that begin with `ARMRIG_` are read.
-    overrides : mapping
-        Values of the command line, by table and key.
-    below : mapping
-        Defaults, by table and key.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, or a key or value is not allowed.
+    Raises InputError if a file cannot be read, or a key or value is not allowed.
     """
     tables = dict(below)
     for path in paths:

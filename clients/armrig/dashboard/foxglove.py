@@ -39,12 +39,8 @@ def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str
     or parameters, and ignores all messages of a client. The port closes soon after the block,
     because the SDK does not wait for the end of its task that accepts connections.
 
-    Raises
-    ------
-    MissingPackageError
-        foxglove-sdk is not installed.
-    RigError
-        Another program uses the port.
+    Raises MissingPackageError if foxglove-sdk is not installed. Raises RigError if another program
+    uses the port.
     """
     sdk = imported("foxglove", "foxglove")
     context = sdk.Context()  # a separate context, so that other logs of this process are not served

@@ -98,12 +98,8 @@ class Served:
 def dashboard(settings: Settings) -> Iterator[Served]:
     """Serve a dashboard until the block ends; the end of the block stops a run of the dashboard.
 
-    Raises
-    ------
-    RigError
-        Another program uses the port.
-    MissingPackageError
-        The package for the certificate of `share` is not installed.
+    Raises RigError if another program uses the port. Raises MissingPackageError if the package for
+    the certificate of `share` is not installed.
     """
     raise_limit()  # above the limit of connections, so that a stop can be sent
     sys.setswitchinterval(_SWITCH_S)

@@ -31,10 +31,7 @@ class SignalPipe:
     ) -> None:
         """Catch the signals `numbers` from now on; only the main thread may create a pipe.
 
-        Parameters
-        ----------
-        handler : callable, optional
-            Function that the main thread calls for each signal. It must take no lock.
+        The main thread calls `handler` for each signal; the function must take no lock.
         """
         # Sockets: recording over a network also runs on Windows, whose select accepts only sockets.
         self._reader, self._waker = socket.socketpair()

@@ -60,21 +60,12 @@ class Recording:
     ) -> None:
         """Create the file and write header, schemas, manifest and attachments to the kernel.
 
-        Parameters
-        ----------
-        path : Path
-            Path of the finished recording; no file may exist there.
-        t_first_ns : int
-            Monotonic time of the first sample.
-        changed : callable
-            Function that the writer's thread calls when `error`, `moved` or `done` has changed.
-        limits : PartLimits, optional
-            Limits of a part; default: the run is recorded in one file.
+        No file may exist at `path`, the path of the finished recording. `t_first_ns` is the
+        monotonic time of the first sample. The writer's thread calls `changed` when `error`,
+        `moved` or `done` has changed. `limits` are those of a part; without limits, the run is
+        recorded in one file.
 
-        Raises
-        ------
-        RecordingError
-            The file cannot be created.
+        Raises RecordingError if the file cannot be created.
         """
         self.path = path
         self.samples = 0

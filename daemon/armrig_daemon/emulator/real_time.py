@@ -85,24 +85,17 @@ def emulate(
     If a simulated board's pins violate a rule, the exit code is 1. Each kind of violation is
     printed once.
 
-    Raises OperationError if `port` or `trace` cannot be created.
+    `port` is the path of the symbolic link to a pseudo-terminal, or `unix:PATH` for a socket. The
+    link or the socket is created, and is removed at the end. `switch_on` creates the device, by
+    default the emulated device. The message `started` is printed when the port exists.
 
-    Parameters
-    ----------
-    port : Path
-        Path of the symbolic link to a pseudo-terminal, or `unix:PATH` for a socket. The link or the
-        socket is created, and is removed at the end.
-    switch_on : callable, optional
-        Function that creates the device; default: the emulated device.
-    trace : Path, optional
-        File for the voltages: one line `t_monotonic_ns,volts,state,cause` for each change of the
-        terminal voltage. The first line is the state at the start.
-    started : str, default ""
-        Message to print when the port exists.
-    held_up : callable, optional
-        Function that is called after a stall of this process, if the settings tolerate stalls. Its
-        argument is the time for which the device's clock stood still, in ns. The function must not
-        wait.
+    The file `trace` has a line `t_monotonic_ns,volts,state,cause` for each change of the terminal
+    voltage. The first line is the state at the start.
+
+    If the settings tolerate stalls, `held_up` is called after a stall of this process. Its argument
+    is the time for which the device's clock stood still, in ns. The function must not wait.
+
+    Raises OperationError if `port` or `trace` cannot be created.
     """
     with ExitStack() as stack:
         wake = _ended_by(stack)

@@ -163,10 +163,8 @@ def load(path: Path) -> EmulatorSettings:
 
     Other tables are ignored; a missing key has its default.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is not TOML, or contains a key or value that is not allowed.
+    Raises InputError if the file cannot be read, is not TOML, or contains a key or value that is
+    not allowed.
     """
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)

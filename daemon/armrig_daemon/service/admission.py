@@ -29,15 +29,10 @@ BURST = 100
 def refusal(name: str, payload: bytes, lease: bytes) -> Refused | None:
     """Return the refusal of a command, or None if it is admitted.
 
-    Parameters
-    ----------
-    name : str
-        Name of the command; an unknown name is admitted here, and refused by the service.
-    payload : bytes
-        Bytes of the command. A lease consists of hexadecimal digits, which JSON encoders do not
-        escape. A payload without the lease in force is therefore not from the holder.
-    lease : bytes
-        Lease in force, as far as the service knows; empty if no lease is in force.
+    A command with an unknown name is admitted here, and refused by the service. `lease` is the
+    lease in force, as far as the service knows; empty if no lease is in force. A lease consists of
+    hexadecimal digits, which JSON encoders do not escape. A payload without the lease in force is
+    therefore not from the holder.
     """
     if name in LEASED and not (lease and lease in payload):
         return refused(RefusalCode.NOT_HELD, NOT_HELD)
