@@ -35,6 +35,7 @@ ORDER = 4
 """Number of poles, and number of numerator coefficients, of the compared models; the arm has 4
 poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
+_MAX_COMPARED = 50_000  # samples; more samples do not change a median difference of 10 %
 _MAX_MISSING_SHARE = 0.2
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1, in σ, of a pole that is not 1; σ may be too small
 
@@ -81,7 +82,7 @@ def _loop(data: Dataset) -> OpenLoop | None:
 def examine_data(data: Dataset) -> Iterator[Finding]:
     """Yield the findings about the data; a possible cause precedes its effects."""
     known = tested(data, None)
-    findings = [*examine_experiment(data, known), *_about_linearity(data)]
+    findings = [*examine_experiment(data, known), *_about_linearity(data, known)]
     yield from findings
     if all(f.level == "good" for f in findings):  # else a finding explains why ARX and OE differ
         yield from _about_structures(data, known)
@@ -288,8 +289,8 @@ def _about_delay(known: Tested) -> Iterator[Finding]:
         yield good("delay", f"none is seen: estimate with nk={late.nk}")
 
 
-def _about_linearity(data: Dataset) -> Iterator[Finding]:
-    for found in in_open_loop(data):
+def _about_linearity(data: Dataset, known: Tested) -> Iterator[Finding]:
+    for found in in_open_loop(data, known.loop):
         yield (good if found.linear else warning)("linearity", found.line)
 
 
@@ -297,10 +298,11 @@ def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
     """Compare ARX with OE; both agree if the noise passes through 1/A, or is small."""
     nk = known.late.nk if isinstance(known.late, Delay) else 1
     integrator = known.integration.integrates
+    part = data[:_MAX_COMPARED] if data.N > _MAX_COMPARED else data
     try:
         models = (
-            arx(data, na=ORDER, nb=ORDER, nk=nk),
-            oe(data, nb=ORDER, nf=ORDER, nk=nk, integrator=integrator),
+            arx(part, na=ORDER, nb=ORDER, nk=nk),
+            oe(part, nb=ORDER, nf=ORDER, nk=nk, integrator=integrator, starts="few"),
         )
     except (ValueError, np.linalg.LinAlgError):
         return
@@ -309,6 +311,7 @@ def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
     G = [fit.frequency_response(omega).G for fit in models]
     apart = float(np.median(np.abs(G[0] - G[1]) / np.abs(G[1])))
     text = f"their frequency responses differ by a median of {percent(100 * apart)}"
+    text += f" (first {part.N} samples)" * (part is not data)
     if apart < _MAX_DIFFERENCE:
         yield good("ARX and OE", text)
         return

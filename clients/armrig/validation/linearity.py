@@ -22,7 +22,7 @@ from armrig.numerics.quantities import p_relation, percent, three_digits
 from armrig.numerics.regressors import LongArx, long_arx
 from armrig.numerics.whiteness import effects_p_value
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
-from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
+from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop, require_level
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -211,11 +211,13 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
 
 
 @each_channel(lambda data, output, input: (data.channels([output]), {"input": input}))
-def _tested(data: Signals, *, level: float, input: str) -> Linearity | ByChannel[Linearity]:
-    """Test one output with one input."""
+def _tested(
+    data: Signals, *, level: float, input: str, loop: OpenLoop | None = None
+) -> Linearity | ByChannel[Linearity]:
+    """Test one output with one input; `loop` is the test for feedback of a single channel."""
     one, together, closed, direct = data.dataset(data.outputs[0], input), False, False, False
     with suppress(InputError):
-        loop = open_loop(one)
+        loop = loop or open_loop(one)
         together, direct = loop.p_value < CHANCE_LEVEL, loop.may_be_direct_term
         closed = together and not loop.few_levels
     # In closed loop, u(t) contains e(t).
@@ -242,10 +244,14 @@ def _tested(data: Signals, *, level: float, input: str) -> Linearity | ByChannel
     )
 
 
-def in_open_loop(data: Dataset | Signals) -> list[Linearity]:
-    """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result."""
+def in_open_loop(data: Dataset | Signals, loop: OpenLoop | None = None) -> list[Linearity]:
+    """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result.
+
+    `loop` is the test for feedback, if it is known.
+    """
+    signals = data.signals()
     try:
-        found = linearity(data, CHANCE_LEVEL)
+        found = _tested(signals, level=CHANCE_LEVEL, input=signals.inputs[0], loop=loop)
     except InputError:
         return []
     each = [found] if isinstance(found, Linearity) else found.results.values()
