@@ -76,8 +76,7 @@ def short_search_lines(found: SearchResult) -> list[str]:
 
 def search_lines(found: SearchResult) -> list[str]:
     """Return the table and the reasons of a search, without the chosen model's warnings."""
-    lines = repr(found).splitlines()
-    return [line for line in lines if line.removeprefix("- ") not in found.fit.warnings]
+    return [found.table(), found.explain(warnings=False)]
 
 
 _SAID_BY = {

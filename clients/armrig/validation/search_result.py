@@ -204,8 +204,10 @@ class SearchResult:
 
         return figure_of(plot_search(self, ax=ax))
 
-    def explain(self) -> str:
+    def explain(self, *, warnings: bool = True) -> str:
         """Return the problems of the data, the choice and its reasons, as text.
+
+        If `warnings` is False, the text is without the warnings of the chosen model.
 
         Examples
         --------
@@ -217,7 +219,8 @@ class SearchResult:
         - fewer parameters are not enough: OE[2 2 1] has 4, rms error 0.0341..., ...
         """
         doubts = [f"doubt about the data, {f.about}: {f.text}" for f in self.doubts]
-        return "\n".join(f"- {line}" for line in (*doubts, *self.reasons))
+        reasons = _reasons(self, warnings=warnings)
+        return "\n".join(f"- {line}" for line in (*doubts, *reasons))
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -272,7 +275,7 @@ def _ahead(horizon: int) -> str:
     return f"{plural(horizon, 'sample')} ahead"
 
 
-def _reasons(found: SearchResult) -> Iterator[str]:
+def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
     best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
     what = "simulation" if found.horizon is None else f"prediction {_ahead(found.horizon)}"
     of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
@@ -311,7 +314,7 @@ def _reasons(found: SearchResult) -> Iterator[str]:
             )
     yield from found.notes
     yield from _about_tests(found.tests)
-    for f in chosen.model.findings:
+    for f in chosen.model.findings if warnings else ():
         if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.remedy == "order":
             yield f.text
     if found.failed:

@@ -97,10 +97,13 @@ def test_findings_of_the_chosen_model_are_reasons(family: str, expected: list[st
     ranked = (scored("arx", 4), scored(family, 2, findings=findings))
     numbers = {"rms": np.array([0.5, 0.9]), "excess": np.zeros(2), "excess_std": np.zeros(2)}
 
-    reasons = result(ranked=ranked, chosen_index=1, **numbers).reasons
+    found = result(ranked=ranked, chosen_index=1, **numbers)
 
-    assert list(reasons[-len(expected) :]) == expected
-    assert ("short" in reasons) == (family == "oe")
+    lines = [f"- {reason}" for reason in found.reasons]
+    assert list(found.reasons[-len(expected) :]) == expected
+    assert ("short" in found.reasons) == (family == "oe")
+    assert found.explain().splitlines() == lines
+    assert found.explain(warnings=False).splitlines() == lines[: -len(expected)]
 
 
 @pytest.mark.parametrize("integrates", [False, True])
