@@ -96,7 +96,7 @@ def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> 
         assert rec.calibration == replace(written, made=replace(written.made, file=file))
         shown = rec.theta_1[rec.valid]
         assert shown[-1] > shown[0] + 0.5, "a voltage turns towards positive angles"
-        assert doubts_of_calibration(rec.calibration, rec.manifest) == []
+        assert [*doubts_of_calibration(rec.calibration, rec.manifest)] == []
         assert replay(rec.path).difference == ""
         content = read(rec.path)
         assert content is not None

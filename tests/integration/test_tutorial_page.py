@@ -151,7 +151,7 @@ def test_every_line_that_needs_a_rig_is_a_valid_command(lab: Lab) -> None:
     report = re.search(r"^armrig report --handout (@.+?) --answers", TEXT, re.MULTILINE)
     assert report is not None
     read = [armrig.load(recording_path(name)) for name in report[1].split()]
-    assert [text for text in all_doubts(read, one_plant=False) if "record 300" not in text] == []
+    assert {found.about for found in all_doubts(read, one_plant=False)} <= {"samples"}
     files = sorted(path.name.split("-2")[0] for path in names["path"].parent.glob("*.mcap"))
     assert files == [
         *("1-blackbox-monday", "1-blackbox-tuesday", "1-blackbox-validation-monday"),

@@ -290,8 +290,8 @@ def identify(
 
     data = signals.of(file)
     for recording in signals.read:
-        for text in doubts_of_estimation(recording):
-            tell(text)
+        for finding in doubts_of_estimation(recording):
+            tell(finding.text)
     # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
     wanted = _for_outputs(wanted, data, integrator=given["integrator"])

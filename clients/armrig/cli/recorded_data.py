@@ -306,9 +306,8 @@ def loaded(
     name_runs(*recordings)
     # `warned` reports a file that is cut off. The end of a requested range is not an early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
-    early = [text.removesuffix(".") for text in early_ends(whole)]
-    for text in (*early, *all_doubts(recordings, one_plant=one_plant)):
-        tell(text)
+    for finding in (*early_ends(whole), *all_doubts(recordings, one_plant=one_plant)):
+        tell(finding.text)
     return [warned(recording) for recording in recordings]
 
 
@@ -492,8 +491,8 @@ class SignalChoice(DataOptions):
         from armrig.recordings.usability import doubts_of_pair
 
         [recording] = self.recordings(file)
-        for text in doubts_of_pair(self.read[0], recording) if self.read else ():
-            tell(text)
+        for finding in doubts_of_pair(self.read[0], recording) if self.read else ():
+            tell(finding.text)
         self.read.append(recording)
         return recording
 

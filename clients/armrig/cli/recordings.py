@@ -260,7 +260,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
         "sampling": sampling_statistics(rec),
         "causes": disturbances(rec),
         "calibration": rec.calibration,
-        "remarks": doubts_of_calibration(rec.calibration, rec.manifest),
+        "remarks": [f.text for f in doubts_of_calibration(rec.calibration, rec.manifest)],
         "verdict": data_verdict(rec).facts(),
         **fields_of(rec, "gaps events notes"),
     }
@@ -291,8 +291,8 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     if rec.recovered is not None:
         yield "recovered", _recovered(rec.recovered)
     yield "calibrated", calibration_date(rec.calibration)
-    for text in doubts_of_calibration(rec.calibration, manifest):
-        yield "remark", text
+    for remark in doubts_of_calibration(rec.calibration, manifest):
+        yield "remark", remark.text
     yield "jitter", _jitter(timing.jitter)
     if verbose:
         yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"

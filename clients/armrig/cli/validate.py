@@ -674,7 +674,6 @@ def _handout_report(
 ) -> tuple[list[Recording], Callable[..., Any]]:
     """Return the recordings, and the function that typesets the handout's report."""
     from armrig.cli.recorded_data import loaded
-    from armrig.recordings.usability import different_calibrations
     from armrig.report.answers import Answers, read_answers
     from armrig.report.document import handout_report
     from armrig.report.handout_study import handout_study
@@ -682,8 +681,6 @@ def _handout_report(
 
     said = Answers() if answers is None else read_answers(answers)
     recordings = loaded(files, calibration, one_plant=False)
-    for text in different_calibrations(recordings):
-        tell(text.removesuffix("."))
     with estimating("na, nb and nf"):
         done = handout_study(recordings, orders=Orders(**orders), **problem)
     return recordings, partial(handout_report, done, answers=said)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from armrig_core.recording_file.manifest import Manifest
 from armrig_core.rig.calibration import Calibration
 
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding
+from armrig.data.finding import Finding, warning
 from armrig.numerics.quantities import listed
 from armrig.numerics.regressors import whitening
 from armrig.recordings import findings
@@ -186,21 +186,16 @@ def _noise(data: Dataset) -> float:
     return float(np.sqrt(np.mean(e**2))) if e.size > 4 * _NOISE_ORDER else 0.0
 
 
-def doubts(recording: Recording) -> list[str]:
-    """Return a sentence for each doubt about a recording; an empty list for a good recording."""
+def doubts(recording: Recording) -> Iterator[Finding]:
+    """Yield the doubts about a recording: too few samples, or a reversed sensor or motor."""
     name = recording.path.name
-    found = []
     if 0 < recording.samples.size < FEW:
-        found.append(
-            f"{name} has {recording.samples.size} samples: models from so few samples are poor; "
-            f"record {FEW} or more"
-        )
+        text = f"{name} has {recording.samples.size} samples: models from so few samples are poor; "
+        yield warning("samples", f"{text}record {FEW} or more")
     if _reversed(recording):
-        found.append(
-            f"{name}: theta_1 falls although the voltage is positive, so its potentiometer "
-            "or the motor's wires are reversed; run `armrig calibrate`"
-        )
-    return found
+        text = f"{name}: theta_1 falls although the voltage is positive, so its potentiometer "
+        text += "or the motor's wires are reversed; run `armrig calibrate`"
+        yield warning("direction", text)
 
 
 def emulation(recordings: Sequence[Recording]) -> list[str]:
@@ -218,66 +213,59 @@ def ended_early(recording: Recording) -> bool:
     return recording.outcome is None or recording.outcome.code not in _NORMAL_ENDS
 
 
-def early_ends(recordings: Sequence[Recording]) -> list[str]:
-    """Return a sentence for each recording that ended early, with the reason.
+def early_ends(recordings: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield a finding for each recording that ended early, with the reason.
 
     A recording without a fixed length (`armrig record`) cannot end early.
     """
-    return [
-        f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} samples: "
-        f"{r.outcome.outcome if r.outcome else 'the reason is not recorded'}."
-        for r in recordings
-        if ended_early(r) and r.manifest.samples
-    ]
+    for r in recordings:
+        if ended_early(r) and r.manifest.samples:
+            text = f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} "
+            why = r.outcome.outcome if r.outcome else "the reason is not recorded"
+            yield warning("run", f"{text}samples: {why}")
 
 
-def different_calibrations(recordings: Sequence[Recording]) -> list[str]:
-    """Return a list with one warning if the calibrations differ; otherwise an empty list."""
+def different_calibrations(recordings: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield one finding with the groups of recordings if their calibrations differ."""
     of: dict[tuple[object, ...] | None, list[str]] = {}
     for r in recordings:
         of.setdefault(_values(r), []).append(r.path.name)
     if len(of) < 2:
-        return []
+        return
     groups = "; ".join(listed(names) for names in of.values())
-    return [
-        f"The recordings were made with {len(of)} different calibrations ({groups}): their angles "
-        "and voltages cannot be compared. Read all recordings with one calibration, "
-        "`--calibration FILE`."
-    ]
+    text = f"The recordings were made with {len(of)} different calibrations ({groups}): their "
+    text += "angles and voltages cannot be compared. Read all recordings with one calibration, "
+    yield warning("calibrations", f"{text}`--calibration FILE`")
 
 
-def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -> list[str]:
-    """Return a list with a sentence for each doubt about the calibration that reads a recording.
+def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -> Iterator[Finding]:
+    """Yield the doubts about the calibration that reads a recording, each a full sentence.
 
     A calibration that was made after the recording is never stale.
     """
     if calibration is None:
-        return ["The recording has no calibration: the daemon computed its angles."]
+        text = "The recording has no calibration: the daemon computed its angles."
+        yield warning("no calibration", text)
+        return
     made = calibration.made
     if made is None:
-        return [
-            "The rig was not calibrated: its angles use configured values that were never measured "
-            "(see `armrig calibrate`)."
-        ]
-    found = []
+        text = "The rig was not calibrated: its angles use configured values that were never "
+        yield warning("not calibrated", f"{text}measured (see `armrig calibrate`).")
+        return
     uid = str(manifest.device.get("uid", ""))
     if uid != made.device_uid:
-        found.append(
-            f"The calibration is of another device: it was made on {made.device_uid or 'none'}, "
-            f"the recording was made on {uid or 'a device without an id'}."
-        )
+        text = f"The calibration is of another device: it was made on {made.device_uid or 'none'}, "
+        text += f"the recording was made on {uid or 'a device without an id'}."
+        yield warning("device", text)
     elif manifest.rig != made.rig:
-        of = f"The calibration is of rig {made.rig}"
-        found.append(f"{of}, and the recording is of rig {manifest.rig}.")
+        text = f"The calibration is of rig {made.rig}, and the recording is of rig {manifest.rig}."
+        yield warning("rig", text)
     age = _age(made.date, manifest.started)
     if age is None:
-        found.append("The age of the calibration is not known.")
+        yield warning("age", "The age of the calibration is not known.")
     elif age > timedelta(days=STALE_DAYS):
-        found.append(
-            f"The calibration was {age.days} days old, more than {STALE_DAYS} days: calibrate "
-            "the rig again."
-        )
-    return found
+        text = f"The calibration was {age.days} days old, more than {STALE_DAYS} days: calibrate "
+        yield warning("age", f"{text}the rig again.")
 
 
 def calibration_date(calibration: Calibration | None) -> str:
@@ -286,63 +274,56 @@ def calibration_date(calibration: Calibration | None) -> str:
     return "no" if made is None else made.date[:16].replace("T", " ")
 
 
-def doubts_of_estimation(recording: Recording) -> list[str]:
-    """Return a list with a warning if a recording excites too few frequencies for any model."""
+def doubts_of_estimation(recording: Recording) -> Iterator[Finding]:
+    """Yield a finding if a recording excites too few frequencies for any model."""
     kind = recording.manifest.experiment.partition("-")[0]
-    if kind not in NO_MODEL:
-        return []
-    return [
-        f"{recording.path.name} is a {kind}, which excites few frequencies: a model from it is "
-        "poor; identify from a telegraph (`armrig collect blackbox`)"
-    ]
+    if kind in NO_MODEL:
+        text = f"{recording.path.name} is a {kind}, which excites few frequencies: a model from it "
+        text += "is poor; identify from a telegraph (`armrig collect blackbox`)"
+        yield warning("experiment", text)
 
 
-def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True) -> list[str]:
-    """Return a sentence for each doubt about validating the models of `first` with `other`.
+def doubts_of_pair(
+    first: Recording, other: Recording, *, one_plant: bool = True
+) -> Iterator[Finding]:
+    """Yield the doubts about validating the models of `first` with `other`.
 
     If `one_plant` is False, one recording may be of the chassis alone and the other recording of
     the whole rig.
     """
     a, b = first.manifest, other.manifest
     name = other.path.name
-    found = []
     kind = b.experiment.partition("-")[0]
     if kind in NO_MODEL:
-        found.append(
-            f"{name} is a {kind}, which excites few frequencies: a fit on it says little; "
-            "validate on another telegraph (`armrig collect blackbox --validation`)"
-        )
+        text = f"{name} is a {kind}, which excites few frequencies: a fit on it says little; "
+        text += "validate on another telegraph (`armrig collect blackbox --validation`)"
+        yield warning("experiment", text)
     if a.rig != b.rig or a.device.get("uid") != b.device.get("uid"):
-        found.append(
-            f"{first.path.name} is of {_rig(first)}, {name} of {_rig(other)}: a model of one rig "
-            "does not describe another rig"
-        )
-    elif _values(first) != _values(other):
-        found.append(
-            f"{first.path.name} and {name} were made with different calibrations: read both "
-            "recordings with one calibration (--calibration TOML)"
-        )
+        text = f"{first.path.name} is of {_rig(first)}, {name} of {_rig(other)}: a model of one "
+        yield warning("rig", f"{text}rig does not describe another rig")
+    else:
+        yield from different_calibrations([first, other])
     if one_plant and _experiment(first) != _experiment(other):
-        found.append(
-            f"{first.path.name} is of {_experiment(first)}, {name} of {_experiment(other)}: the "
-            "chassis alone and the whole rig are two plants"
-        )
-    return found
+        text = f"{first.path.name} is of {_experiment(first)}, {name} of {_experiment(other)}: the "
+        yield warning("plant", f"{text}chassis alone and the whole rig are two plants")
 
 
-def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[str]:
-    """Return the doubts about each recording, and about pairs of recordings.
+def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[Finding]:
+    """Return the doubts about each recording, about pairs of recordings, and about calibrations.
 
     Recordings of steps and staircases are in no pair. Each pair consists of the first remaining
     recording and a later recording.
     """
-    found = [text for r in recordings for text in doubts(r)]
+    found = [finding for r in recordings for finding in doubts(r)]
     excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
     for n, other in enumerate(excited[1:]):
         # Only the second recording validates the first. Later recordings may be of the chassis
         # alone.
         found += doubts_of_pair(excited[0], other, one_plant=one_plant and n == 0)
-    return found
+    # The calibrations of all recordings are compared at once, unless several rigs explain them.
+    found = [f for f in found if f.about != "calibrations"]
+    of_one_rig = all(f.about != "rig" for f in found)
+    return [*found, *(different_calibrations(recordings) if of_one_rig else ())]
 
 
 def _reversed(r: Recording) -> bool:

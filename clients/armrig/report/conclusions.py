@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from armrig.data.finding import Finding
 from armrig.models.structure_table import with_article
 from armrig.numerics.quantities import (
     error,
@@ -93,15 +94,15 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
 
     A sentence that holds only for some of the recordings begins with the names of their files.
     """
-    of: dict[str, list[str]] = {}
+    of: dict[Finding, list[str]] = {}
     for r in recordings:
-        for sentence in doubts_of_calibration(r.calibration, r.manifest):
-            of.setdefault(sentence, []).append(r.path.name)
+        for found in doubts_of_calibration(r.calibration, r.manifest):
+            of.setdefault(found, []).append(r.path.name)
     return [
-        sentence
+        found.text
         if len(names) == len(recordings)
-        else f"{', '.join(names)}: {sentence[0].lower()}{sentence[1:]}"
-        for sentence, names in of.items()
+        else f"{', '.join(names)}: {found.text[0].lower()}{found.text[1:]}"
+        for found, names in of.items()
     ]
 
 

@@ -300,7 +300,7 @@ def _handout_content(study: HandoutStudy, answers: Answers) -> dict[str, Any]:
         **_of_recordings(study.recordings),
         "remarks": [
             *emulation(study.recordings),
-            *early_ends(study.recordings),
+            *(f"{found.text}." for found in early_ends(study.recordings)),
             *calibration_sentences(study.recordings),
         ],
     }
@@ -310,7 +310,7 @@ def _of_recordings(recordings: Sequence[Recording]) -> dict[str, Any]:
     return {
         "version": version("armrig"),
         "notes": recording_facts.notes(recordings),
-        "warnings": different_calibrations(recordings),
+        "warnings": [f"{found.text}." for found in different_calibrations(recordings)],
     }
 
 

@@ -432,7 +432,7 @@ def test_the_samples_are_compressed_without_loss() -> None:
 def test_a_calibration_that_is_missing_or_stale_is_reported(
     calibration: Calibration | None, changes: dict[str, object], said: str
 ) -> None:
-    found = doubts_of_calibration(calibration, manifest(**changes))
+    found = [f.text for f in doubts_of_calibration(calibration, manifest(**changes))]
 
     assert len(found) == bool(said)
     assert re.search(said, " ".join(found))

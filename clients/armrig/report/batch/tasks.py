@@ -257,7 +257,7 @@ def _of_the_run(r: Recording) -> Row:
         "calibration_sha256": m.calibration_sha256,
         "recorded_by": f"armrig {m.armrig}",
         "damage": r.damage,
-        "doubts": doubts(r),
+        "doubts": [f.text for f in doubts(r)],
     }
 
 
@@ -285,7 +285,7 @@ def _identified(task: Identify, recording: Recording) -> Row:
         "p_white": fit.whiteness,
         "parameters": fit.theta,
         "model": model_text(fit),
-        "doubts": [*doubts(recording), *doubts_of_estimation(recording)],
+        "doubts": [f.text for f in (*doubts(recording), *doubts_of_estimation(recording))],
     }
 
 
@@ -308,7 +308,7 @@ def _validated(task: Validate, recording: Recording) -> Row:
         "p_white": tests.whiteness,
         "p_no_dynamics_missing": tests.missing_dynamics,
         "p_no_feedback": tests.feedback,
-        "doubts": [*doubts(recording), *doubts_of_estimation(recording)],
+        "doubts": [f.text for f in (*doubts(recording), *doubts_of_estimation(recording))],
     }
 
 
@@ -331,7 +331,7 @@ def _reported(task: Report, recording: Recording, item: Item) -> Row:
     orders = Orders(na=task.na, nb=task.nb, nf=task.nf, nk=task.nk)
     done = study([recording, *validations], orders=orders)
     path = report(done, Path(task.folder, item.name).with_suffix(".pdf"))
-    found = doubts(recording)
+    found = [*doubts(recording)]
     for other in validations:
         found += doubts_of_pair(recording, other)
     return {
@@ -340,7 +340,7 @@ def _reported(task: Report, recording: Recording, item: Item) -> Row:
         "validated_by": Path(item.validation).name,
         "best": done.best.name,
         "rms_error": done.best.comparison.rms_error,
-        "doubts": found,
+        "doubts": [f.text for f in found],
     }
 
 
