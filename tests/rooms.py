@@ -2,7 +2,8 @@
 
 `python tests/rooms.py`. The order of the rooms is that of import-linter's contracts in
 pyproject.toml. All imports count between rooms, also imports inside of functions and for types
-only, which the contracts omit. The package's own `__init__` counts, too; it is above all rooms.
+only, which the contracts omit. The package's own `__init__` counts, too; it is above all rooms but
+the command line, which is a client of the public interface.
 Inside a room an import for types only makes no circle, because it loads nothing. The groups of
 files that import each other in this way are counted; the budget in pyproject.toml is the limit.
 """
@@ -42,16 +43,16 @@ def main() -> int:
     return 1 if wrong else 0
 
 
-def floors(package: str) -> dict[str, int]:
+def floors(package: str) -> dict[str, float]:
     """Return the floor of each room, 0 at the bottom."""
     contracts = _settings()["importlinter"]["contracts"]
     (layers,) = (c["layers"] for c in contracts if c.get("containers") == [package])
-    rooms = {
+    rooms: dict[str, float] = {
         room.strip(): floor
         for floor, layer in enumerate(reversed(layers))
         for room in layer.split("|")
     }
-    return rooms | {FACE: len(layers)}
+    return rooms | {FACE: rooms.get("cli", len(layers) + 0.5) - 0.5}
 
 
 def _settings() -> dict[str, Any]:

@@ -17,6 +17,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.rig.calibration_file import raw_path
 from armrig_core.telemetry.telemetry import ALPHA
 
+import armrig
 from armrig.cli.next_step import naming, say_next, say_to_copy
 from armrig.cli.options import Connect, Json, RigId, SamplingTime, chosen, group
 from armrig.cli.printing import fields_of, inform, print_json, print_table, question, tell
@@ -103,7 +104,6 @@ class Player:
         details: Mapping[str, Any],
         make: Callable[[int, float], Any],
     ) -> Recording:
-        from armrig.recordings.files.loading import load
         from armrig.rig.collection import Plan, collect
 
         plan = Plan(
@@ -116,7 +116,7 @@ class Player:
             owner=_OWNER,
             dead_man=_DEAD_MAN_S,
         )
-        return load(collect(plan, rig=self.rig, connect=self.connect, tell=inform).path)
+        return armrig.load(collect(plan, rig=self.rig, connect=self.connect, tell=inform).path)
 
 
 def check_turns(levels: Sequence[float], level_seconds: float) -> None:
@@ -165,20 +165,19 @@ def take_into_use(
     RigError
         The daemon refuses the calibration, or does not answer although `wanted` is True.
     """
-    from armrig.rig.client import Rig
     from armrig.rig.replies import RefusedError, refusal_sentence, reset_command
-    from armrig.rig.session import NoReplyError, RigError
+    from armrig.rig.session import NoReplyError
 
     named, is_used = "", False
     try:
-        with Rig(rig, connect=connect) as opened:
+        with armrig.Rig(rig, connect=connect) as opened:
             named = opened.status().calibration_file
             is_used = _is_wanted(wanted, asks=asks)
             if is_used:
                 opened.calibrate(path)
     except RefusedError as err:
         why = refusal_sentence(err, reset_command(rig, connect))
-        raise RigError(f"{path} is written, but not in use: {why}") from err
+        raise armrig.RigError(f"{path} is written, but not in use: {why}") from err
     except NoReplyError:
         if wanted:
             raise
@@ -445,9 +444,7 @@ def _applied(code: int, rest: Recording) -> float:
 
 
 def _loaded(path: Path | None) -> Recording | None:
-    from armrig.recordings.files.loading import load
-
-    return None if path is None else load(path)
+    return None if path is None else armrig.load(path)
 
 
 def _write(

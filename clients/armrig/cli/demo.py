@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+import armrig
 from armrig.cli.printing import fields_of
 from armrig.excitation import step, telegraph
 
@@ -162,11 +163,10 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
     if sys.platform != "linux":
         return "emulation in real time needs Linux"
     from armrig.cli.demo_rig import record_in_real_time
-    from armrig.rig.session import RigError
 
     try:
         record_in_real_time(plan, RIG, config, console, done)
-    except (RigError, InputError) as err:  # InputError: no folder for the daemon's socket
+    except (armrig.RigError, InputError) as err:  # InputError: no folder for the daemon's socket
         return str(err)
     return ""
 
@@ -179,11 +179,10 @@ def _load_drawing_modules() -> None:
 
 def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[Study, Path]:
     """Return the study of the recordings, and the path of its report with these remarks."""
-    from armrig.recordings.files.loading import load
     from armrig.report.document import report
     from armrig.report.study import study
 
-    done = study([load(path) for path in paths])
+    done = study([armrig.load(path) for path in paths])
     return done, report(done, directory / "report.pdf", remarks=remarks, figures=directory)
 
 

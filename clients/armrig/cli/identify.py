@@ -15,6 +15,8 @@ from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from msgspec import structs
 from msgspec.structs import asdict
 
+import armrig
+from armrig import plots
 from armrig.cli.model_structures import (
     Given,
     estimated,
@@ -94,13 +96,11 @@ def sampling(
     The handout has two rules: a sampling frequency of 20 times the bandwidth, and 7 to 10 samples
     in the transient. The command applies both rules, to a recorded step or to any other input.
     """
-    from armrig.estimation.nonparametric.sampling_time import sampling_time
-
     data = signals.of_one(file)
     integrates, taken = signals.choice(data)
     integrator = signals.integrator if out.json else integrates  # the notes contain the reason
     with spinner("estimating the response"):
-        choice = sampling_time(data, integrator=integrator)
+        choice = armrig.sampling_time(data, integrator=integrator)
         steps = _steps(data, integrator) if choice.from_step else None
     if steps is not None:  # print a warning that both results contain only once
         said = set(choice.notes)
@@ -148,10 +148,8 @@ def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
 
 def _steps(data: Dataset, integrator: bool | None) -> StepAnalysis | None:
     """Return the analysis of the steps; None if the levels are not held long enough."""
-    from armrig.estimation.nonparametric.step_analysis import step_analysis
-
     try:
-        return step_analysis(data, integrator=integrator)
+        return armrig.step_analysis(data, integrator=integrator)
     except ValueError:
         return None
 
@@ -168,12 +166,12 @@ def hints(
     looks at each pair of an input and an output.
     """
     from armrig.validation.data_advice import data_doubts
-    from armrig.validation.structure_hints import call_of_all, structure_hints
+    from armrig.validation.structure_hints import call_of_all
 
     data = signals.of(file)
     with spinner("estimating without a structure"):
         doubts = {name: data_doubts(one) for name, one in each_channel(data)}
-        found = by_channel(partial(structure_hints, integrator=signals.integrator), data)
+        found = by_channel(partial(armrig.structure_hints, integrator=signals.integrator), data)
     require_result(found.values())
     for channel, one in found.items():
         if not isinstance(one, str):  # the hints judge the excitation for their own structure
@@ -424,13 +422,12 @@ class Found:
         """Yield all details of the search, the model and its validation."""
         from armrig.cli import model_output
         from armrig.models import equation
-        from armrig.validation.advice import advice
 
         if self.search is not None:
             yield model_output.search_lines(self.search)
         yield equation.estimation_lines(self.fit)
         said = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
-        yield [*said, repr(advice(self.fit))]
+        yield [*said, repr(armrig.advice(self.fit))]
         if self.validation is not None:
             yield [f"validation on {self.validate}", repr(self.validation.table)]
             yield model_output.residual_lines(self.validation.tests)
@@ -452,8 +449,6 @@ class Found:
 
     def figures(self) -> dict[str, Draw]:
         """Return the diagrams of the model, and the errors of a search."""
-        from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
-        from armrig.validation.comparison import compare
         from armrig.validation.figures import plot_search
 
         fit = self.fit
@@ -461,13 +456,19 @@ class Found:
         if self.search is not None:
             drawn["search"] = partial(plot_search, self.search)
         if (fit.ny, fit.nu) == (1, 1):
-            each = {"bode": plot_bode, "step": plot_step, "poles": plot_poles_zeros}
+            each = {
+                "bode": plots.plot_bode,
+                "step": plots.plot_step,
+                "poles": plots.plot_poles_zeros,
+            }
             return drawn | {name: partial(plot, fit) for name, plot in each.items()}
         shown = self.data if self.validation is None else self.validation.data
-        drawn["compare"] = partial(plot_compare, shown, table=compare(shown, fit))
+        drawn["compare"] = partial(plots.plot_compare, shown, table=armrig.compare(shown, fit))
         for i, j, channel in fit.channels():
             label = f"{fit.inputs[j]} to {fit.outputs[i]}"
-            drawn[f"bode_{label.replace(' ', '_')}"] = partial(plot_bode, channel, labels=[label])
+            drawn[f"bode_{label.replace(' ', '_')}"] = partial(
+                plots.plot_bode, channel, labels=[label]
+            )
         return drawn
 
     def say_next(self) -> None:
@@ -512,12 +513,10 @@ def _searched(
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
-    from armrig.validation.model_search import search
-
     given: Given = {"integrator": integrator} | wanted.fixed
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
     with estimating("--max-order") as progress, pool as executor:
-        return search(
+        return armrig.search(
             data,
             other,
             orders=range(1, wanted.most + 1),
@@ -528,11 +527,8 @@ def _searched(
 
 
 def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
-    from armrig.validation.comparison import compare
-    from armrig.validation.residuals import residuals
-
     with estimating("the orders"):
-        table, tests = compare(other, fit), residuals(fit, other)
+        table, tests = armrig.compare(other, fit), armrig.residuals(fit, other)
     warn_of_estimation_data(table)
     return _Validation(data=other, table=table, tests=tests)
 
@@ -625,11 +621,10 @@ def validate_each(
 
     The table contains the results of the simulation and of the tests of the residuals.
     """
-    from armrig.models.model_file import load_fit
     from armrig.models.model_writing import model_text
     from armrig.report.batch.tasks import Validate
 
-    fit = load_fit(model)
+    fit = armrig.load_fit(model)
     if (fit.ny, fit.nu) != (1, 1):
         raise FileError(
             f"{model} is a model of several signals; here give a model of one output and one "

@@ -14,6 +14,8 @@ import typer
 from armrig_core.errors import InputError
 from armrig_core.telemetry.telemetry import ALPHA, THETA_1, ChannelName
 
+import armrig
+from armrig import plots
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
 from armrig.cli.options import argument, chosen, option
 from armrig.cli.printing import echo, fields_of, say, say_answer, say_more, tell
@@ -166,7 +168,6 @@ def greybox(
 
     To record the data for J_1, remove the rotating part and run `armrig collect greybox`.
     """
-    from armrig.physics.grey_box.estimate import greybox as estimate
     from armrig.recordings.usability import emulation
 
     fixed = parameters(given)
@@ -177,7 +178,7 @@ def greybox(
     data = recording.dataset(shown)
     signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
     with spinner("estimating"):
-        fit = estimate(signals, rig, tuple(free or ("J_1",)), fixed, shown, friction=friction)
+        fit = armrig.greybox(signals, rig, tuple(free or ("J_1",)), fixed, shown, friction=friction)
     fit.require_result()
 
     def say_fit() -> None:
@@ -237,19 +238,16 @@ def split(
     The command shows whether the estimates from halves and quarters agree within their standard
     deviations.
     """
-    from armrig.physics.grey_box.estimate import greybox
-    from armrig.physics.grey_box.split_study import split_study
-
     cuts, fixed = _cuts(parts), parameters(given)
     [recording] = part.recordings(file)
     data = recording.dataset(signal)
     _, rig = _rig(recording, model)
 
     def estimate(part: Dataset) -> Any:
-        return greybox(part, rig, tuple(free or ("J_1",)), fixed, signal)
+        return armrig.greybox(part, rig, tuple(free or ("J_1",)), fixed, signal)
 
     with spinner("estimating") as progress:
-        study = split_study(data, cuts, estimate, progress=progress)
+        study = armrig.split_study(data, cuts, estimate, progress=progress)
 
     def say_study() -> None:
         say_answer(study.explain() if out.verbose else study.verdict)
@@ -301,18 +299,15 @@ def simulate(
         _simulate_step(cases(given), out)
         return
     from armrig.cli import model_output
-    from armrig.models.model_file import load_fit
-    from armrig.physics.systems import physical_model
-    from armrig.validation.comparison import compare, plot_compare
 
     data = part.recordings(file)[0].dataset()
-    saved = map(load_fit, model or ())
+    saved = map(armrig.load_fit, model or ())
     fits: list[Fit] = [fit if (fit.ny, fit.nu) == (1, 1) else fit[data.output] for fit in saved]
-    fits += [physical_model(p, data) for p in physics.values()]
+    fits += [armrig.physical_model(p, data) for p in physics.values()]
     labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):
-        table = compare(data, *fits, labels=labels)
-    draw = partial(plot_compare, data, *fits, labels=labels, table=table)
+        table = armrig.compare(data, *fits, labels=labels)
+    draw = partial(plots.plot_compare, data, *fits, labels=labels, table=table)
     where = f"on {typed(file)}" + (f"; {table.note}" if out.verbose else "")
     out.show(
         facts=lambda: {
@@ -328,9 +323,8 @@ def simulate(
 def _simulate_step(compared: dict[str, ArmParameters], out: Output) -> None:
     """Show the response of the last of some physical models to a step of 1 V."""
     from armrig.physics.figures import plot_physical_step
-    from armrig.physics.step_response import characteristics
 
-    found = characteristics([*compared.values()][-1])
+    found = armrig.characteristics([*compared.values()][-1])
 
     def say_step() -> None:
         say_answer(found.explain() if out.verbose else found.brief())
@@ -350,7 +344,6 @@ def _rig(recording: Recording, model: Rig | None) -> tuple[Rig, Any]:
 
     Another --model is refused.
     """
-    from armrig.physics.systems import arm, chassis
     from armrig.recordings.findings import alpha_moves
 
     moves = alpha_moves(recording)
@@ -361,7 +354,7 @@ def _rig(recording: Recording, model: Rig | None) -> tuple[Rig, Any]:
             f"{recording.path}: --model {model}, but {what}; leave --model out, or record the "
             f"{model} (`armrig collect greybox` is for the chassis alone)"
         )
-    return seen, arm if moves else chassis
+    return seen, armrig.arm if moves else armrig.chassis
 
 
 def _cuts(text: str) -> tuple[int, ...]:
@@ -439,11 +432,11 @@ class _Answer:
 def _answer(p: ArmParameters) -> _Answer:
     import numpy as np
 
-    from armrig.physics.step_response import characteristics, step_response
+    from armrig.physics.step_response import step_response
 
     speed = step_response(p, np.linspace(0.0, _SECONDS, _STEPS + 1))
     slope = float(step_response(p, [0.0, _SLOPE_S])[-1]) / _SLOPE_S
-    return _Answer(predicted=characteristics(p), slope=slope, speed=float(speed[-1]))
+    return _Answer(predicted=armrig.characteristics(p), slope=slope, speed=float(speed[-1]))
 
 
 def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
@@ -539,10 +532,8 @@ def integrate(
     """
     from armrig_core.rig.arm import ArmParameters, arm_matrices
 
-    from armrig.physics.integrators.accuracy import sinusoid
-
     A, B, _ = arm_matrices(ArmParameters())
-    problem = sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
+    problem = armrig.sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
     rows, advice = _solved(problem, method or (), h or (), tolerance)
 
     def say_after() -> None:
@@ -577,10 +568,9 @@ def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
 ) -> tuple[list[_Row], Recommendation | None]:
     """Return the solutions of the methods, by default all, and the recommended steps if any."""
-    from armrig.physics.integrators.accuracy import all_methods, recommend_step
-    from armrig.physics.integrators.stability import stability_limit
+    from armrig.physics.integrators.accuracy import all_methods
 
-    limits = {m: stability_limit(problem.A, m) for m in all_methods(tuple(methods) or None)}
+    limits = {m: armrig.stability_limit(problem.A, m) for m in all_methods(tuple(methods) or None)}
     for h in steps:
         _check_step(h, problem)
     advice = None
@@ -589,7 +579,7 @@ def _solved(
             steps_of = {m: list(steps) for m in limits}
         else:
             given = fields_of(problem, "omega amplitude span")
-            advice = recommend_step(
+            advice = armrig.recommend_step(
                 problem.A, problem.B, tolerance=tolerance, methods=tuple(limits), **given
             )
             steps_of = {row.method: [row.h] for row in advice.rows}

@@ -14,6 +14,7 @@ from armrig_core.errors import InputError
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.telemetry.telemetry import THETA_1, OutputName
 
+import armrig
 from armrig.cli.options import CalibrationFile, Detrend, From, Group, To, argument, chosen, group
 from armrig.cli.printing import inform, say, tell, warned
 from armrig.cli.results import name_runs
@@ -226,9 +227,7 @@ def as_modelled(
     If the user names other columns, these columns are used as the model's signals. A message lists
     the columns.
     """
-    from armrig.data.dataset import Dataset
-
-    if isinstance(data, Dataset):
+    if isinstance(data, armrig.Dataset):
         # A column that the user named is the model's output.
         given = named and model.output not in UNNAMED
         return data.replaced(step=None, output=model.output) if given else data
@@ -298,11 +297,10 @@ def loaded(
     one_plant: bool = True,
 ) -> list[Recording]:
     """Return the recordings; print their damage, and reasons not to use them together."""
-    from armrig.recordings.files.loading import load
     from armrig.recordings.usability import all_doubts, early_ends
 
     with spinner("reading"):
-        recordings = [load(file, calibration, start=start, stop=stop) for file in files]
+        recordings = [armrig.load(file, calibration, start=start, stop=stop) for file in files]
     name_runs(*recordings)
     # `warned` reports a file that is cut off. The end of a requested range is not an early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
@@ -413,17 +411,14 @@ class SignalChoice(DataOptions):
         return self.of(file).signals().dataset()
 
     def _treated(self, file: Path, data: Dataset | Signals, model: Fit | None) -> Dataset | Signals:
-        from armrig.data.treatment import detrend, hampel
-
         if _without_means(model) and not self.detrend:
             tell("the model was estimated from data minus their means: validate it with --detrend")
         if self.hampel:
-            data = hampel(data)
+            data = armrig.hampel(data)
             inform(f"{file}: {data.history[-1]}", dim=True)
-        return detrend(data) if self.detrend else data
+        return armrig.detrend(data) if self.detrend else data
 
     def _table(self, file: Path, model: Fit | None) -> Dataset | Signals:
-        from armrig.data.dataset import Dataset
         from armrig.data.treatment import INTEGRATING_OUTPUTS
         from armrig.estimation.data_faults import swapped
 
@@ -434,7 +429,7 @@ class SignalChoice(DataOptions):
         inputs, outputs = inputs or ("u",), tuple(name or "y" for name in outputs) or ("y",)
         data = self._read(file, inputs, outputs)
         columns = data.signals()
-        if isinstance(data, Dataset):
+        if isinstance(data, armrig.Dataset):
             read = [f"the input is column {inputs[0]}", f"the signal is column {outputs[0]}"]
             missing = "samples without {}"
         else:
@@ -450,7 +445,7 @@ class SignalChoice(DataOptions):
                     f"{name} is assumed to be the rig's angle, which integrates its input; if it "
                     "is another signal, rename the column"
                 )
-        if isinstance(data, Dataset):
+        if isinstance(data, armrig.Dataset):
             for finding in swapped(data):
                 tell(f"{file}: {finding.text} (--input, --signal)")
         if not (self.detrend or self.offset or _without_means(model) or _with_level(model)):
@@ -466,8 +461,6 @@ class SignalChoice(DataOptions):
         self, file: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]
     ) -> Dataset | Signals:
         """Return the columns of a file that is not a recording."""
-        from armrig.data.files.loading import load_data, load_signals
-
         if self.calibration is not None:
             raise typer.BadParameter(
                 f"--calibration applies to recordings; {file} has no readings of the rig's sensors"
@@ -475,8 +468,8 @@ class SignalChoice(DataOptions):
         how = {name: getattr(self, name) for name in READING}
         with spinner("reading"):
             if len(inputs) == len(outputs) == 1:
-                return load_data(file, input=inputs[0], signal=outputs[0], **how)
-            return load_signals(file, inputs=inputs, outputs=outputs, **how)
+                return armrig.load_data(file, input=inputs[0], signal=outputs[0], **how)
+            return armrig.load_signals(file, inputs=inputs, outputs=outputs, **how)
 
     def _is_other(self, file: Path) -> bool:
         """Return True if --topic or the content shows that the file is not a recording."""

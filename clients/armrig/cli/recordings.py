@@ -16,6 +16,7 @@ from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
 from armrig_core.telemetry.telemetry import THETA_1, ChannelName
 
+import armrig
 from armrig.cli.next_step import AFTER, kind_of, say_next, typed
 from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen, option
 from armrig.cli.printing import echo, fields_of, inform, print_json, print_table, some, tell, warned
@@ -87,7 +88,7 @@ def ls(
     if live:
         _list_rigs(connect, json=json)
         return
-    from armrig.recordings.files.catalogue import catalogue, facts_of
+    from armrig.recordings.files.catalogue import facts_of
     from armrig.recordings.files.recording_names import (
         answering_among,
         recording_folder,
@@ -97,7 +98,7 @@ def ls(
 
     folder = where or recording_folder()
     try:
-        found = catalogue(folder)
+        found = armrig.catalogue(folder)
     except (FileNotFoundError, NotADirectoryError):
         if where is not None:
             raise
@@ -227,9 +228,7 @@ TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
-    from armrig.recordings.files.loading import load
-
-    recording = load(file, part.calibration, start=part.start, stop=part.stop)
+    recording = armrig.load(file, part.calibration, start=part.start, stop=part.stop)
     name_runs(recording)
 
     def say_next_command() -> None:
@@ -246,8 +245,8 @@ def info(file: File, part: Part, out: Shown) -> None:
 
 
 def _recording_facts(rec: Recording) -> dict[str, Any]:
-    from armrig.recordings.jitter import disturbances, sampling_statistics
-    from armrig.recordings.usability import data_verdict, doubts_of_calibration
+    from armrig.recordings.jitter import disturbances
+    from armrig.recordings.usability import doubts_of_calibration
 
     return {
         **fields_of(rec, "sha256 manifest"),
@@ -257,23 +256,23 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
         "missing": rec.missing,
         "invalid": rec.hidden,
         **fields_of(rec, "truncated damage"),
-        "sampling": sampling_statistics(rec),
+        "sampling": armrig.sampling_statistics(rec),
         "causes": disturbances(rec),
         "calibration": rec.calibration,
         "remarks": [f.text for f in doubts_of_calibration(rec.calibration, rec.manifest)],
-        "verdict": data_verdict(rec).facts(),
+        "verdict": armrig.data_verdict(rec).facts(),
         **fields_of(rec, "gaps events notes"),
     }
 
 
 def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
     from armrig.recordings.daemon_reports import gap_lines
-    from armrig.recordings.jitter import disturbances, sampling_statistics
-    from armrig.recordings.usability import calibration_date, data_verdict, doubts_of_calibration
+    from armrig.recordings.jitter import disturbances
+    from armrig.recordings.usability import calibration_date, doubts_of_calibration
 
-    manifest, timing = rec.manifest, sampling_statistics(rec)
+    manifest, timing = rec.manifest, armrig.sampling_statistics(rec)
     details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
-    verdict = data_verdict(rec)
+    verdict = armrig.data_verdict(rec)
     yield "verdict", verdict.summary
     yield "recording", str(rec.path)
     if verbose:
@@ -505,7 +504,6 @@ def export(
     """
     from armrig.cli.results import check_output
     from armrig.recordings.files.export import write_csv, write_mat, write_parquet, write_transforms
-    from armrig.recordings.files.loading import load
 
     asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
     kind = _format(out, asked)
@@ -517,7 +515,7 @@ def export(
     }
     check_output(out, [file])
     with spinner("reading"):
-        recording = load(file, calibration, start=start, stop=stop)
+        recording = armrig.load(file, calibration, start=start, stop=stop)
     warned(recording)
     with spinner("writing"), _whole(out):
         writers[kind](recording, out)

@@ -16,6 +16,7 @@ from armrig_core.process.loading import end_at_ctrl_c
 from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import until_signal
 
+import armrig
 from armrig.cli.options import Connect, Json, RigId, argument, chosen, option
 from armrig.cli.printing import echo, folded, inform, print_json, print_table, say, takes_styles
 
@@ -66,14 +67,12 @@ def watch(
     """
     from itertools import islice
 
-    from armrig.rig.telemetry_stream import LiveGap
-
     with _opened(rig, connect) as opened:
         samples = islice(opened.stream("sample"), count)
         with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
             if json:
                 for sample in samples:
-                    print_json(sample if isinstance(sample, LiveGap) else sample._asdict())
+                    print_json(sample if isinstance(sample, armrig.LiveGap) else sample._asdict())
             elif sys.stdout.isatty():
                 _watch(samples)
             else:
@@ -112,10 +111,8 @@ def stop(
 
 def _motor_after_stop(rig: Rig) -> str:
     """Return the state of the motor, once a status reports that the input has ended."""
-    from armrig.rig.session import RigError
-
     status, end_s = None, time.monotonic() + _STOP_REPORT_S
-    with suppress(RigError):  # the stop is confirmed: a missing status is no failed stop
+    with suppress(armrig.RigError):  # the stop is confirmed: a missing status is no failed stop
         status = rig.status()
         while status.phase in _DRIVEN and time.monotonic() < end_s:
             time.sleep(_STATUS_INTERVAL_S)
@@ -196,10 +193,9 @@ def _say_next(after: str, rig: str, connect: str | None) -> None:
 @contextmanager
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
     """Yield the rig; if the daemon refuses a request, the error names the command to type next."""
-    from armrig.rig.client import Rig
     from armrig.rig.replies import RefusedError, refusal_sentence, reset_command
 
-    with Rig(rig, connect=connect) as opened:
+    with armrig.Rig(rig, connect=connect) as opened:
         try:
             yield opened
         except RefusedError as err:
@@ -228,9 +224,7 @@ def _watch_in_lines(samples: Any) -> None:
 def _sample_line(sample: Any) -> str:
     from math import degrees
 
-    from armrig.rig.telemetry_stream import LiveGap
-
-    if isinstance(sample, LiveGap):
+    if isinstance(sample, armrig.LiveGap):
         return f"{sample.k_first:>10} {sample.count} missing: {sample.reason}"
     late = (sample.t_host_ns - sample.t_sched_ns) / 1e3
     return (
@@ -281,7 +275,6 @@ def lab(
         inform(f"starting {what} …", dim=True)
     import platformdirs
 
-    from armrig.rig.client import Rig
     from armrig.rig.local_daemon import running
 
     log = Path(platformdirs.user_state_dir("armrig")) / f"lab-{rig}.log"
@@ -290,7 +283,7 @@ def lab(
     arguments += [] if config is None else ["--config", str(config)]
     with (
         running(arguments, rig=rig, log=log) as daemon,
-        Rig(rig) as opened,
+        armrig.Rig(rig) as opened,
         _page(rig) if page and not json else nullcontext("") as url,
     ):
         try:

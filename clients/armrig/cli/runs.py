@@ -19,6 +19,7 @@ from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 
+import armrig
 from armrig.cli.next_step import naming, opener, own_recordings, say_next, step_again, typed
 from armrig.cli.options import (
     Commands,
@@ -265,15 +266,13 @@ def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> lis
 
 
 def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | None) -> Played:
-    from armrig.excitation import from_csv
-
     if seconds is not None:
         raise InputError(f"--seconds {seconds:g}: a file has its own length; leave out --seconds")
     file.stat()  # a missing file is refused here
     if Ts is not None:
-        from_csv(file, Ts)
+        armrig.from_csv(file, Ts)
     details = {"input": "csv", "file": file.name}
-    return Played(experiment, lambda _, Ts: from_csv(file, Ts), details, None)
+    return Played(experiment, lambda _, Ts: armrig.from_csv(file, Ts), details, None)
 
 
 def _experiment_name(experiment: str, name: str) -> str:
@@ -356,12 +355,10 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    from armrig.recordings.files.loading import load
-
     again = ""
     if kind == "step":
         with suppress(FileError, OSError):  # the verdict is printed already: this is only a hint
-            again = step_again(load(first))
+            again = step_again(armrig.load(first))
     if again:
         say_next("step hidden", again=f"{rig}{again}")
     else:

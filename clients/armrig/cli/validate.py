@@ -13,6 +13,8 @@ from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
 from armrig_core.telemetry.telemetry import OutputName
 
+import armrig
+from armrig import plots
 from armrig.cli.next_step import (
     REASONS,
     after_validate,
@@ -98,20 +100,17 @@ def validate(
         residual_lines,
     )
     from armrig.models.equation import input_and_output
-    from armrig.models.model_file import load_fit
     from armrig.plots.captions import signature
     from armrig.validation.answer import simulation, tests_sentence
-    from armrig.validation.comparison import compare as compared
     from armrig.validation.figures import COLUMN_WIDTH, ROW_HEIGHT, plot_residual_test
     from armrig.validation.linearity import in_open_loop
-    from armrig.validation.residuals import residuals
 
-    fit = load_fit(model)
+    fit = armrig.load_fit(model)
     data = signals.of(file, fit)
     with estimating("the orders"):
-        simulated = compared(data, fit)
-        predicted = [compared(data, fit, horizon=h) for h in horizon or _HORIZONS]
-        tests = residuals(fit, data, lags)
+        simulated = armrig.compare(data, fit)
+        predicted = [armrig.compare(data, fit, horizon=h) for h in horizon or _HORIZONS]
+        tests = armrig.residuals(fit, data, lags)
     warn_of_estimation_data(simulated)
 
     def facts() -> dict[str, Any]:
@@ -142,10 +141,8 @@ def validate(
             say(why)
 
     def figures() -> dict[str, Draw]:
-        from armrig.plots import plot_compare
-
         return {
-            "compare": partial(plot_compare, data, fit, table=simulated),
+            "compare": partial(plots.plot_compare, data, fit, table=simulated),
             "residuals": partial(plot_residual_test, tests),
             **_responses(data, [fit], [fit.label]),
         }
@@ -193,14 +190,12 @@ def _responses(
 
     For models of several signals, the result is empty.
     """
-    from armrig.plots import plot_bode, plot_poles_zeros
-
     if any((fit.ny, fit.nu) != (1, 1) for fit in fits):
         return {}
     beside = spectral_beside(data.signals().dataset())
     labels = [*names, *("spectral analysis, 95 %" for _ in beside)]
-    bode = partial(plot_bode, *fits, *beside, labels=labels)
-    return {"bode": bode, **more, "poles": partial(plot_poles_zeros, *fits, labels=names)}
+    bode = partial(plots.plot_bode, *fits, *beside, labels=labels)
+    return {"bode": bode, **more, "poles": partial(plots.plot_poles_zeros, *fits, labels=names)}
 
 
 def compare(
@@ -229,10 +224,7 @@ def compare(
     --model on F. --set adds a physical model with the given parameters.
     """
     from armrig.cli import model_output
-    from armrig.models.model_file import load_fit
-    from armrig.physics.systems import physical_model
     from armrig.recordings.usability import emulation
-    from armrig.validation.comparison import compare as comparison_of
 
     changed = physics_beside(given) if given else {}
     if other is None and not model:
@@ -241,7 +233,7 @@ def compare(
             "(from `armrig identify --save FILE`)"
         )
     files = [file] if other is None else [file, other]
-    saved = [(path.stem, load_fit(path)) for path in model or []]
+    saved = [(path.stem, armrig.load_fit(path)) for path in model or []]
     _check_signals(saved, alone=other is None and not given)
     if other is None:
         models, data, where = saved, part.recorded(file, saved[0][1]), typed(file)
@@ -254,9 +246,12 @@ def compare(
         changed.pop(HANDOUT, None)  # the handout's model is in the comparison already
     if changed:
         of_one = data.signals().dataset()
-        models = [*models, *((name, physical_model(p, of_one)) for name, p in changed.items())]
+        models = [
+            *models,
+            *((name, armrig.physical_model(p, of_one)) for name, p in changed.items()),
+        ]
     names, fits = [name for name, _ in models], [fit for _, fit in models]
-    table = comparison_of(data, *fits, horizon=horizon, labels=names)
+    table = armrig.compare(data, *fits, horizon=horizon, labels=names)
     warn_of_estimation_data(table)
 
     def say_comparison() -> None:
@@ -265,10 +260,8 @@ def compare(
             say(text, dim=True)
 
     def figures() -> dict[str, Draw]:
-        from armrig.plots import plot_compare, plot_step
-
-        drawn = {"compare": partial(plot_compare, data, *fits, labels=names, table=table)}
-        step = partial(plot_step, *fits, labels=names)
+        drawn = {"compare": partial(plots.plot_compare, data, *fits, labels=names, table=table)}
+        step = partial(plots.plot_step, *fits, labels=names)
         return drawn | _responses(data, fits, names, step=step)
 
     def say_after() -> None:
@@ -350,10 +343,8 @@ def check(
 
     With several signals, each pair of an input and an output is tested.
     """
-    from armrig.validation.feedback_and_delay.delay import delay
-    from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
+    from armrig.validation.feedback_and_delay.open_loop import require_level
     from armrig.validation.linearity import CHANCE_LEVEL
-    from armrig.validation.linearity import linearity as linear
 
     require_level(level)
     data = signals.of(file)
@@ -362,12 +353,12 @@ def check(
         integrates, taken = signals.choice(data)
         integrator = integrator if out.json else integrates  # the remarks then contain the reason
     with spinner("testing") as progress:
-        loops = by_channel(partial(open_loop, level=level), data)
-        delays = by_channel(partial(delay, integrator=integrator, progress=progress), data)
+        loops = by_channel(partial(armrig.open_loop, level=level), data)
+        delays = by_channel(partial(armrig.delay, integrator=integrator, progress=progress), data)
     require_result([*loops.values(), *delays.values()])
     linears = {
         name: "u depends on y" if getattr(one, "closed", False) else one
-        for name, one in by_channel(partial(linear, level=CHANCE_LEVEL), data).items()
+        for name, one in by_channel(partial(armrig.linearity, level=CHANCE_LEVEL), data).items()
     }
     tests = {name: (loop, delays[name], linears[name]) for name, loop in loops.items()}
 
@@ -429,10 +420,8 @@ def linearity(
     out: Shown,
 ) -> None:
     """Test whether the rig is linear; name a nonlinearity."""
-    from armrig.validation.linearity import linearity as test
-
     data = signals.of(file)
-    found = by_channel(partial(test, level=level), data)
+    found = by_channel(partial(armrig.linearity, level=level), data)
     require_result([*found.values()])
 
     def facts() -> dict[str, Any]:

@@ -48,7 +48,7 @@ def test_saved_models_and_the_physics_are_compared_at_the_horizon_on_the_part(
         asked.append((data, fits, horizon, labels))
         raise _NoWorkError
 
-    monkeypatch.setattr("armrig.validation.comparison.compare", compared)
+    monkeypatch.setattr("armrig.compare", compared)
     models = [x for name in ("good", "poor") for x in ("--model", str(here / f"{name}.json"))]
     given = [command, str(here / "f.mcap"), *models, "--from", "0.5", "--to", "2.75"]
     given += ["--horizon", str(horizon)] if horizon else []

@@ -32,7 +32,7 @@ def test_an_error_of_numpy_is_an_internal_error(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("armrig.recordings.files.catalogue.catalogue", _faulty)
+    monkeypatch.setattr("armrig.catalogue", _faulty)
 
     code = main([*options, "ls", str(tmp_path)])
 

@@ -189,11 +189,11 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
     found = _Hints(**HINTS, integrator=integrator, singular_values=np.array([1.0, 0.5]))
     doubts = [SimpleNamespace(about=doubtful, text="a doubt")] if doubtful else []
     fakes: dict[str, Any] = {
-        "structure_hints.structure_hints": lambda _, integrator: found,
-        "data_advice.data_doubts": lambda _: doubts,
+        "structure_hints": lambda _, integrator: found,
+        "validation.data_advice.data_doubts": lambda _: doubts,
     }
     for name, fake in fakes.items():
-        monkeypatch.setattr(f"armrig.validation.{name}", fake)
+        monkeypatch.setattr(f"armrig.{name}", fake)
     path = written(tmp_path, of_the_arm(armrig.telegraph(200, 0.1, seed=1)))
     typed = ["hints", str(path), *given.split()]
 
@@ -366,7 +366,7 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
     def failing(_: Path) -> None:
         raise error
 
-    monkeypatch.setattr("armrig.recordings.files.catalogue.catalogue", failing)
+    monkeypatch.setattr("armrig.catalogue", failing)
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", os.devnull)
 
     assert main(["ls", "--count", "1", "elsewhere"]) == 1

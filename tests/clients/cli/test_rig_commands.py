@@ -71,7 +71,7 @@ class _Rig:
 def rig(monkeypatch: pytest.MonkeyPatch) -> type[_Rig]:
     """Give the rig that commands open."""
     made = type("Opened", (_Rig,), {"asked": [], "report": {}})
-    monkeypatch.setattr("armrig.rig.client.Rig", made)
+    monkeypatch.setattr("armrig.Rig", made)
     monkeypatch.setattr("armrig.cli.next_step._goes_on", lambda line: line)
     return made
 
