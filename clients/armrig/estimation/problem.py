@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from armrig.estimation.projected_errors import Projection, projection
 from armrig.models.innovations import (
     Errors,
     Experiment,
@@ -148,12 +149,18 @@ class PolynomialProblem:
     """Whitening matrices of each experiment, (N, ny, ny), from `whitening`; empty for one row."""
     layout: Layout = field(init=False)
     """Places of the coefficients."""
+    projects: bool = field(init=False)
+    """True if `projection` applies: one experiment of one input and one output, without A, gaps,
+    an integrator and an offset."""
 
     def __post_init__(self) -> None:
         """Find the places of the coefficients."""
         gaps = any(x.gaps for of in self.experiments for x in of)
         layout = _layout(self.rows, gaps and any(n.na for n in self.rows))
+        n, x = self.rows[0], self.experiments[0][0]
+        single = len(self.rows) == len(self.experiments) == len(n.nb) == 1
         object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
+        object.__setattr__(self, "projects", single and x.whole and n.na == n.trend == 0)
 
     @property
     def N(self) -> int:
@@ -232,7 +239,12 @@ class PolynomialProblem:
         return self._solved(theta, self._equations(theta), ab=ab)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
-        """Return e and J at theta, scaled so that |e|² is the cost."""
+        """Return e and J at theta, scaled so that |e|² is the cost.
+
+        Both may be multiplied by the same orthogonal matrix.
+        """
+        if (one := self._projection(theta)) is not None:
+            return one.linearised()
         equations = self._equations(theta)
         found = self._solved(theta, equations, scaled=True)
         if equations.scale == 1.0:
@@ -241,10 +253,18 @@ class PolynomialProblem:
 
     def cost(self, theta: Array) -> float:
         """Return the sum of squared errors at theta, scaled as the class describes."""
+        if (one := self._projection(theta)) is not None:
+            return one.cost
         equations = self._equations(theta)
         basis, _, y = equations.projected()
         e = basis.without(y)
         return float(e @ e) * equations.scale**2
+
+    def _projection(self, theta: Array) -> Projection | None:
+        if not self.projects:
+            return None
+        C, D, F = self.polynomials(theta)
+        return projection(self.experiments[0][0], self.rows[0], C=C, D=D, F=F)
 
     def _equations(self, theta: Array) -> _Equations:
         known = [self._of_row(theta, i) for i in range(len(self.rows))]

@@ -26,7 +26,7 @@ import numpy as np
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.noise_filter import NoiseFilter, noise_filter
-from armrig.numerics.polynomial import Array, filtered, lagged
+from armrig.numerics.polynomial import Array, filtered, lagged, shift_into
 from armrig.numerics.stretches import Mask, stretches
 
 _SETTLED_SHARE = 1e-18  # share of the largest value below which an impulse response is 0
@@ -389,23 +389,17 @@ def errors(
         y = np.where(x.known, x.y, given.noise.predictions(x.y, z))
         return Errors(e=e, Psi=Psi, driven=driven, state=state, by_scale=by_scale, y=y)
     if by_a.size:
-        _shift_into(by_a, -_noise(D, C, x.y))
+        shift_into(by_a, -_noise(D, C, x.y))
     if n.nc:
-        _shift_into(by_c, filtered([1.0], C, e))
+        shift_into(by_c, filtered([1.0], C, e))
     if n.nd:
         v = driven - (filtered(A, [1.0], x.y) if n.na else x.y)
-        _shift_into(by_d, filtered([1.0], C, v))
+        shift_into(by_d, filtered([1.0], C, v))
     for columns, (w, p) in zip(by_f, responses, strict=True):
         if columns.size:
-            _shift_into(columns, -filtered(D, np.convolve(C, p), w))
+            shift_into(columns, -filtered(D, np.convolve(C, p), w))
     Psi = masked(Psi, x)
     return Errors(e=e, Psi=Psi, driven=driven, state=state, by_scale=by_scale, y=x.y)
-
-
-def _shift_into(columns: Array, x: Array) -> None:
-    """Write q^-1 x, q^-2 x … into the columns."""
-    for k in range(columns.shape[1]):
-        columns[k + 1 :, k] = x[: max(x.size - k - 1, 0)]
 
 
 def _noise(D: Array, C: Array, x: Array) -> Array:

@@ -67,6 +67,12 @@ def lagged(x: Array, lags: Sequence[int]) -> Array:
     return columns
 
 
+def shift_into(columns: Array, x: Array) -> None:
+    """Write q^-1 x, q^-2 x … into the columns."""
+    for k in range(columns.shape[1]):
+        columns[k + 1 :, k] = x[: max(x.size - k - 1, 0)]
+
+
 def evaluate(p: ArrayLike, q_inverse: Array) -> Array:
     """Return the values of the polynomial at q^-1 = q_inverse, for example exp(-i omega Ts)."""
     return np.asarray(np.polyval(np.atleast_1d(p)[::-1], q_inverse))

@@ -107,6 +107,36 @@ def test_the_reduced_gradient_equals_that_of_the_cost(
         assert -2 * (J.T @ e)[k] == pytest.approx(slope, rel=1e-5, abs=1e-7 * float(e @ e))
 
 
+@pytest.mark.parametrize("rich", [True, False])
+@pytest.mark.parametrize(
+    "n",
+    [
+        ONE_INPUT[0],
+        Structure(nb=(3,), nc=1, nd=2, nf=(2,), nk=(0,)),
+        Structure(nb=(2,), nc=2, nf=(1,), nk=(2,), at_rest=True),
+        Structure(nb=(2,), nc=1, nd=1, nf=(0,), nk=(1,)),
+    ],
+)
+def test_the_projected_errors_have_the_cost_and_the_gradient_of_the_solution(
+    n: Structure, rich: bool
+) -> None:
+    """A constant u determines one b only; a search then uses the solution itself."""
+    p = problem(n, parts=1)
+    if not rich:
+        y = p.experiments[0][0].y
+        p = PolynomialProblem(rows=(n,), experiments=((prepared(np.ones((N, 1)), y, n),),))
+    at = start(p)
+
+    e, J = p.linearise(at)
+
+    s = p.solve(at)
+    assert p.projects
+    assert (e.size < N) == (s.rank == p.linear_size)
+    np.testing.assert_allclose([e @ e, p.cost(at)], s.e @ s.e, rtol=1e-12)
+    np.testing.assert_allclose(J.T @ J, s.J.T @ s.J, rtol=1e-9, atol=1e-11 * N)
+    np.testing.assert_allclose(J.T @ e, s.J.T @ s.e, rtol=1e-9, atol=1e-11 * N)
+
+
 def test_a_is_searched_only_after_gaps_in_a_noise_model() -> None:
     """Without a gap the errors are linear in A; two outputs with one A have one copy of it."""
     row = Structure(na=2, nb=(1,), nc=1, nf=(0,), nk=(1,))

@@ -1,0 +1,129 @@
+"""Errors and Jacobian of one output and one input without gaps, in few operations.
+
+A search evaluates them a thousand times on short data, on which layers of values would take most
+of the time. The equations are those of `models.innovations`. The linear parameters are the pulses
+z and x, and B. A QR decomposition of their columns W and of the signal D/C y projects them out::
+
+    [W, D/C y] = Q [R, r; 0, rho],   J = rows d+1 … N of Q^T Psi,   e = (rho, 0 … 0)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg.lapack import dgeqrf, dormqr
+
+from armrig.models.innovations import Experiment, response
+from armrig.models.structure import Structure
+from armrig.numerics.polynomial import Array, filtered, shift_into
+
+_MIN_COLUMN_REST = 1e-8  # least share of a column that the columns before it do not explain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Projection:
+    """Decomposition of the linear equation of the errors for given C, D and F."""
+
+    x: Experiment
+    n: Structure
+    C: Array
+    D: Array
+    F: Array
+    W: Array
+    """Effects of z, of x and of B, and the signal D/C y, (N, d + 1)."""
+    by_input: Array
+    """Signal u/(C F), (N,)."""
+    by_pulse: Array
+    """Impulse response of 1/(C F)."""
+    by_output: Array
+    """Signal y/C, (N,)."""
+    reflectors: Array
+    """Factor of `W` as LAPACK packs it, (N, d + 1)."""
+    tau: Array
+    """Scales of the reflectors, (d + 1,)."""
+    R: Array
+    """Triangular factor (d + 1, d + 1)."""
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared errors."""
+        return float(self.R[-1, -1]) ** 2
+
+    def linearised(self) -> tuple[Array, Array]:
+        """Return e (N - d,) and J (N - d, n), both multiplied by Q^T."""
+        n, d, N = self.n, self.R.shape[0] - 1, self.x.y.size
+        solution = np.linalg.solve(self.R[:d, :d], self.R[:d, d])
+        first = d - n.nb[0]
+        state = solution[first - n.counts[0] : first]
+        # The response B/F u from the estimated state, filtered by 1/C.
+        driven = np.convolve(np.append(np.zeros(n.nk[0]), solution[first:]), self.by_input)[:N]
+        if state.size:
+            free = np.convolve(state, self.by_pulse)[:N]
+            driven[: free.size] += free
+        Psi = np.zeros((N, n.nc + n.nd + n.nf[0]), order="F")
+        if n.nc:
+            e = self.W[:, d] - self.W[:, :d] @ solution
+            shift_into(Psi[:, : n.nc], filtered([1.0], self.C, e))
+        if n.nd:
+            shift_into(Psi[:, n.nc : n.nc + n.nd], driven - self.by_output)
+            driven = np.convolve(self.D, driven)[:N]
+        if n.nf[0]:
+            shift_into(Psi[:, n.nc + n.nd :], filtered([-1.0], self.F, driven))
+        Psi, *_ = dormqr("L", "T", self.reflectors, self.tau, Psi, 64 * Psi.shape[1], overwrite_c=1)
+        e = np.zeros(N - d)
+        e[0] = self.R[d, d]
+        return e, Psi[d:]
+
+
+def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> Projection | None:
+    """Return the decomposition, or None if the linear parameters are nearly dependent."""
+    N, CF = x.y.size, np.convolve(C, F)
+    pulses, count, nb = n.forgotten(0) if n.nc else 0, n.counts[0], n.nb[0]
+    d = pulses + count + nb
+    if d >= N:
+        return None
+    by_input, by_pulse = filtered([1.0], CF, x.u[:, 0]), response([1.0], CF, N)
+    by_output = filtered([1.0], C, x.y) if n.nc else x.y
+    W = np.zeros((N, d + 1), order="F")
+    if pulses:
+        _shifted(W[:, :pulses], response([1.0], C, N), 0)
+    _shifted(W[:, pulses : pulses + count], np.convolve(D, by_pulse), 0)
+    _shifted(W[:, pulses + count : d], np.convolve(D, by_input), n.nk[0])
+    W[:, d] = np.convolve(D, by_output)[:N]
+    reflectors, tau, *_ = dgeqrf(W)
+    R = reflectors[: d + 1] * _upper(d + 1)
+    norms = np.sqrt(np.einsum("ij,ij->j", R, R))
+    if not (np.abs(R.diagonal()[:d]) > _MIN_COLUMN_REST * norms[:d]).all():
+        return None
+    return Projection(
+        x=x,
+        n=n,
+        C=C,
+        D=D,
+        F=F,
+        W=W,
+        by_input=by_input,
+        by_pulse=by_pulse,
+        by_output=by_output,
+        reflectors=reflectors,
+        tau=tau,
+        R=R,
+    )
+
+
+def _shifted(columns: Array, x: Array, first: int) -> None:
+    """Write q^-first x, q^-(first + 1) x … into the columns."""
+    N = columns.shape[0]
+    for k in range(columns.shape[1]):
+        begin = first + k
+        end = min(N, begin + x.size)
+        if begin < end:
+            columns[begin:end, k] = x[: end - begin]
+
+
+@lru_cache
+def _upper(n: int) -> Array:
+    """Return ones on and above the diagonal, (n, n)."""
+    return np.triu(np.ones((n, n)))
