@@ -33,13 +33,14 @@ from armrig.validation.search_result import Candidate, Scored, SearchResult
 Data = TypeVar("Data", Dataset, Signals)
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
+_MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is decided
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
 _CIRCLE_TOLERANCE = 1e-6
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of u in the data
 _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
-_BOTH_TRIED = "y may integrate, so the structures were tried with and without a pole at 1"
+_BOTH_TRIED = "y may integrate, so structures were tried with and without a pole at 1"
 _OWN_DATA = (
     "u moves in one part of the data only, so Akaike's FPE ranked the models on the data that "
     "estimated them; other data for validation (--validate) decide better"
@@ -107,8 +108,9 @@ def search(
     integrator : bool, str or sequence of str, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
         theta_1; for any other output a test decides. If the test does not distinguish an integrator
-        from a slow pole, structures with and without a pole at 1 are tried. For several signals:
-        the outputs with a pole at 1, by default theta_1 if "oe" is tried.
+        from a slow pole, "n4sid" is tried with and without a pole at 1. If one kind is better by 2
+        standard errors, the other structures are of this kind; otherwise both kinds are tried. For
+        several signals: the outputs with a pole at 1, by default theta_1 if "oe" is tried.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
         True if y has a constant part, above 2 standard deviations in one of the two data sets,
@@ -163,8 +165,13 @@ def search(
     if integrator is None and isinstance(whole, Dataset) and integration(whole, None).undecided:
         plan = _with_integrators(plan)
     score = partial(_score, data=data, validation=validation, horizon=plan.horizon, own=own)
-    coming = (map if executor is None else executor.map)(score, plan.candidates)
-    scored = _counted(coming, [c.name for c in plan.candidates], progress)
+    runner = map if executor is None else executor.map
+    first = [c for c in plan.candidates if c.named_by_pole and c.family == "n4sid"]
+    others = [c for c in plan.candidates if c not in first]
+    scored = _counted(runner(score, first), first, progress, after=len(others))
+    pole = _pole_at_1(scored, validation)
+    others = [c for c in others if pole is None or c.integrator == pole or not c.named_by_pole]
+    scored += _counted(runner(score, others), others, progress, before=len(first))
     ranked, rms, excess, excess_std = _ranked(scored, validation)
     # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
     complexity = [s.parameters + 0.5 * (s.candidate.nk == 0) for s in ranked]
@@ -301,17 +308,36 @@ def _offset(
 
 def _counted(
     coming: Iterable[Scored],
-    names: list[str],
+    candidates: list[Candidate],
     progress: Callable[[int, int, str], object] | None,
+    *,
+    before: int = 0,
+    after: int = 0,
 ) -> list[Scored]:
     """Return the results; before each result, call `progress` with the name of its candidate."""
     tell = progress or (lambda done, total, name: None)
-    scored, following = [], iter(coming)
-    for k, name in enumerate(names):
-        tell(k, len(names), name)
+    scored, following, total = [], iter(coming), before + len(candidates) + after
+    for k, candidate in enumerate(candidates, start=before):
+        tell(k, total, candidate.name)
         scored.append(next(following))
-    tell(len(names), len(names), "")
+    if not after:
+        tell(total, total, "")
     return scored
+
+
+def _pole_at_1(scored: list[Scored], validation: Dataset | Signals) -> bool | None:
+    """Return whether the models with a pole at 1 are better, or None if the models do not decide.
+
+    The best model of one kind decides if each model of the other kind is worse by more than
+    `_MIN_EXCESS_SIGMAS` standard errors.
+    """
+    if all(s.reason for s in scored):
+        return None
+    ranked, _, excess, excess_std = _ranked(scored, validation)
+    best = bool(ranked[0].candidate.integrator)
+    of_other = np.array([s.candidate.integrator != best for s in ranked])
+    decided = of_other.any() and (excess > _MIN_EXCESS_SIGMAS * excess_std)[of_other].all()
+    return best if decided else None
 
 
 def _likely_delays(known: Tested) -> list[int]:

@@ -308,20 +308,32 @@ def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
     assert "taken as integrating" in found.explain()
 
 
+@pytest.mark.parametrize(
+    ("families", "tried"),
+    [
+        (("arx", "oe"), {"ARX[3 3 1]", "OE[3 3 1]", "OE[3 3 1], pole at 1"}),
+        (("n4sid", "oe"), {"N4SID[3 1]", "N4SID[3 1], pole at 1", "OE[3 3 1], pole at 1"}),
+    ],
+    ids=["all of them", "first the subspace models"],
+)
 def test_other_data_decide_on_an_integrator_that_the_test_leaves_open(
-    monkeypatch: pytest.MonkeyPatch,
+    families: tuple[OfferedName, ...], tried: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = of_second_order(switched())
     data = Dataset(u=data.u, y=0.05 * np.cumsum(data.y), Ts=0.02)
     undecided = Integration(integrates=False, undecided=True)
     for module in ("model_search", "data_advice"):
         monkeypatch.setattr(f"armrig.validation.{module}.integration", lambda *_: undecided)
+    told: list[tuple[int, int, str]] = []
 
-    found = search(data, families=("arx", "oe"), orders=(3,), nk=1)
+    found = search(
+        data, families=families, orders=(3,), nk=1, progress=lambda *count: told.append(count)
+    )
 
     names = {j.candidate.name for j in (*found.ranked, *found.failed)}
-    assert names == {"ARX[3 3 1]", "OE[3 3 1]", "OE[3 3 1], pole at 1"}
-    assert found.chosen.candidate.name == "OE[3 3 1], pole at 1"
+    assert names == tried
+    assert found.chosen.candidate.name.endswith(", pole at 1")
+    assert told[-1] == (len(tried), len(tried), "")
 
 
 def test_the_search_chooses_the_order_of_the_plant() -> None:
