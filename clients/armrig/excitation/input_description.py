@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from armrig.data.columns import interval
+from armrig.data.columns import Vector, interval
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import triangle
@@ -20,8 +20,6 @@ from armrig.plots.layout import BLUE, INK, SKY, finish, hertz, stacked
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-Vector = NDArray[np.float64]
 
 HIGHEST_ORDER = 50
 """Highest tested order of persistence of excitation."""

@@ -7,11 +7,10 @@ from numbers import Integral
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armrig.data.columns import Vector as Vector
 from armrig.numerics.checks import column, require_integers, require_numbers
-
-Vector = NDArray[np.float64]
 
 # According to assignment 3.3 of the handout, an input outside this interval destroys the rig.
 LOWEST_V, HIGHEST_V = 0.0, 5.0

@@ -294,9 +294,6 @@ def _limited(ax: Axes, y: NDArray[np.float64]) -> None:
     ax.set_ylim(max(bottom, low - span), min(top, high + span))
 
 
-Vector = NDArray[np.float64]
-
-
 def plot_poles_zeros(*models: Fit, labels: Labels = None, ax: Axes | None = None) -> Axes:
     """Plot poles (×) and zeros (○) in the z plane with their 95 % regions and the unit circle.
 

@@ -11,13 +11,13 @@ from armrig_core.rig.arm import ArmParameters
 from armrig_core.telemetry.telemetry import THETA_1
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.columns import Vector
 from armrig.numerics.recursion import recursion
 from armrig.numerics.step_times import rise_time, slowest_time
 from armrig.physics.grey_box.response import sensitivity
 from armrig.physics.grey_box.sampled_model import NAMES, SIGNED, Model, Physics, Sampled
 from armrig.physics.systems import arm
 
-Vector = NDArray[np.float64]
 SPEED = "theta_1_rate"
 _SETTLING_TIMES = 30.0  # time constants of the slowest pole until the speed is steady
 _STEPS_PER_TIME = 50.0  # steps per time constant 1/|p| of the fastest pole p

@@ -11,17 +11,15 @@ from armrig_core.process.calls import checked_call
 from armrig_core.rig.arm import ArmParameters as ArmParameters
 from armrig_core.rig.arm import arm_matrices, chassis_matrices, zero_order_hold
 from armrig_core.telemetry.telemetry import ALPHA, THETA_1
-from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset
+from armrig.data.columns import Matrix
 from armrig.data.dataset import Dataset, Vector
 from armrig.models.fit import Fit
 
 if TYPE_CHECKING:
     import control
 
-
-Matrix = NDArray[np.float64]
 
 HANDOUT = "handout"
 """Name of the handout's parameters in tables and figures."""

@@ -14,11 +14,11 @@ from armrig_core.errors import InputError
 from armrig_core.rig.calibration import Figure
 from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
+
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
-
-Vector = NDArray[np.float64]
 
 MOST_ROWS = 50_000
 """Largest number of rows of the gzipped CSV; with this number, it has less than 1 MiB."""

@@ -18,11 +18,11 @@ from armrig_core.telemetry.protobuf import ABSENT
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
 from armrig.numerics.stretches import Mask
 from armrig.recordings.grid import Grid
 from armrig.recordings.recording import Channel, Recording
 
-Vector = NDArray[np.float64]
 Indices = NDArray[np.intp]
 _FIELDS = frozenset(field.name for field in fields(Recording))
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.telemetry.telemetry import ALPHA, THETA_1, VELOCITY
-from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
 from armrig.numerics.quantities import scaled, three_digits, with_std
 from armrig.plots.captions import NAMES, legend, sign
 from armrig.plots.layout import (
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from armrig.recordings.calibration import Estimate
     from armrig.recordings.recording import Recording
 
-
-Vector = NDArray[np.float64]
 
 _RESOLUTION_US = 1.0  # of the device's clock
 Quantity = Literal["jitter", "lateness"]

@@ -7,8 +7,8 @@ from math import isnan, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
 from armrig.numerics.quantities import NBSP, fixed
 from armrig.numerics.stretches import longest
 from armrig.recordings.daemon_reports import DeviceClock
@@ -16,9 +16,6 @@ from armrig.recordings.daemon_reports import DeviceClock
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.recordings.recording import Recording
-
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

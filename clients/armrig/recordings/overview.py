@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.telemetry.telemetry import ALPHA, THETA_1, VELOCITY, OutputName
-from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
 from armrig.data.treatment import Drift, drift, hampel
 from armrig.numerics.quantities import plural
 from armrig.recordings.findings import alpha_moves
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Vector = NDArray[np.float64]
 _SEARCHED_OUTPUTS: tuple[OutputName, ...] = (THETA_1, ALPHA)
 _DRIFTING_OUTPUTS: tuple[OutputName, ...] = (VELOCITY, ALPHA)
 _MIN_INPUT_CHANGES = 20  # as many as the coefficients of u in the model that finds outliers

@@ -15,6 +15,7 @@ from armrig_core.telemetry import telemetry
 from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from numpy.typing import NDArray
 
+from armrig.data.columns import Vector as Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import took
 from armrig.data.treatment import difference
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
     from xarray import Dataset as XarrayDataset
-
-Vector = NDArray[np.float64]
 
 
 class Channel(NamedTuple):

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import FileError
 from armrig_core.process.printable import printable
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from armrig.data.columns import Vector as Vector
 
 NO_NUMBERS = "contains no numbers; save it as a vector of real numbers"
 """Reason why a variable is not a column, and the remedy."""

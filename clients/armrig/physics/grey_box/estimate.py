@@ -12,6 +12,7 @@ from armrig_core.telemetry.telemetry import THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_signals
+from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.numerics.criteria import fit_percent
@@ -38,9 +39,6 @@ from armrig.physics.grey_box.sampled_model import (
     require_output,
 )
 from armrig.physics.systems import arm, chassis
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 SPEED_STATE = "theta_1_rate"
 ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
-
-Vector = NDArray[np.float64]
 
 
 def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import column
 from armrig.numerics.inference import OutputQuality
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 _MIN_SIGMAS = 2.0  # least distance of a determined parameter from 0, in standard deviations
 _WAY_OUT = (
     "estimate fewer parameters, start nearer to them, or record longer with an input that changes "

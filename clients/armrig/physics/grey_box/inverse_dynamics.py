@@ -20,9 +20,9 @@ import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.telemetry.telemetry import THETA_1
-from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
+from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.numerics.inference import Inference, infer, least_squares_residuals
@@ -49,9 +49,6 @@ from armrig.physics.grey_box.smoothing import (
     smoothed_noise_p_value,
 )
 from armrig.physics.systems import chassis
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _WIDTHS_PER_ROW = 1.5  # distance of the rows, in standard deviations of the kernel
 _HELD_NAMES = ("N", "R_m", "K_m")

@@ -10,15 +10,12 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.least_squares import orthonormal
 from armrig.physics.grey_box.response import linear_parts, sensitivity, with_friction
 from armrig.physics.grey_box.sampled_model import SIGNED, Physics
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 # Exponents of the parameters in the voltage T_c R_m / (N K_m) of the friction.
 _VOLTAGE_POWERS = {"R_m": 1.0, "N": -1.0, "K_m": -1.0}

@@ -14,14 +14,11 @@ durations.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armrig.data.columns import Matrix, Vector
 from armrig.numerics.recursion import recursion
 from armrig.numerics.stretches import constant
 from armrig.physics.grey_box.sampled_model import Sampled
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:

@@ -10,8 +10,9 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.telemetry.telemetry import OutputName
-from numpy.typing import NDArray
 from scipy.linalg import expm, expm_frechet
+
+from armrig.data.columns import Matrix
 
 if TYPE_CHECKING:
     import control
@@ -34,7 +35,6 @@ UNITS = {
 }
 Friction = Literal["viscous", "coulomb", "both"]
 _RECORDED = get_args(OutputName)
-Matrix = NDArray[np.float64]
 Model = Callable[[ArmParameters], "control.StateSpace"]
 
 _LOG_STEP = 1e-3  # step of a numerical derivative; the fourth-order error is about 1e-12

@@ -35,10 +35,9 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.signal import oaconvolve
 
+from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset
 from armrig.numerics.whiteness import autocovariance, default_lags, joined, portmanteau_p_value
-
-Vector = NDArray[np.float64]
 
 _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
 _REACH = 19**0.5  # ratio T / s

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
+from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.wrong_samples import too_quiet
 from armrig.numerics.checks import require_integers, several
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Vector = NDArray[np.float64]
 _DIFFERENCE_LEVEL = 0.01  # p value below which the parts differ
 _INTERVAL_OUTSIDE_SHARE = 0.05  # probability outside the confidence interval of `scatter`
 

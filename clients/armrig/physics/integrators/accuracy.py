@@ -8,14 +8,12 @@ from math import ceil, inf, isfinite, sin
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armrig.data.columns import Matrix, Vector
 from armrig.physics.integrators.methods import METHODS, method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.integrators.stepping import exact, integrate, require_positive, system
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _MAX_COMPARED_INSTANTS = 2000  # at which a long solution is compared with the exact solution
 _START_SHARE = 0.25  # first step as a share of the largest; smaller steps have an error ~ h^p

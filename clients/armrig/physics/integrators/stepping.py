@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import expm, lu_factor, lu_solve
 
+from armrig.data.columns import Matrix, Vector
 from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.recursion import recursion
 from armrig.physics.integrators.methods import Multistep, RungeKutta, method_named
 
-Matrix = NDArray[np.float64]
 Input = Callable[[float], Any]
-Vector = NDArray[np.float64]
 
 
 def system(

@@ -24,14 +24,13 @@ from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE
 from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.quantities import NBSP, plural
 from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.recording_summary import REMOTE
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.recording import Recording
-
-Vector = NDArray[np.float64]
 
 _CODE_V = U_MAX_V / CODE_FULL_SCALE
 """Voltage step of one code, in V; requested voltages are rounded to multiples of this step."""
