@@ -199,7 +199,7 @@ def hints(
 
     def say_after() -> None:
         given = signals.options()
-        if any(d.about == "feedback" for of_channel in doubts.values() for d in of_channel):
+        if any(d.remedy == "check" for of_channel in doubts.values() for d in of_channel):
             say_next("identify check", file=typed(file), given=given)
             return
         validation = validation_beside(file) if from_recording(data) else ""
@@ -393,7 +393,6 @@ class Found:
 
     def say(self, *, verbose: bool) -> None:
         """Print the answer, and the model."""
-        from armrig.cli import model_output
         from armrig.validation.answer import answer
 
         for line in self.taken:
@@ -403,8 +402,6 @@ class Found:
         say_answer(answer(self.fit, table, tests, self.doubts))
         for lines in self._all() if verbose else self._short():
             say("\n".join(lines))
-        if hint := model_output.hint(self.fit):
-            tell(hint)
 
     def _short(self) -> Iterator[Sequence[str]]:
         """Yield the results of a search, a short form of the model, and the findings to act on."""

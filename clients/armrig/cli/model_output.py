@@ -10,7 +10,6 @@ import numpy as np
 
 from armrig.cli.printing import echo, fields_of, say, say_more
 from armrig.cli.recorded_data import source_facts
-from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import listed, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
@@ -193,14 +192,6 @@ def residual_facts(
             for j, input in enumerate(tests.inputs)
         ],
     }
-
-
-def hint(fit: Fit) -> str:
-    """Return a suggestion for the next model; "" if there is none."""
-    for name, fixed in zip(fit.outputs, fit.form.integrators, strict=True):
-        if fit.structure == "oe" and name in INTEGRATING_OUTPUTS and not fixed:
-            return f"the angle {name} integrates: try --integrator"
-    return ""
 
 
 def _p(p: float, otherwise: str) -> str:

@@ -211,26 +211,6 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     assert simulated_to(row) == "80.00 % (rms 0.01234)"
 
 
-@pytest.mark.parametrize(
-    ("changes", "is_hinted"),
-    [
-        ({}, True),
-        ({"form": SimpleNamespace(integrators=(True,))}, False),
-        ({"structure": "arx"}, False),
-        ({"outputs": ("alpha",)}, False),
-    ],
-)
-def test_an_integrator_is_suggested_only_for_an_oe_model_of_the_angle(
-    changes: dict[str, Any], is_hinted: bool
-) -> None:
-    of: dict[str, Any] = {"structure": "oe", "outputs": ("theta_1",)}
-    of["form"] = SimpleNamespace(integrators=(False,))
-
-    said = model_output.hint(SimpleNamespace(**of | changes))  # type: ignore[arg-type]
-
-    assert said == ("the angle theta_1 integrates: try --integrator" if is_hinted else "")
-
-
 def test_a_search_shows_at_most_five_models_and_two_more_reasons() -> None:
     found: Any = SimpleNamespace(table=lambda n: f"{n} models", reasons=list("abcde"))
 
