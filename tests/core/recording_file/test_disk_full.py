@@ -56,7 +56,7 @@ def _check(path: Path, recorded: int, error: str) -> None:
     assert loaded.outcome is not None
     assert (loaded.outcome.outcome, loaded.outcome.samples) == (ENDED, recorded)
     (file,) = [c for c in verify(path).checks if c.about == "file"]
-    assert file.result == "passed"
+    assert file.level == "good"
     assert error == (
         f"{path}: No space left on device; the recording ended early; all samples "
         "until then are in the file; free disk space"

@@ -91,8 +91,8 @@ def test_the_parts_contain_the_messages_of_one_file(tmp_path: Path) -> None:
     assert joined.outcome.outcome == "complete"
     assert (parts.samples, parts.synced, parts.missing) == (N - 5, N - 5, 5)
     for path in (parts.kept, *paths):
-        checks = {c.about: c.result for c in verify(path).checks}
-        assert (checks["file"], checks["samples"]) == ("passed", "passed"), path
+        checks = {c.about: c.level for c in verify(path).checks}
+        assert (checks["file"], checks["samples"]) == ("good", "good"), path
 
 
 def test_a_part_has_its_number_and_ends_after_a_sample(tmp_path: Path) -> None:
