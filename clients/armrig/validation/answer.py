@@ -114,22 +114,18 @@ def tests_sentence(tests: ResidualTest) -> str:
     feedback = f"there is feedback ({{}}): {FEEDBACK}"
     if tests.missing_dynamics < WHITE_LEVEL:
         feedback = "until the dynamics are modelled, the test of feedback ({}) is not valid"
-    for p, bad, good in (
-        (
-            tests.missing_dynamics,
-            f"dynamics are missing ({{}}): {DYNAMICS}",
-            NOT_MISSING,
-        ),
-        (tests.feedback, feedback, "no feedback seen"),
+    dynamics = f"dynamics are missing ({{}}): {DYNAMICS}"
+    not_missing = NOT_LINEAR if tests.white.doubtful else NOT_MISSING
+    for p, bad, good, blind in (
+        (tests.missing_dynamics, dynamics, not_missing, tests.blind),
+        (tests.feedback, feedback, "no feedback seen", ""),
     ):
         said = f"p {p_relation(p)}"
         if p < WHITE_LEVEL:
             failed.append(bad.format(said))
-        elif tests.blind and good == NOT_MISSING:
-            doubts.append(f"{UNKNOWN}: {tests.blind}")
+        elif blind:
+            doubts.append(f"{UNKNOWN}: {blind}")
         else:
-            if good == NOT_MISSING and tests.white.doubtful:
-                good = NOT_LINEAR
             passed.append(f"{good} ({said})" if p >= 0 else f"{good}: {UNTESTED}")
     rest = [f"passed: {', '.join(passed)}"] if passed else []
     if failed:
