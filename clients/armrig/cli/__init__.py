@@ -118,9 +118,13 @@ def _print_version(wanted: bool) -> None:
 
 def _options(
     print_version: bool = chosen(
-        False, "--version", "Show the version and exit.", is_eager=True, callback=_print_version
+        False,
+        "Show the version and exit.",
+        names="--version",
+        is_eager=True,
+        callback=_print_version,
     ),
-    debug: bool = chosen(False, _DEBUG, "Print the traceback of an internal error."),
+    debug: bool = chosen(False, "Print the traceback of an internal error.", names=_DEBUG),
 ) -> None:
     """Define the options that precede the command; `_internal` reads `debug` from the arguments."""
 

@@ -76,18 +76,18 @@ def doctor(
 
 def flash(
     port: str | None = chosen(
-        None, "--port DEVICE", "Serial port of the board.", "the only Uno plugged in"
+        None, "Serial port of the board.", "the only Uno plugged in", metavar="DEVICE"
     ),
-    image: Path | None = chosen(None, "--hex FILE", "Firmware file to write.", "armrig's own"),
-    baud: int = chosen(
-        _BAUD, "--baud", "Speed of the firmware's serial line, in bit/s ([device] baud)."
+    image: Path | None = chosen(
+        None, "Firmware file to write.", "armrig's own", names="--hex FILE"
     ),
-    dry_run: bool = chosen(False, "--dry-run", "Show the plan only, without opening the port."),
-    yes: bool = chosen(False, "--yes", "Confirm that the motor is unplugged; do not ask."),
+    baud: int = chosen(_BAUD, "Speed of the firmware's serial line, in bit/s ([device] baud)."),
+    dry_run: bool = chosen(False, "Show the plan only, without opening the port."),
+    yes: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
     fuse: str | None = chosen(
         None,
-        "--fuse PROGRAMMER",
         "Read only the brown-out fuse, with this ISP programmer, such as usbasp.",
+        metavar="PROGRAMMER",
     ),
     json: Json = False,
 ) -> None:
@@ -207,10 +207,8 @@ def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str,
 
 def conformance(
     device: Annotated[str, option("--device DEVICE", "Serial port of the device.")],
-    baud: int = chosen(_BAUD, "--baud", "Speed of the line, in bit/s."),
-    motor_unplugged: bool = chosen(
-        False, "--motor-unplugged", "Confirm that the motor is unplugged; do not ask."
-    ),
+    baud: int = chosen(_BAUD, "Speed of the line, in bit/s."),
+    motor_unplugged: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
     json: Json = False,
 ) -> None:
     """Test a device against PROTOCOL.md, with the motor unplugged.
@@ -313,8 +311,8 @@ _NOT_STARTED: dict[Part, str] = {
 
 @service.add("service install --dry-run")
 def install(
-    router: bool = chosen(False, "--router", "Install a lab's router."),
-    recorder: bool = chosen(False, "--recorder", "Install the recorder of all rigs of a router."),
+    router: bool = chosen(False, "Install a lab's router."),
+    recorder: bool = chosen(False, "Install the recorder of all rigs of a router."),
     root: Root = _SYSTEM,
     dry_run: DryRun = False,
     yes: Yes = False,
@@ -398,7 +396,7 @@ class _Issuing:
 
     directory: Directory = _PKI
     days: Days = 365
-    force: bool = chosen(False, "--force", "Replace an existing file.")
+    force: bool = chosen(False, "Replace an existing file.")
     json: Json = False
 
 
@@ -410,7 +408,7 @@ def ca(
     directory: Directory = _PKI,
     days: Days = 3650,
     force: bool = chosen(
-        False, "--force", "Replace an existing authority; all its certificates become invalid."
+        False, "Replace an existing authority; all its certificates become invalid."
     ),
     json: Json = False,
 ) -> None:
@@ -433,10 +431,7 @@ def rig(
     *,
     name: Annotated[str, argument("ID", "Id of the rig.")],
     host: list[str] | None = chosen(
-        None,
-        "--host",
-        "Host name or address that clients use; repeatable.",
-        "none, only through a router",
+        None, "Host name or address that clients use; repeatable.", "none, only through a router"
     ),
     issuing: Issuing,
 ) -> None:
@@ -555,13 +550,11 @@ def _day(when: datetime) -> str:
 
 
 def router(
-    listen: str = chosen("tls/0.0.0.0:7447", "--listen ENDPOINT", "Endpoint for rigs and clients."),
+    listen: str = chosen("tls/0.0.0.0:7447", "Endpoint for rigs and clients.", metavar="ENDPOINT"),
     certificate: Path = chosen(
-        Path("router.pem"),
-        "--certificate",
-        "Certificate file of the router, from `armrig pki router`.",
+        Path("router.pem"), "Certificate file of the router, from `armrig pki router`."
     ),
-    names: Path = chosen(Path("access.toml"), "--names", "Access list, from `armrig pki`."),
+    names: Path = chosen(Path("access.toml"), "Access list, from `armrig pki`."),
 ) -> None:
     """Run the router of a lab, until Ctrl-C. Clients reach the rigs through it.
 

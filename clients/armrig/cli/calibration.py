@@ -232,31 +232,25 @@ _DEFAULT_LEVELS_V = (1.0, 2.0, 3.0)
 class _Wanted:
     """Measurements to make, and earlier measurements."""
 
-    volts: list[float] | None = chosen(
-        None, "--volts", "Voltage to apply, in V; repeatable.", "1, 2 and 3"
-    )
-    level_seconds: float = chosen(
-        12.0, "--level-seconds", "Time for which each voltage is held, in s."
-    )
+    volts: list[float] | None = chosen(None, "Voltage to apply, in V; repeatable.", "1, 2 and 3")
+    level_seconds: float = chosen(12.0, "Time for which each voltage is held, in s.")
     rest_seconds: float = chosen(
-        3.0, "--rest-seconds", "Length of the recordings at rest and with the arm deflected, in s."
+        3.0, "Length of the recordings at rest and with the arm deflected, in s."
     )
     meter: list[str] | None = chosen(
         None,
-        "--meter CODE=VOLTS",
         "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
+        metavar="CODE=VOLTS",
     )
-    meter_std: float = chosen(0.01, "--meter-std", "Standard deviation of a meter's reading, in V.")
+    meter_std: float = chosen(0.01, "Standard deviation of a meter's reading, in V.")
     by_hand: bool = chosen(
-        False,
-        "--by-hand",
-        "Leave the motor off; deflect the arm by hand to find the sign of its angle.",
+        False, "Leave the motor off; deflect the arm by hand to find the sign of its angle."
     )
     rest_file: Path | None = chosen(
-        None, "--rest F", "Earlier recording of the rig at rest.", parser=recording_path
+        None, "Earlier recording of the rig at rest.", names="--rest F", parser=recording_path
     )
     turns_file: Path | None = chosen(
-        None, "--turns F", "Earlier recording of the slow turns.", parser=recording_path
+        None, "Earlier recording of the slow turns.", names="--turns F", parser=recording_path
     )
 
     def __post_init__(self) -> None:
@@ -279,23 +273,22 @@ def calibrate(
     plot: Plot = None,
     save: Path | None = chosen(
         None,
-        "--save TOML",
         "Calibration file to write.",
         "calibration-<rig>.toml in ~/.config/armrig",
+        metavar="TOML",
     ),
     wanted: Annotated[_Wanted, group(_Wanted)],
     Ts: SamplingTime = None,
     yes: bool = chosen(
         False,
-        "--yes",
         "Ask no questions, not even for meter readings; load the calibration into the daemon "
         "unless --no-use is given.",
     ),
     use: bool | None = chosen(
         None,
-        "--use/--no-use",
         "Use the calibration in the running daemon until the daemon ends.",
         "asked",
+        names="--use/--no-use",
     ),
     rig: RigId = "1",
     connect: Connect = None,

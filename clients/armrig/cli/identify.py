@@ -78,10 +78,10 @@ class _Search:
     """Range of a search."""
 
     search: bool = chosen(
-        False, "--search", "Search several structures, or the given structure, with several orders."
+        False, "Search several structures, or the given structure, with several orders."
     )
-    most: int = chosen(5, "--max-order", "Highest order that --search tries.", min=1)
-    jobs: int = chosen(1, "--jobs", "Number of processes that --search uses.", min=1)
+    most: int = chosen(5, "Highest order that --search tries.", names="--max-order", min=1)
+    jobs: int = chosen(1, "Number of processes that --search uses.", min=1)
     fixed: Given = field(default_factory=dict)
     """Fixed arguments of the search; the search chooses all other arguments."""
 
@@ -256,10 +256,10 @@ def identify(
     given: Annotated[Given, estimation_options(without_nk=_NK)],
     searching: Annotated[_Search, group(_Search, ("search", "most", "jobs"))],
     validate: Path | None = chosen(
-        None, "--validate F2", "Recording, or other data, for validation.", parser=recording_path
+        None, "Recording, or other data, for validation.", metavar="F2", parser=recording_path
     ),
     signals: Annotated[SignalChoice, data_group()],
-    save: Path | None = chosen(None, "--save JSON", "Model file to write."),
+    save: Path | None = chosen(None, "Model file to write.", metavar="JSON"),
     out: ShownFigure,
 ) -> None:
     """Estimate a model from data, or search for a model.
@@ -566,19 +566,15 @@ _MAX_NAMES = 3  # recordings in a message
 class _Selection:
     """Options of all batches: the recordings, the processes and the form of the result."""
 
-    rig: list[str] | None = chosen(None, "--rig", "Id of a rig to include; repeatable.", "all")
-    kind: list[str] | None = chosen(
-        None, "--kind", "Kind of experiment to include; repeatable.", "all"
-    )
+    rig: list[str] | None = chosen(None, "Id of a rig to include; repeatable.", "all")
+    kind: list[str] | None = chosen(None, "Kind of experiment to include; repeatable.", "all")
     workers: int | None = chosen(
-        None, "--workers", "Number of processes on this machine.", "one for each core", min=1
+        None, "Number of processes on this machine.", "one for each core", min=1
     )
     scheduler: str | None = chosen(
-        None,
-        "--scheduler ADDRESS",
-        "Address of a Dask scheduler whose workers process the recordings.",
+        None, "Address of a Dask scheduler whose workers process the recordings.", metavar="ADDRESS"
     )
-    force: bool = chosen(False, "--force", "Process all recordings again and replace the table.")
+    force: bool = chosen(False, "Process all recordings again and replace the table.")
     json: Json = False
 
 
@@ -591,7 +587,7 @@ def identify_each(
     folder: Folder,
     output: Table,
     given: Annotated[Given, estimation_options(structure="oe", nk=1)],
-    signal: OutputName = chosen(THETA_1, "--signal", "Output of the model."),
+    signal: OutputName = chosen(THETA_1, "Output of the model."),
     detrend: Detrend = False,
     selection: Selection,
 ) -> None:
@@ -644,7 +640,7 @@ def report_each(
     *,
     folder: Folder,
     output: Table,
-    reports: Path = chosen(Path("reports"), "--reports FOLDER", "Folder for the PDFs."),
+    reports: Path = chosen(Path("reports"), "Folder for the PDFs.", metavar="FOLDER"),
     orders: ModelOrders,
     selection: Selection,
 ) -> None:

@@ -17,22 +17,33 @@ HELP = {"help_option_names": ["-h", "--help"]}
 _OPTION = "option"  # key of a field's metadata
 
 
-def option(names: str, text: str, shown: str | bool = True, **more: Any) -> Any:
+def option(
+    names: str, text: str, shown: str | bool = True, metavar: str | None = None, **more: Any
+) -> Any:
     """Return an option of a command, such as `option("-o --plot FIGURE", "Figure to write.")`.
 
     `shown` is the text for the default in the help; `more` are arguments of `typer.Option`.
     """
     flags = [word for word in names.split() if word.startswith("-")]
-    metavar = names.removeprefix(" ".join(flags)).strip() or None
+    metavar = metavar or names.removeprefix(" ".join(flags)).strip() or None
     return typer.Option(*flags, metavar=metavar, help=text, show_default=shown, **more)
 
 
-def chosen(default: Any, names: str, text: str, shown: str | bool = True, **more: Any) -> Any:
+def chosen(default: Any, text: str, shown: str | bool = True, names: str = "", **more: Any) -> Any:
     """Return the value of a parameter or field that is an option with a default of its own.
 
-    Such as `seconds: float = chosen(30.0, "--seconds", "Length, in s.")`.
+    Such as `seconds: float = chosen(30.0, "Length, in s.")`, the option `--seconds`. If the option
+    has other `names`, they are those of `option`.
     """
-    return field(default=default, metadata={_OPTION: option(names, text, shown, **more)})
+    return field(default=default, metadata={_OPTION: (names, text, shown, more)})
+
+
+def _option_of(name: str, chosen: Field[Any]) -> Any:
+    """Return the option of a parameter or field with the default `chosen`; None without one."""
+    if _OPTION not in chosen.metadata:
+        return None
+    names, text, shown, more = chosen.metadata[_OPTION]
+    return option(names or f"--{name.replace('_', '-')}", text, shown, **more)
 
 
 def argument(metavar: str, text: str, shown: str | bool = True, **more: Any) -> Any:
@@ -81,7 +92,7 @@ def group(
     known = {one.name: one for one in fields(kind)}
     options = []
     for name in names or known:
-        taken, which = kinds[name], known[name].metadata.get(_OPTION)
+        taken, which = kinds[name], _option_of(name, known[name])
         if which is None:
             taken, which = get_args(taken)
         if name in repeatable:
@@ -104,8 +115,8 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
             groups[p.name] = notes[0]
             taken += notes[0].options
         elif isinstance(p.default, Field):
-            which, default = p.default.metadata[_OPTION], p.default.default
-            taken.append(parameter(p.name, p.annotation, which, default))
+            which = _option_of(p.name, p.default)
+            taken.append(parameter(p.name, p.annotation, which, p.default.default))
         else:
             taken.append(p)
 
@@ -196,10 +207,10 @@ Detrend = Annotated[bool, option("--detrend", "Subtract the mean of each signal 
 
 @dataclass(frozen=True, kw_only=True)
 class _ModelOrders:
-    na: int = chosen(4, "--na", "Number of a's (ARX).")
-    nb: int = chosen(4, "--nb", "Number of b's.")
-    nf: int = chosen(4, "--nf", "Number of f's (OE); an integrator counts as one.")
-    nk: int = chosen(1, "--nk", "Delay from u to y, in samples.")
+    na: int = chosen(4, "Number of a's (ARX).")
+    nb: int = chosen(4, "Number of b's.")
+    nf: int = chosen(4, "Number of f's (OE); an integrator counts as one.")
+    nk: int = chosen(1, "Delay from u to y, in samples.")
 
 
 ModelOrders = Annotated[dict[str, Any], group(_ModelOrders, made=dict)]

@@ -150,16 +150,16 @@ def greybox(
     *,
     file: File,
     model: Model = None,
-    free: list[str] | None = chosen(None, "--free NAME", f"{_FREE}.", "J_1"),
+    free: list[str] | None = chosen(None, f"{_FREE}.", "J_1", metavar="NAME"),
     friction: Literal["viscous", "coulomb", "both"] | None = chosen(
-        None, "--friction", "Friction to estimate in addition; the handout neglects friction."
+        None, "Friction to estimate in addition; the handout neglects friction."
     ),
     given: Given = None,
     signal: list[str] | None = chosen(
         None,
-        "--signal NAME",
         "Output to fit, theta_1 or alpha; repeatable, for both outputs together.",
         "theta_1",
+        metavar="NAME",
     ),
     part: Part,
     out: Shown,
@@ -222,14 +222,14 @@ def split(
     *,
     file: File,
     parts: str = chosen(
-        "1,2,4", "--parts K,…", "Numbers of parts into which the recording is cut."
+        "1,2,4", "Numbers of parts into which the recording is cut.", metavar="K,…"
     ),
     model: Model = None,
     free: list[str] | None = chosen(
-        None, "--free NAME", f"{_FREE}; estimates of the first parameter are compared.", "J_1"
+        None, f"{_FREE}; estimates of the first parameter are compared.", "J_1", metavar="NAME"
     ),
     given: Given = None,
-    signal: ChannelName = chosen(THETA_1, "--signal", "Output to fit."),
+    signal: ChannelName = chosen(THETA_1, "Output to fit."),
     part: Part,
     out: Shown,
 ) -> None:
@@ -277,7 +277,7 @@ def simulate(
         argument("F", "Recording with the input of the simulation.", parser=recording_path),
     ] = None,
     model: list[Path] | None = chosen(
-        None, "--model JSON", "Additional model file to simulate; repeatable."
+        None, "Additional model file to simulate; repeatable.", metavar="JSON"
     ),
     given: Given = None,
     part: Part,
@@ -512,18 +512,17 @@ def _model_figures(compared: dict[str, ArmParameters]) -> dict[str, Draw]:
 def integrate(
     *,
     method: list[str] | None = chosen(
-        None,
-        "--method",
-        "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
-        "all",
+        None, "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.", "all"
     ),
     h: list[float] | None = chosen(
-        None, "--h S", "Step size, in s; repeatable.", "a recommended step"
+        None, "Step size, in s; repeatable.", "a recommended step", metavar="S"
     ),
     omega: Omega = OMEGA,
     amplitude: Amplitude = AMPLITUDE_V,
-    span: float | None = chosen(None, "--span S", "Length of the solution, in s.", "three periods"),
-    tolerance: float = chosen(1e-3, "--tolerance", "Largest relative error of a recommended step."),
+    span: float | None = chosen(
+        None, "Length of the solution, in s.", "three periods", metavar="S"
+    ),
+    tolerance: float = chosen(1e-3, "Largest relative error of a recommended step."),
     out: Annotated[Output, shown("json", "plot", "verbose")],
 ) -> None:
     """Solve the arm's equations numerically (handout 4).

@@ -86,47 +86,41 @@ class DataOptions:
 
     input: str | None = chosen(
         None,
-        "--input NAME",
         "Column of the input in other data: its name, or its number from 1.",
         "u",
+        metavar="NAME",
     )
     signal: str | None = chosen(
         None,
-        "--signal NAME",
         "Output: theta_1, alpha or velocity; in other data, the column's name, or its number "
         "from 1.",
         "theta_1; y of other data",
+        metavar="NAME",
     )
     time: str | None = chosen(
-        None, "--time NAME", "Column of the times in other data.", "t or time, if there is one"
+        None, "Column of the times in other data.", "t or time, if there is one", metavar="NAME"
     )
-    Ts: float | None = chosen(None, "--Ts", "Sampling time of other data, in s.", "by the times")
+    Ts: float | None = chosen(None, "Sampling time of other data, in s.", "by the times")
     topic: str | None = chosen(
         None,
-        "--topic NAME",
         "Topic of an MCAP file of another program; its messages' fields are the columns.",
+        metavar="NAME",
     )
     decimal: Literal[",", "."] | None = chosen(
-        None,
-        "--decimal",
-        "Decimal mark of other data: comma or point.",
-        "by all numbers of the file",
+        None, "Decimal mark of other data: comma or point.", "by all numbers of the file"
     )
-    resample: bool = chosen(False, "--resample", "Interpolate other data at uneven times.")
-    hold_input: bool = chosen(False, "--hold-input", "Hold the input where its cell is empty.")
-    mask_rails: bool = chosen(
-        False, "--mask-rails", "Mark samples at a rail of the converter as missing."
-    )
+    resample: bool = chosen(False, "Interpolate other data at uneven times.")
+    hold_input: bool = chosen(False, "Hold the input where its cell is empty.")
+    mask_rails: bool = chosen(False, "Mark samples at a rail of the converter as missing.")
     unwrap: float | None = chosen(
         None,
-        "--unwrap RANGE",
         "Remove the jumps of a counter or angle that wraps, such as 65536 or 360.",
+        metavar="RANGE",
     )
     detrend: Detrend = False
-    hampel: bool = chosen(False, "--hampel", "Mark single outliers of the output as missing.")
+    hampel: bool = chosen(False, "Mark single outliers of the output as missing.")
     assume: Assumption | None = chosen(
         None,
-        "--assume",
         "Take the output as the integral of its rate, or as an output that settles.",
         "a test of the data decides",
     )

@@ -65,10 +65,8 @@ _OPTIONAL = 2  # number of optional columns, which are the last columns
 
 def ls(
     where: Folder = None,
-    count: int = chosen(
-        _DEFAULT_COUNT, "--count", "Number of the newest recordings to list.", min=1
-    ),
-    every: bool = chosen(False, "--all", "List all recordings."),
+    count: int = chosen(_DEFAULT_COUNT, "Number of the newest recordings to list.", min=1),
+    every: bool = chosen(False, "List all recordings.", names="--all"),
     live: Live = False,
     connect: Connect = None,
     json: Json = False,
@@ -422,7 +420,9 @@ Where = Annotated[
 def plot(
     file: File,
     part: Part,
-    figure: Path = chosen(Path("plot.png"), "-o --plot FIGURE", FIGURE_HELP, parser=figure_path),
+    figure: Path = chosen(
+        Path("plot.png"), FIGURE_HELP, names="-o --plot FIGURE", parser=figure_path
+    ),
     json: Json = False,
 ) -> None:
     """Plot a recording, and report its faults (handout 3.1.4).
@@ -478,18 +478,14 @@ def verify(file: File, json: Json = False) -> None:
 def export(
     file: File,
     out: Out,
-    csv: bool = chosen(False, "--csv", "Write CSV, for any program."),
-    mat: bool = chosen(
-        False, "--mat", "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."
-    ),
+    csv: bool = chosen(False, "Write CSV, for any program."),
+    mat: bool = chosen(False, "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."),
     parquet: Parquet = False,
     transforms: bool = chosen(
-        False,
-        "--transforms",
-        "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel.",
+        False, "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel."
     ),
-    raw: bool = chosen(False, "--raw", "Include the readings and times as recorded."),
-    signal: ChannelName = chosen(THETA_1, "--signal", "Signal that becomes y in the MAT-file."),
+    raw: bool = chosen(False, "Include the readings and times as recorded."),
+    signal: ChannelName = chosen(THETA_1, "Signal that becomes y in the MAT-file."),
     start: From = None,
     stop: To = None,
     calibration: CalibrationFile = None,

@@ -53,11 +53,7 @@ def watch(
     rig: RigId = "1",
     connect: Connect = None,
     count: int | None = chosen(
-        None,
-        "--count",
-        "Number of samples and gaps after which the command ends.",
-        "until Ctrl-C",
-        min=1,
+        None, "Number of samples and gaps after which the command ends.", "until Ctrl-C", min=1
     ),
     json: Json = False,
 ) -> None:
@@ -83,7 +79,7 @@ def stop(
     rig: RigId = "1",
     connect: Connect = None,
     by: str = chosen(
-        "", "--owner", "Name of the person who stops the rig, for the recording.", "this user"
+        "", "Name of the person who stops the rig, for the recording.", "this user", names="--owner"
     ),
     json: Json = False,
 ) -> None:
@@ -165,7 +161,7 @@ def note(
     text: Annotated[str, argument("TEXT", "Text of the note, 1 to 500 characters.", False)],
     rig: RigId = "1",
     connect: Connect = None,
-    owner: str = chosen("", "--owner", "Author of the note.", "this user"),
+    owner: str = chosen("", "Author of the note.", "this user"),
     json: Json = False,
 ) -> None:
     """Write a note into the current recording.
@@ -252,13 +248,13 @@ class _Lab(NamedTuple):
 def lab(
     port: Port = None,
     config: Path | None = chosen(
-        None, "--config TOML", "Configuration file, in place of the installed files."
+        None, "Configuration file, in place of the installed files.", metavar="TOML"
     ),
     rig: RigId = "1",
     page: bool = chosen(
         True,
-        "--dashboard/--no-dashboard",
         "Also serve the dashboard, and open it if there is a screen; not with --json.",
+        names="--dashboard/--no-dashboard",
     ),
     json: Json = False,
 ) -> None:
@@ -408,14 +404,12 @@ def dashboard(
     rig: RigId = "1",
     connect: Connect = None,
     port: int | None = chosen(
-        None, "--port", "TCP port on this machine.", "8807, or a free one", min=1, max=65_535
+        None, "TCP port on this machine.", "8807, or a free one", min=1, max=65_535
     ),
-    browser: bool = chosen(False, "--open", "Open the page in the browser."),
-    share: bool = chosen(
-        False, "--share", "Let visitors on this network watch and stop the rig, over TLS."
-    ),
+    browser: bool = chosen(False, "Open the page in the browser.", names="--open"),
+    share: bool = chosen(False, "Let visitors on this network watch and stop the rig, over TLS."),
     for_foxglove: bool = chosen(
-        False, "--foxglove", "Also serve the streams to Foxglove on this machine."
+        False, "Also serve the streams to Foxglove on this machine.", names="--foxglove"
     ),
     json: Json = False,
 ) -> None:

@@ -62,20 +62,16 @@ class _Run:
     """Options common to all kinds of experiment."""
 
     Ts: SamplingTime = None
-    name: str = chosen("", "--name", "Name of the recording, for @NAME: a-z, 0-9 and -.", "none")
+    name: str = chosen("", "Name of the recording, for @NAME: a-z, 0-9 and -.", "none")
     pacing: Literal["scheduled", "exchange"] = chosen(
-        "scheduled",
-        "--pacing",
-        "Clock of the samples: the device's timer (scheduled) or the host (exchange).",
+        "scheduled", "Clock of the samples: the device's timer (scheduled) or the host (exchange)."
     )
-    owner: str | None = chosen(
-        None, "--owner", "Name of the rig's owner, shown to other users.", "this user"
-    )
+    owner: str | None = chosen(None, "Name of the rig's owner, shown to other users.", "this user")
     dead_man: float = chosen(
         DEAD_MAN_S,
-        "--dead-man SECONDS",
         "Time, 0.5 to 60 s, after which the daemon stops the run if this program is killed, "
         "frozen or disconnected. 0 plays the run to its end.",
+        metavar="SECONDS",
     )
     rig: RigId = "1"
     connect: Connect = None
@@ -87,27 +83,21 @@ class InputChoice:
     """Options of a random input, or of the user's own input."""
 
     seconds: float | None = chosen(
-        None, "--seconds", "Length, in s; at most 4 000 000 samples; not with --file.", "30"
+        None, "Length, in s; at most 4 000 000 samples; not with --file.", "30"
     )
     input: Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None = chosen(
-        None, "--input", "Input signal.", "telegraph"
+        None, "Input signal.", "telegraph"
     )
     file: Path | None = chosen(
-        None, "--file CSV", "File with your own input: a row with u, or t and u, for each sample."
+        None, "File with your own input: a row with u, or t and u, for each sample.", metavar="CSV"
     )
-    a: float = chosen(0.05, "--a", "Probability of a switch at each sample (telegraph, prbs).")
+    a: float = chosen(0.05, "Probability of a switch at each sample (telegraph, prbs).")
     low: Low = 0.5
     high: High = 4.5
     seed: int = chosen(
-        1,
-        "--seed",
-        "Seed of the random numbers (telegraph, prbs, white, multisine).",
-        min=0,
-        max=_MAX_SEED,
+        1, "Seed of the random numbers (telegraph, prbs, white, multisine).", min=0, max=_MAX_SEED
     )
-    validation: bool = chosen(
-        False, "--validation", "Record a second run for validation, with the next seed."
-    )
+    validation: bool = chosen(False, "Record a second run for validation, with the next seed.")
 
 
 Run = Annotated[_Run, group(_Run)]
@@ -133,7 +123,7 @@ def greybox(choice: Choice, run: Run) -> None:
 def step(
     *,
     seconds: Seconds = 5.0,
-    at: float = chosen(1.0, "--at", "Time of the step, in s."),
+    at: float = chosen(1.0, "Time of the step, in s."),
     low: Low = 0.5,
     high: High = 4.5,
     run: Run,
@@ -155,7 +145,7 @@ def step(
 def staircase(
     *,
     seconds: Seconds = SECONDS,
-    levels: int = chosen(6, "--levels", "Number of levels.", min=2),
+    levels: int = chosen(6, "Number of levels.", min=2),
     low: Low = 0.5,
     high: High = 4.5,
     run: Run,
@@ -176,16 +166,16 @@ def staircase(
 def bla(
     *,
     seconds: float | None = chosen(
-        None, "--seconds", "Length of each recording, in s; use it instead of --period."
+        None, "Length of each recording, in s; use it instead of --period."
     ),
-    period: float | None = chosen(None, "--period", "Length of a period, in s.", "5"),
-    periods: int = chosen(5, "--periods", "Number of periods in each recording.", min=2),
+    period: float | None = chosen(None, "Length of a period, in s.", "5"),
+    periods: int = chosen(5, "Number of periods in each recording.", min=2),
     count: int = chosen(
-        4, "--realisations", "Number of recordings, each with different phases.", min=1
+        4, "Number of recordings, each with different phases.", names="--realisations", min=1
     ),
     low: Low = 0.5,
     high: High = 4.5,
-    seed: int = chosen(1, "--seed", "Seed of the random phases.", min=0, max=_MAX_SEED),
+    seed: int = chosen(1, "Seed of the random phases.", min=0, max=_MAX_SEED),
     run: Run,
 ) -> None:
     """Play multisines for `armrig.bla`, the best linear approximation.
@@ -371,20 +361,22 @@ Rigs = Annotated[list[str] | None, option("--rig", "Id of a rig; repeatable.", "
 def record(
     source: str | None = chosen(
         None,
-        "--from --connect ENDPOINT",
         "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
         "[client] connect, or for one rig the daemon on this machine",
+        names="--from --connect ENDPOINT",
     ),
     rigs: Rigs = None,
-    every: bool = chosen(False, "--all", "Record every rig, including rigs that start later."),
+    every: bool = chosen(
+        False, "Record every rig, including rigs that start later.", names="--all"
+    ),
     out: Path | None = chosen(
         None,
-        "-o FILE",
         "File to write; for several rigs, folder for the files.",
         "RIG-remote-TIME.mcap, here",
+        names="-o FILE",
     ),
     seconds: float | None = chosen(
-        None, "--seconds S", "Length of the recording, in s.", "until Ctrl-C"
+        None, "Length of the recording, in s.", "until Ctrl-C", metavar="S"
     ),
     json: Json = False,
 ) -> None:
@@ -547,13 +539,13 @@ def record_many(
 
 def play(
     file: File,
-    speed: float = chosen(1.0, "--speed X", "Speed of the playback, relative to the recording."),
+    speed: float = chosen(1.0, "Speed of the playback, relative to the recording.", metavar="X"),
     start: From = None,
     stop: To = None,
-    loop: bool = chosen(False, "--loop", "Repeat the recording until Ctrl-C."),
-    wait: bool = chosen(False, "--wait", "Begin when the first listener connects."),
+    loop: bool = chosen(False, "Repeat the recording until Ctrl-C."),
+    wait: bool = chosen(False, "Begin when the first listener connects."),
     listen: str | None = chosen(
-        None, "--listen ENDPOINT", "zenoh endpoint to publish at.", "a socket of this user's"
+        None, "zenoh endpoint to publish at.", "a socket of this user's", metavar="ENDPOINT"
     ),
     json: Json = False,
 ) -> None:
@@ -611,19 +603,14 @@ def _announce(
 
 
 def demo(
-    directory: Path = chosen(Path("demo"), "--directory", "Folder for all files."),
-    seconds: float = chosen(30.0, "--seconds", "Length of each telegraph signal, in s.", min=5),
-    seed: int = chosen(
-        1, "--seed", "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2
-    ),
+    directory: Path = chosen(Path("demo"), "Folder for all files."),
+    seconds: float = chosen(30.0, "Length of each telegraph signal, in s.", min=5),
+    seed: int = chosen(1, "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2),
     virtual: bool = chosen(
-        False,
-        "--virtual",
-        "Run in virtual time, without waiting; the same seed gives the same bytes.",
+        False, "Run in virtual time, without waiting; the same seed gives the same bytes."
     ),
     firmware: bool = chosen(
         False,
-        "--firmware",
         "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
         "builds the necessary program, which no wheel contains.",
     ),

@@ -81,11 +81,9 @@ def validate(
     model: ModelFile,
     signals: Annotated[SignalChoice, data_group(without="assume")],
     horizon: list[int] | None = chosen(
-        None, "--horizon", "Prediction horizon, in samples; repeatable.", "1 and 10", min=1
+        None, "Prediction horizon, in samples; repeatable.", "1 and 10", min=1
     ),
-    lags: int | None = chosen(
-        None, "--lags", "Number of lags in the tests of the residuals.", "25", min=1
-    ),
+    lags: int | None = chosen(None, "Number of lags in the tests of the residuals.", "25", min=1),
     out: ShownFigure,
 ) -> None:
     """Validate a model on a recording or other data.
@@ -204,14 +202,10 @@ def compare(
     other: OtherFile = None,
     orders: ModelOrders,
     model: list[Path] | None = chosen(
-        None, "--model JSON", "Model file written by identify --save; repeatable."
+        None, "Model file written by identify --save; repeatable.", metavar="JSON"
     ),
     horizon: int | None = chosen(
-        None,
-        "--horizon",
-        "Prediction horizon, in samples.",
-        "none: the models are simulated",
-        min=1,
+        None, "Prediction horizon, in samples.", "none: the models are simulated", min=1
     ),
     given: Given = None,
     part: Part,
@@ -336,7 +330,7 @@ def check(
     *,
     file: DataFile,
     signals: Annotated[SignalChoice, data_group()],
-    level: float = chosen(0.05, "--level", "Significance level of the test for feedback."),
+    level: float = chosen(0.05, "Significance level of the test for feedback."),
     out: Shown,
 ) -> None:
     """Test the data for feedback and a delay (handout 3.7, 3.8).
@@ -416,7 +410,7 @@ def linearity(
     *,
     file: DataFile,
     signals: Annotated[SignalChoice, data_group()],
-    level: float = chosen(0.05, "--level", "Significance level of the test."),
+    level: float = chosen(0.05, "Significance level of the test."),
     out: Shown,
 ) -> None:
     """Test whether the rig is linear; name a nonlinearity."""
@@ -477,39 +471,38 @@ def report(
         list[Path] | None,
         argument("F…", "Recordings (*.mcap) or their @names.", parser=recording_path),
     ] = None,
-    output: Path = chosen(Path("report.pdf"), "-o --output PDF", "PDF to write."),
+    output: Path = chosen(Path("report.pdf"), "PDF to write.", names="-o --output PDF"),
     signal: list[str] | None = chosen(
         None,
-        "--signal NAME",
         "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
         "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
         "theta_1",
+        metavar="NAME",
     ),
     orders: ModelOrders,
     calibration: CalibrationFile = None,
-    force: bool = chosen(False, "--force", "Overwrite an existing PDF."),
+    force: bool = chosen(False, "Overwrite an existing PDF."),
     handout: bool = chosen(
         False,
-        "--handout",
         "Write a section for each assignment, at most ten pages in total. The recordings F… "
         "are then optional.",
     ),
     questions: Path | None = chosen(
-        None, "--questions TOML", "New file for the handout's questions; no report is written."
+        None, "New file for the handout's questions; no report is written.", metavar="TOML"
     ),
     answers: Path | None = chosen(
-        None, "--answers TOML", "File with names, registration numbers and reasons (--handout)."
+        None, "File with names, registration numbers and reasons (--handout).", metavar="TOML"
     ),
     given: Annotated[list[str] | None, noted(OF_CHANGES, " (--handout)")] = None,
     amplitude: Annotated[float, noted(OF_AMPLITUDE, " (--handout)")] = AMPLITUDE_V,
     omega: Annotated[float, noted(OF_OMEGA, " (--handout)")] = OMEGA,
     source: Path | None = chosen(
         None,
-        "--source FOLDER",
         "New folder for the Typst source and its figures; --from typesets this source.",
+        metavar="FOLDER",
     ),
     edited: Path | None = chosen(
-        None, "--from FOLDER", "Folder with a source to typeset, in place of recordings."
+        None, "Folder with a source to typeset, in place of recordings.", names="--from FOLDER"
     ),
     json: Json = False,
 ) -> None:
