@@ -412,7 +412,7 @@ class Found:
             yield model_output.short_search_lines(self.search)
         yield equation.short_lines(self.fit, roots=self.search is None)
         if self.validation is not None:
-            yield from ([line] for line in model_output.pair_lines(self.validation.tests))
+            yield from ([line] for line in self.validation.tests.pair_lines())
         yield model_output.advice_lines(self.fit, self.doubts)
 
     def _all(self) -> Iterator[Sequence[str]]:
@@ -427,7 +427,7 @@ class Found:
         yield [*said, repr(armrig.advice(self.fit))]
         if self.validation is not None:
             yield [f"validation on {self.validate}", repr(self.validation.table)]
-            yield model_output.residual_lines(self.validation.tests)
+            yield self.validation.tests.lines(every=True)
 
     def facts(self) -> dict[str, Any]:
         """Return the model, its advice, the search and the validation as JSON fields."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isnan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,10 +10,10 @@ import numpy as np
 from armrig.cli.printing import echo, fields_of, say, say_more
 from armrig.cli.recorded_data import source_facts
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import listed, p_relation, plural
+from armrig.numerics.quantities import listed, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
 from armrig.validation.advice import advice
-from armrig.validation.answer import DYNAMICS, FEEDBACK, LEVEL, NOISE, OF_DATA, UNTESTED, closest
+from armrig.validation.answer import OF_DATA, closest
 from armrig.validation.comparison import Comparison
 from armrig.validation.feedback_and_delay.by_channel import ByChannel
 from armrig.validation.residual_test import ResidualTest
@@ -93,32 +92,6 @@ def equally_well(horizons: Sequence[int | None]) -> str:
     return f"Predicted {ahead} ahead, it fits equally well: the model has no noise model."
 
 
-def residual_lines(tests: ResidualTest) -> list[str]:
-    """Return the tests of the residuals, each with its hypothesis and p value."""
-    where = "estimation" if tests.on_estimation_data else "validation"
-    look = f": {NOISE}" if tests.white.coloured else ""
-    counts = np.atleast_1d(np.isfinite(tests.e).sum(axis=0)).tolist()
-    return [
-        f"residuals on {where} data, {listed([str(n) for n in counts])} samples; {LEVEL}",
-        f"  residuals {tests.white}{look}",
-        f"  no dynamics missing: {tests.blind or _p(tests.missing_dynamics, DYNAMICS)}",
-        f"  no feedback seen: {_p(tests.feedback, FEEDBACK)}",
-        *([f"  no power: {tests.powerless}"] if tests.powerless else []),
-        *(
-            f"  residuals of {name}: {white}"
-            for name, white in zip(tests.outputs, tests.white_by_output, strict=True)
-            if len(tests.outputs) > 1
-        ),
-        *pair_lines(tests, every=True),
-    ]
-
-
-def pair_lines(tests: ResidualTest, *, every: bool = False) -> list[str]:
-    """Return the tests of each pair; a single pair has no line of its own."""
-    several = tests.missing_dynamics_by_pair.size > 1
-    return [*tests.pair_lines(every=every)] if several else []
-
-
 def lags_outside(tests: ResidualTest) -> str:
     """Return a note on single lags outside their bands if the joint test accepts; otherwise ""."""
     if tests.missing_dynamics_by_pair.size > 1:
@@ -192,12 +165,6 @@ def residual_facts(
             for j, input in enumerate(tests.inputs)
         ],
     }
-
-
-def _p(p: float, otherwise: str) -> str:
-    if isnan(p):
-        return UNTESTED
-    return f"p {p_relation(p)}" + (f", rejected: {otherwise}" if p < WHITE_LEVEL else "")
 
 
 def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> None:

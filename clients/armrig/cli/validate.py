@@ -93,9 +93,7 @@ def validate(
     from armrig.cli.model_output import (
         error_facts,
         lags_outside,
-        pair_lines,
         residual_facts,
-        residual_lines,
     )
     from armrig.models.equation import input_and_output
     from armrig.plots.captions import signature
@@ -133,8 +131,8 @@ def validate(
             f"({signature(data.source)}); {simulated.note}",
             dim=True,
         )
-        if lines := residual_lines(tests) if out.verbose else pair_lines(tests):
-            say("\n".join(lines))
+        for line in tests.lines(every=True) if out.verbose else tests.pair_lines():
+            say(line)
         if (out.verbose or out.plot is not None) and (why := lags_outside(tests)):
             say(why)
 

@@ -240,11 +240,17 @@ class ResidualTest:
         return html(self)
 
     def __repr__(self) -> str:
-        """Return a text: the joint tests, then a line for each output and each rejected pair."""
+        """Return a text: the lines of the tests, then the warnings."""
+        return "\n".join([*self.lines(), *(f"  {finding.text}" for finding in self.findings)])
+
+    def lines(self, *, every: bool = False) -> list[str]:
+        """Return lines with the joint tests, then a line for each output and each rejected pair.
+
+        If `every` is True, each pair has a line.
+        """
         where = "estimation" if self.on_estimation_data else "validation"
         if self.powerless and not self.rejects:
-            powerless = f"residuals on {where} data: no test has power: {self.powerless}"
-            return "\n".join([powerless, *self._warnings()])
+            return [f"residuals on {where} data: no test has power: {self.powerless}"]
         several = self.missing_dynamics_by_pair.size > 1
         counts = np.isfinite(self.e).sum(axis=0)
         look = ": look at the noise model or order" if self.white.coloured else ""
@@ -263,14 +269,16 @@ class ResidualTest:
         if len(self.outputs) > 1:
             each = zip(self.outputs, self.white_by_output, strict=True)
             lines += [f"  {name}: {white}" for name, white in each]
-        return "\n".join([*lines, *(self.pair_lines() if several else ()), *self._warnings()])
+        return [*lines, *self.pair_lines(every=every)]
 
     def pair_lines(self, *, every: bool = False) -> Iterator[str]:
-        """Yield a line for each test that rejects a pair of an output and an input.
+        """Yield a line for each test that rejects one of several pairs of an output and an input.
 
         Bonferroni's correction accounts for the number of pairs. If dynamics are missing, the test
         of feedback is not valid. If `every` is True, all valid tests have a line.
         """
+        if self.missing_dynamics_by_pair.size == 1:
+            return
         tests = [(self.missing_dynamics_by_pair, _DYNAMICS)]
         if not self.missing_dynamics < WHITE_LEVEL:
             tests.append((self.feedback_by_pair, _FEEDBACK))
@@ -281,9 +289,6 @@ class ResidualTest:
                     said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
                     pair = f"{self.inputs[j]} to {self.outputs[i]}"
                     yield f"  {pair}: {bad if rejected else good} {said}"
-
-    def _warnings(self) -> list[str]:
-        return [f"  {finding.text}" for finding in self.findings]
 
 
 def _verdict(good: str, bad: str, look: str, p: float) -> str:

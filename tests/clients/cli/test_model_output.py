@@ -76,27 +76,6 @@ def _tests(**changes: Any) -> Any:
     return SimpleNamespace(**of | {"cross_correlation": np.array([0, 0, 0.3, -0.3, 0])} | changes)
 
 
-def test_the_tests_of_the_residuals_have_a_line_each() -> None:
-    assert model_output.residual_lines(_tests()) == [
-        "residuals on validation data, 1 samples; a p below 0.01 rejects",
-        "  residuals white (p = 0.400, T)",
-        "  no dynamics missing: p = 0.300",
-        "  no feedback seen: p = 0.200",
-    ]
-    rejected = _tests(
-        **{"white": _white(0.001), "missing_dynamics": np.nan, "feedback": 0.009},
-        **{"powerless": "u rests", "on_estimation_data": True},
-    )
-    assert model_output.residual_lines(rejected) == [
-        "residuals on estimation data, 1 samples; a p below 0.01 rejects",
-        "  residuals coloured (p = 0.001, T): look at the noise model or the orders",
-        "  no dynamics missing: too few samples or residuals for the test",
-        "  no feedback seen: p = 0.009, rejected: look at the experiment (was u held between "
-        "samples, and recorded at the time of y?), or the delay is too large",
-        "  no power: u rests",
-    ]
-
-
 P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
 """p values of two outputs and three inputs; 0.01 / 6 is 0.0017."""
 
