@@ -161,11 +161,11 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
     """
     if _well_inside(p):
         return p
-    z = roots(p)
+    z = _few_roots(p)
     size = np.abs(z)
     if size.max() <= EDGE_MODULUS:
         return p
-    farthest = min(EDGE_MODULUS, 1 - _MIN_LEFT_SHARE * (1 - np.abs(roots(previous)).max()))
+    farthest = min(EDGE_MODULUS, 1 - _MIN_LEFT_SHARE * (1 - np.abs(_few_roots(previous)).max()))
     z = z * np.minimum(1.0, farthest / np.maximum(size, farthest))
     for side in (1, -1):
         at = np.flatnonzero((z.imag == 0) & (side * z.real >= EDGE_MODULUS - _EDGE_TOLERANCE))
@@ -180,6 +180,20 @@ def _well_inside(p: Array) -> bool:
     return stable(p * _INSIDE_MODULUS ** -np.arange(float(p.size)))
 
 
+def _few_roots(p: Array) -> Array:
+    """Return the roots of a monic p, by a formula if there are at most two."""
+    if p.size > 3:
+        return roots(p)
+    if p.size < 3:
+        return np.asarray(-p[1:])
+    half, c = -p[1] / 2, p[2]
+    square = half * half - c
+    if square < 0:
+        return np.array([half + 1j * np.sqrt(-square), half - 1j * np.sqrt(-square)])
+    larger = half + np.copysign(np.sqrt(square), half)
+    return np.array([larger, c / larger if larger else 0.0])
+
+
 def outward_normals(p: Array) -> Array:
     """Return the unit gradient of |z| for each of the k roots z at the edge.
 
@@ -191,7 +205,7 @@ def outward_normals(p: Array) -> Array:
     """
     if _well_inside(p):
         return np.zeros((0, p.size - 1))
-    z = roots(p)
+    z = _few_roots(p)
     n = z.size
     rows = []
     for i in np.flatnonzero((np.abs(z) >= EDGE_MODULUS - _EDGE_TOLERANCE) & (z.imag >= 0)):
