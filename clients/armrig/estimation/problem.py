@@ -23,7 +23,7 @@ from armrig.models.innovations import (
 from armrig.models.structure import Structure
 from armrig.numerics.covariance import spread, spread_apart
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import MAX_STEPS, Jacobian, Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array, drawn_to_edge, monic, outward_normals, stable
 
 
@@ -244,7 +244,7 @@ class PolynomialProblem:
         Both may be multiplied by the same orthogonal matrix.
         """
         if (one := self._projection(theta)) is not None:
-            return one.linearised()
+            return one.e, one.J()
         equations = self._equations(theta)
         found = self._solved(theta, equations, scaled=True)
         if equations.scale == 1.0:
@@ -254,11 +254,16 @@ class PolynomialProblem:
     def cost(self, theta: Array) -> float:
         """Return the sum of squared errors at theta, scaled as the class describes."""
         if (one := self._projection(theta)) is not None:
-            return one.cost
+            return float(one.e[0]) ** 2
         equations = self._equations(theta)
         basis, _, y = equations.projected()
         e = basis.without(y)
         return float(e @ e) * equations.scale**2
+
+    def _linearise_lazily(self, theta: Array) -> tuple[Array, Jacobian]:
+        """Return e and J, or e and a function that computes J."""
+        one = self._projection(theta)
+        return self.linearise(theta) if one is None else (one.e, one.J)
 
     def _projection(self, theta: Array) -> Projection | None:
         if not self.projects:
@@ -401,7 +406,7 @@ class PolynomialProblem:
         """Return the minimum that a search from theta reaches with stable C and F."""
         circle = self.circle
         return levenberg_marquardt(
-            self.linearise,
+            self._linearise_lazily,
             theta,
             admissible=circle.admits,
             most=most,

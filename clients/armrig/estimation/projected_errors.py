@@ -47,16 +47,19 @@ class Projection:
     """Triangular factor (d + 1, d + 1)."""
 
     @property
-    def cost(self) -> float:
-        """Sum of squared errors."""
-        return float(self.R[-1, -1]) ** 2
+    def e(self) -> Array:
+        """Errors multiplied by Q^T, (N - d,)."""
+        d = self.R.shape[0] - 1
+        e = np.zeros(self.x.y.size - d)
+        e[0] = self.R[d, d]
+        return e
 
-    def linearised(self) -> tuple[Array, Array]:
-        """Return e (N - d,) and J (N - d, n), both multiplied by Q^T."""
+    def J(self) -> Array:
+        """Return the Jacobian multiplied by Q^T, (N - d, n)."""
         n, d, N = self.n, self.R.shape[0] - 1, self.x.y.size
         solution = np.linalg.solve(self.R[:d, :d], self.R[:d, d])
         first = d - n.nb[0]
-        state = solution[first - n.counts[0] : first]
+        state = solution[_pulses(n) : first]
         # The response B/F u from the estimated state, filtered by 1/C.
         driven = np.convolve(np.append(np.zeros(n.nk[0]), solution[first:]), self.by_input)[:N]
         if state.size:
@@ -72,16 +75,14 @@ class Projection:
         if n.nf[0]:
             shift_into(Psi[:, n.nc + n.nd :], filtered([-1.0], self.F, driven))
         Psi, *_ = dormqr("L", "T", self.reflectors, self.tau, Psi, 64 * Psi.shape[1], overwrite_c=1)
-        e = np.zeros(N - d)
-        e[0] = self.R[d, d]
-        return e, Psi[d:]
+        return np.asarray(Psi[d:])
 
 
 def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> Projection | None:
     """Return the decomposition, or None if the linear parameters are nearly dependent."""
     N, CF = x.y.size, np.convolve(C, F)
-    pulses, count, nb = n.forgotten(0) if n.nc else 0, n.counts[0], n.nb[0]
-    d = pulses + count + nb
+    pulses, state = _pulses(n), _pulses(n) + n.counts[0]
+    d = state + n.nb[0]
     if d >= N:
         return None
     by_input, by_pulse = filtered([1.0], CF, x.u[:, 0]), response([1.0], CF, N)
@@ -89,8 +90,8 @@ def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> 
     W = np.zeros((N, d + 1), order="F")
     if pulses:
         _shifted(W[:, :pulses], response([1.0], C, N), 0)
-    _shifted(W[:, pulses : pulses + count], np.convolve(D, by_pulse), 0)
-    _shifted(W[:, pulses + count : d], np.convolve(D, by_input), n.nk[0])
+    _shifted(W[:, pulses:state], np.convolve(D, by_pulse), 0)
+    _shifted(W[:, state:d], np.convolve(D, by_input), n.nk[0])
     W[:, d] = np.convolve(D, by_output)[:N]
     reflectors, tau, *_ = dgeqrf(W)
     R = reflectors[: d + 1] * _upper(d + 1)
@@ -111,6 +112,12 @@ def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> 
         tau=tau,
         R=R,
     )
+
+
+@lru_cache
+def _pulses(n: Structure) -> int:
+    """Return the number of pulses z at the start of the data."""
+    return n.forgotten(0) if n.nc else 0
 
 
 def _shifted(columns: Array, x: Array, first: int) -> None:

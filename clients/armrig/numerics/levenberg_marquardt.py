@@ -22,6 +22,9 @@ _GRADIENT_FALL = 0.9  # largest ratio of successive gradients that counts as a d
 _MIN_DECREASE = 1e-13  # relative decrease of the cost; a smaller predicted decrease is rounding
 _WALL_RANK_TOLERANCE = 1e-9  # relative singular value above which walls do not coincide
 
+Jacobian = Array | Callable[[], Array]
+"""Jacobian (N, n), or a function that computes it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optimum:
@@ -48,7 +51,7 @@ class Walls(Protocol):
 
 
 def levenberg_marquardt(
-    linearise: Callable[[Array], tuple[Array, Array]],
+    linearise: Callable[[Array], tuple[Array, Jacobian]],
     theta: Array,
     *,
     admissible: Callable[[Array], bool],
@@ -60,6 +63,7 @@ def levenberg_marquardt(
     """Return the local minimum of |e(theta)|² that a descent from an admissible `theta` reaches.
 
     `linearise` returns e (N,) and J (N, n) of theta, so that e(theta + d) is close to e - J d.
+    In place of J it may return a function that computes J. A rejected step then costs only e.
 
     The search stops if both the relative change of the cost and the scaled gradient |Q^T e| / |e|
     are below 1e-10. The columns of Q are an orthonormal basis of the column space of J. The scaled
@@ -162,6 +166,8 @@ def _normals(walls: Walls | None, theta: Array, scale: Array) -> Array:
 
 def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Linear:
     """Return s, V^T and z for steps along the walls that an unrestricted step would cross."""
+    if not normals.size:
+        return s, Vt, z
     S, V, Z = s, Vt, z
     crossed = np.zeros(normals.shape[0], dtype=np.bool_)
     while True:
@@ -175,8 +181,9 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
         Vt, z = along @ free, U.T @ Z
 
 
-def _compressed(e: Array, J: Array) -> tuple[_Linear, Array]:
+def _compressed(e: Array, J: Jacobian) -> tuple[_Linear, Array]:
     """Return (s, V^T, U^T Q^T e) and the scale (n,), with J / scale = Q R and R = U s V^T."""
+    J = J() if callable(J) else J
     scale = column_norms(J)
     scale[scale == 0] = 1.0
     # e is the last column, so that R contains Q^T e and Q itself is not needed.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
@@ -141,3 +143,25 @@ def test_a_parameter_without_effect_keeps_its_value() -> None:
 
     assert found.converged
     assert found.theta[2] == 9.0
+
+
+def test_a_rejected_step_needs_no_jacobian() -> None:
+    """If `linearise` returns a function for J, the search calls it only where it moves to."""
+    moved: list[float] = []
+    tried: list[float] = []
+
+    def linearise(theta: Array) -> tuple[Array, Callable[[], Array]]:
+        tried.append(float(theta[0]))
+
+        def J() -> Array:
+            moved.append(float(theta[0]))
+            return np.array([[1 / (1 + theta[0] ** 2)]])
+
+        return -np.arctan(theta), J
+
+    found = levenberg_marquardt(linearise, np.array([2.0]), admissible=lambda _: True)
+
+    assert abs(found.theta[0]) < 1e-8
+    assert found.converged
+    assert np.all(np.diff(np.abs(moved)) < 0)
+    assert len(moved) < len(tried)
