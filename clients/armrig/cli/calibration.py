@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -388,8 +390,6 @@ def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
 
 
 def _default(rig: str) -> Path:
-    import platformdirs
-
     return Path(platformdirs.user_config_dir("armrig")) / f"calibration-{rig}.toml"
 
 
@@ -444,11 +444,8 @@ def _write(
     path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, Recording]
 ) -> None:
     """Write the calibration and its samples; each file is written completely or not at all."""
-    import hashlib
-    from importlib.metadata import version
-
     from armrig_core.rig.calibration import Made
-    from armrig_core.rig.calibration_file import raw_path, toml_of
+    from armrig_core.rig.calibration_file import toml_of
 
     from armrig.recordings.calibration_readings import compressed
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -508,7 +509,6 @@ def _searched(
     integrator: bool | None,
 ) -> SearchResult:
     from concurrent.futures import ProcessPoolExecutor
-    from contextlib import nullcontext
 
     given: Given = {"integrator": integrator} | wanted.fixed
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
@@ -652,8 +652,6 @@ def report_each(
 
 def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> None:
     """Run the task and print the result; exit with 1 after a problem or a failed check."""
-    from functools import partial
-
     from armrig.report.batch.batch import batch as processed
     from armrig.report.batch.workers import cluster, processes
 

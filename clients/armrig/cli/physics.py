@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -82,8 +82,6 @@ _MAX_RATIO = 100.0
 
 def parameters(given: list[str] | None) -> ArmParameters:
     """Return the parameters of the handout with the given changes."""
-    from dataclasses import replace
-
     from armrig_core.rig.arm import ArmParameters
 
     return replace(ArmParameters(), **_values(given))
@@ -110,8 +108,6 @@ def changes(given: list[str] | None) -> str:
 
 
 def _values(given: list[str] | None) -> dict[str, float]:
-    from dataclasses import fields
-
     from armrig_core.rig.arm import ArmParameters
 
     names = [f.name for f in fields(ArmParameters)]

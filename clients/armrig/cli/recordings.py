@@ -25,6 +25,7 @@ from armrig.cli.results import (
     FIGURE_HELP,
     Draw,
     Shown,
+    check_output,
     check_plot,
     figure_path,
     name_runs,
@@ -498,7 +499,6 @@ def export(
     In MATLAB: `s = load('data.mat'); z = iddata(s.y, s.u, s.Ts)`. Missing samples have rows, too.
     A missing y is NaN.
     """
-    from armrig.cli.results import check_output
     from armrig.recordings.files.export import write_csv, write_mat, write_parquet, write_transforms
 
     asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}

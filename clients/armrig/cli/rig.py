@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from itertools import islice
 from math import degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -61,8 +62,6 @@ def watch(
 
     With --json each line has the fields of a sample, or of a gap: k_first, count, reason and more.
     """
-    from itertools import islice
-
     with _opened(rig, connect) as opened:
         samples = islice(opened.stream("sample"), count)
         with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
@@ -218,8 +217,6 @@ def _watch_in_lines(samples: Any) -> None:
 
 
 def _sample_line(sample: Any) -> str:
-    from math import degrees
-
     if isinstance(sample, armrig.LiveGap):
         return f"{sample.k_first:>10} {sample.count} missing: {sample.reason}"
     late = (sample.t_host_ns - sample.t_sched_ns) / 1e3

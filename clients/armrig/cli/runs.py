@@ -7,9 +7,10 @@ import re
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
+from math import inf
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -299,8 +300,6 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     If `without_arm` is True, the experiment needs the chassis without the arm, and a rig with an
     arm is refused.
     """
-    from dataclasses import replace
-
     from armrig.recordings.files.recording_summary import VALIDATION_OF
     from armrig.rig.collection import Plan
     from armrig.rig.collection import collect as collected
@@ -558,8 +557,6 @@ def play(
     With --json the first line contains the endpoint, and the last line contains the number of
     messages.
     """
-    from math import inf
-
     from armrig_core.telemetry.topics import check_rig_id, played_id
 
     from armrig.rig.playback import play as played

@@ -49,6 +49,7 @@ from armrig.cli.recorded_data import (
     data_group,
     facts_by_channel,
     from_recording,
+    loaded,
     recording_path,
     require_result,
     say_channel,
@@ -629,7 +630,6 @@ def _study_report(
     outputs: Sequence[OutputName],
 ) -> tuple[list[Recording], Callable[..., Any]]:
     """Return the recordings, and the function that typesets a report on them."""
-    from armrig.cli.recorded_data import loaded
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study
 
@@ -653,7 +653,6 @@ def _handout_report(
     **problem: Any,
 ) -> tuple[list[Recording], Callable[..., Any]]:
     """Return the recordings, and the function that typesets the handout's report."""
-    from armrig.cli.recorded_data import loaded
     from armrig.report.answers import Answers, read_answers
     from armrig.report.document import handout_report
     from armrig.report.handout_study import handout_study
