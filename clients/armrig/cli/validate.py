@@ -607,10 +607,10 @@ def _write_questions(path: Path) -> None:
 
 
 def _typeset_source(folder: Path, output: Path) -> None:
-    from armrig.report.document import TEMPLATE, check_length
-    from armrig.report.typesetting import SHARED, compiled
+    from armrig.report.document import check_length
+    from armrig.report.typesetting import compiled, page_limit
 
-    sources = sorted(path for path in folder.glob("*.typ") if path.name != SHARED)
+    sources = sorted(folder.glob("*.typ"))
     if len(sources) != 1:
         raise InputError(
             f"--from {folder}: has {len(sources)} files *.typ; give a folder that `armrig report "
@@ -618,8 +618,7 @@ def _typeset_source(folder: Path, output: Path) -> None:
         )
     with spinner("typesetting"):
         pdf, places = compiled(sources[0])
-    if sources[0].name == TEMPLATE:
-        check_length(places)
+    check_length(places, page_limit(folder))
     output.write_bytes(pdf)
 
 

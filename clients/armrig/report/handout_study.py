@@ -143,33 +143,3 @@ def _doubled(p: ArmParameters) -> dict[str, ArmParameters]:
 
 def _first(recordings: Sequence[Recording], kind: str) -> Dataset | None:
     return next((r.dataset() for r in recordings if kind_of(r) == kind), None)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
-    """Table of texts, with a heading for each column."""
-
-    caption: str
-    """Caption of the table, with the quantities in it."""
-    header: tuple[str, ...]
-    """A heading for each column."""
-    rows: tuple[tuple[str, ...], ...]
-    """Rows of the table; each row has a text for each column."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Section:
-    """Section on one assignment: text, tables and figure, or a reason for no answer."""
-
-    answer: tuple[str, ...] = ()
-    """Paragraphs; the first contains the numbers. As in Typst, "$" encloses a formula."""
-    tables: tuple[Table, ...] = ()
-    """Tables after the paragraphs."""
-    figure: str = ""
-    """Name of the figure; "" for no figure."""
-    caption: str = ""
-    """Caption of the figure."""
-    fill: str = ""
-    """Command that makes the missing recording; "" if there is an answer."""
-    lack: str = ""
-    """Reason why there is no answer; "" if there is an answer."""

@@ -31,9 +31,10 @@ from armrig.numerics.quantities import (
 )
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy
-from armrig.report.handout_study import HandoutStudy, Section, Table
+from armrig.report.handout_study import HandoutStudy
 from armrig.report.model_facts import arm_at_rest
 from armrig.report.recording_facts import linearity_sentences, without_turns
+from armrig.report.sections import Section, Table, figure
 from armrig.report.study import Study
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop
@@ -69,7 +70,11 @@ def _section(
     lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
     if command == _GREYBOX:
         lack += " Remove the rotating part before recording (handout, figure 6)."
-    return Section(lack=lack, fill=command)
+    return _lacking(lack, command)
+
+
+def _lacking(reason: str, command: str) -> Section:
+    return Section(lack=f"{reason} Record it with `{command}`, then make the report again.")
 
 
 def _sampling(study: HandoutStudy, found: SamplingTime) -> Section:
@@ -82,7 +87,7 @@ def _sampling(study: HandoutStudy, found: SamplingTime) -> Section:
     other = f" The models below use {used}." if used not in ("", milliseconds(found.Ts)) else ""
     how = "a step response" if found.from_step else "an impulse response (no step was recorded)"
     return Section(
-        answer=(
+        paragraphs=(
             f"The recommended sampling time is {milliseconds(found.Ts)}. From {how}, {measured}. "
             f"$omega_s = 20 slash tau$ then gives {number(1e3 * found.Ts_step)} ms. The spectrum "
             f"is at −3 dB at {number(found.omega_spectrum)} rad/s, which gives "
@@ -90,9 +95,11 @@ def _sampling(study: HandoutStudy, found: SamplingTime) -> Section:
             f"{number(1e3 * found.settling)} ms give $T_s$ = {number(1e3 * low)} to "
             f"{number(1e3 * high)} ms.{other}",
         ),
-        figure="sampling",
-        caption="(a) Rate of θ₁ after a step, divided by its final value, at the recommended "
-        "instants; (b) frequency response and power of the output.",
+        figures=figure(
+            "sampling",
+            "(a) Rate of θ₁ after a step, divided by its final value, at the recommended "
+            "instants; (b) frequency response and power of the output.",
+        ),
     )
 
 
@@ -109,7 +116,7 @@ def _hints(_: HandoutStudy, found: StructureHints) -> Section:
         slope = f"At low frequency $abs(G)$ falls by {minus(f'{-found.low_slope:.1f}')} dB per "
         slope += "decade (an integrator: 20 dB). "
     return Section(
-        answer=(
+        paragraphs=(
             f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}. The "
             "structure is output error, because the noise arises in the potentiometer.",
             f"{slope}Resonances, two poles each: {peaks}; antiresonances, two zeros each: {dips}. "
@@ -117,8 +124,10 @@ def _hints(_: HandoutStudy, found: StructureHints) -> Section:
             f"{found.threshold:.2g}, and {plural(found.order - apart, 'value')} above this limit "
             "determine the order.",
         ),
-        figure="structure",
-        caption="(a) Spectral analysis with slopes and resonances; (b) Hankel singular values.",
+        figures=figure(
+            "structure",
+            "(a) Spectral analysis with slopes and resonances; (b) Hankel singular values.",
+        ),
     )
 
 
@@ -134,7 +143,7 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
         )
         other += "orders."
     return Section(
-        answer=(
+        paragraphs=(
             f"The {best.name} model simulates the validation data{halves} with an rms error of "
             f"{error(best.comparison.rms_error, black.validation.unit)}. It is estimated from "
             f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}: "
@@ -147,9 +156,11 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
             *linearity_sentences(black.validation),
         ),
         tables=(_coefficients(black), _validation(black)),
-        figure="residuals",
-        caption=f"Residuals of the {best.name} model on validation data: correlation "
-        "with themselves (a) and with the input (b).",
+        figures=figure(
+            "residuals",
+            f"Residuals of the {best.name} model on validation data: correlation "
+            "with themselves (a) and with the input (b).",
+        ),
     )
 
 
@@ -240,7 +251,7 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
     )
     are = "is closest" if len(closest) == 1 else "are equally close"
     return Section(
-        answer=(
+        paragraphs=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
             f"{off[best.name]}. {_difference(black)}",
             "The fit of the rate is $100 (1 - norm(v - w) slash norm(v - macron(v)))$ %, $v$ "
@@ -250,9 +261,11 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
             "The equivalent time is the area above the rate, divided by its final value.",
         ),
         tables=(table,),
-        figure="compare",
-        caption=f"(a) Measured and simulated angle{without_turns(black.validation)}; (b) data "
-        "(dots) and models, minus the best model.",
+        figures=figure(
+            "compare",
+            f"(a) Measured and simulated angle{without_turns(black.validation)}; (b) data "
+            "(dots) and models, minus the best model.",
+        ),
     )
 
 
@@ -264,11 +277,10 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 def _difference(black: Study) -> str:
     median = percent(100 * float(np.median(black.best.deviation)))
-    resting = arm_at_rest(black).replace("$", "")  # the name of a run contains no formula
     return (
         f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
         f"{black.best.name} differs from that of the physical model by a median of {median}. "
-        f"Nothing in the physical model was fitted.{resting}"
+        f"Nothing in the physical model was fitted.{arm_at_rest(black)}"
     )
 
 
@@ -279,16 +291,18 @@ def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:
     moved = ", ".join(f"{n} {minus(f'{x:+.2f}')}{NBSP}%" for n, x in influence.items())
     fixed_ones = f" An increase of a fixed parameter by 1 % changes $J$: {moved}." if moved else ""
     return Section(
-        answer=(
+        paragraphs=(
             f"$J$ = {scaled(J, std, 'kg m²')} (one standard deviation), "
             f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's $J_1$. The chassis "
             "alone obeys, without friction,",
             "$ J dot.double(theta)_1 = (N K_m)/R_m (u - N K_m dot(theta)_1) $",
             f"With this $J$ the simulated angle fits {found.N} samples best.{fixed_ones}",
         ),
-        figure="greybox",
-        caption="(a) Measured and simulated angle of the chassis alone"
-        f"{without_turns(study.chassis) if study.chassis else ''}; (b) the error.",
+        figures=figure(
+            "greybox",
+            "(a) Measured and simulated angle of the chassis alone"
+            f"{without_turns(study.chassis) if study.chassis else ''}; (b) the error.",
+        ),
     )
 
 
@@ -310,7 +324,7 @@ def _split(_: HandoutStudy, found: SplitStudy) -> Section:
         crosses = f"; the {last.k} parts scatter by {scatter} kg{NBSP}m², 95 % interval {low} to "
         crosses += f"{high} (χ² with {last.k - 1} degrees of freedom)"
     return Section(
-        answer=(
+        paragraphs=(
             f"If the data are divided into {plural(last.k, 'part')}, the variance of $J$ grows by "
             f"a factor of {found.std_growth**2:.2f}. "
             "A variance proportional to $1 slash N$ would grow by a factor of "
@@ -319,29 +333,33 @@ def _split(_: HandoutStudy, found: SplitStudy) -> Section:
             "covariance is the inverse of the information.",
         ),
         tables=(table,),
-        figure="split",
-        caption="(a) Each estimate with ±2 σ; band: weighted mean of the parts ±2 σ. "
-        f"(b) σ against N{crosses}.",
+        figures=figure(
+            "split",
+            "(a) Each estimate with ±2 σ; band: weighted mean of the parts ±2 σ. "
+            f"(b) σ against N{crosses}.",
+        ),
     )
 
 
 def _loop(_: HandoutStudy, found: OpenLoop) -> Section:
     if found.sims is None:
-        return Section(lack=found.explain(), fill=_BLACKBOX)
+        return _lacking(found.explain(), _BLACKBOX)
     s = found.sims
     verdict = "the data show FEEDBACK" if found.feedback else "nothing speaks against open loop"
     return Section(
-        answer=(
+        paragraphs=(
             f"p {p_relation(found.p_value)} in Sims' F-test ($F$ = {s.F:.3g} with {s.q} and "
             f"{s.degrees} degrees of freedom): {verdict}.",
             "$theta_1(t)$ is regressed on its own past, past $u$, and $u(t), dots, u(t + 4)$. "
             "$theta_1$ is read before $u$ is applied. In open loop $u(t)$ and later inputs "
             "therefore add nothing to the information of the past on $theta_1(t)$.",
         ),
-        figure="loop",
-        caption="Coefficients of u in the regression of θ₁(t). The band contains 99 % of the "
-        "estimates of a coefficient that is 0. Coefficients of past input, lags from 1 on, may "
-        "be outside the band.",
+        figures=figure(
+            "loop",
+            "Coefficients of u in the regression of θ₁(t). The band contains 99 % of the "
+            "estimates of a coefficient that is 0. Coefficients of past input, lags from 1 on, may "
+            "be outside the band.",
+        ),
     )
 
 
@@ -354,13 +372,15 @@ def _delay(_: HandoutStudy, found: Delay) -> Section:
     sizes = ", ".join(f"{minus(f'{g[k] / std[k]:+.1f}')} σ at lag {k}" for k in lags if std[k] > 0)
     ps = listed([f"p {p_relation(p)} up to lag {k}" for k, p in found.p_values.items()])
     return Section(
-        answer=(
+        paragraphs=(
             f"{found.nk_range}, {samples}.",
             f"Joint tests of the first coefficients of $u$ in an ARX model: {ps}. The impulse "
             f"response of the rate of $theta_1$ is {sizes}.",
         ),
-        figure="delay",
-        caption="(a) Impulse response. The band contains 99.9 % of the estimates of a coefficient "
-        "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not "
-        "significantly worse than the best model (level 0.1 %).",
+        figures=figure(
+            "delay",
+            "(a) Impulse response. The band contains 99.9 % of the estimates of a coefficient "
+            "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not "
+            "significantly worse than the best model (level 0.1 %).",
+        ),
     )

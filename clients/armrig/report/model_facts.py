@@ -1,19 +1,32 @@
-"""Facts about a report's models: coefficients, losses, residuals, and deviations."""
+"""Facts about a report's models: coefficients, losses, residuals, deviations, conclusions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
-from armrig.models.equation import letters, typst_form, whiteness_sentence
+from armrig.models.equation import letters, whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import fixed, listed, number, p_value, percent, places, power
+from armrig.models.structure_table import with_article
+from armrig.numerics.quantities import (
+    error,
+    fixed,
+    listed,
+    milliseconds,
+    number,
+    p_relation,
+    p_value,
+    percent,
+    places,
+    power,
+)
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.findings import alpha_moves
-from armrig.report.recording_facts import run_name
+from armrig.report.recording_facts import calibration_sentences, jitter_verdicts, run_name
+from armrig.report.sections import Table, plain
 from armrig.report.study import Assessed, AssessedFit, Study, each_output
-from armrig.validation.residual_test import ResidualTest
+from armrig.validation.residual_test import UNKNOWN, ResidualTest
 
 
 def orders(study: Study) -> str:
@@ -45,8 +58,8 @@ def _assigned(orders: Mapping[str, int]) -> str:
     return ", ".join(f"{name} = {n}" for name, n in orders.items())
 
 
-def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[str, Any]:
-    """Return the equation and the table of a model's coefficients, as values of the template.
+def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> Table:
+    """Return the table of a model's coefficients.
 
     If reference and model have the same polynomials, one column has the reference's coefficients.
     If the model has several outputs, `symbol` is that of the output.
@@ -57,32 +70,27 @@ def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[s
     if same:
         caption = f"{m.name} model{of}, its standard deviations, and the coefficients of the "
         caption += "physical model."
-    return {
-        "name": m.name,
-        "equation": typst_form(m.fit),
-        "header": [
+    return Table(
+        caption=caption,
+        header=(
             f"{m.name}, {symbol}" if symbol else m.name,
             "estimate",
             "σ",
             "σ robust",
             *([reference.name] if same else []),
-        ],
-        "rows": _coefficients(m.fit, reference.model if same else None),
-        "caption": caption,
-    }
+        ),
+        rows=tuple(_coefficients(m.fit, reference.model if same else None)),
+    )
 
 
-def _coefficients(fit: Fit, reference: Fit | None) -> list[list[str]]:
-    rows = []
+def _coefficients(fit: Fit, reference: Fit | None) -> Iterator[tuple[str, ...]]:
     theirs = dict(zip(reference.names, reference.theta, strict=True)) if reference else {}
     for name, value, std, robust in zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True):
         decimals = places(float(std))
-        row = [name, fixed(float(value), decimals), fixed(float(std), decimals)]
-        row.append(fixed(float(robust), decimals))
+        row = (name, *(fixed(float(x), decimals) for x in (value, std, robust)))
         if reference:
-            row.append(fixed(float(theirs[name]), decimals) if name in theirs else "–")
-        rows.append(row)
-    return rows
+            row += (fixed(float(theirs[name]), decimals) if name in theirs else "–",)
+        yield row
 
 
 def structure(study: Study) -> str:
@@ -120,15 +128,14 @@ def structure(study: Study) -> str:
     return " ".join(said)
 
 
-def estimations(study: Study) -> str:
-    """Return the losses of all models, without repeated warnings."""
-    sentences = [
-        text
+def estimations(study: Study) -> list[str]:
+    """Return the losses and the warnings of each model, without repeated texts."""
+    texts = [
+        " ".join(_estimation(m, one.symbol if study.others else ""))
         for one in each_output(study)
         for m in one.estimated
-        for text in _estimation(m, one.symbol if study.others else "")
     ]
-    return " ".join(dict.fromkeys(sentences))
+    return list(dict.fromkeys(texts))
 
 
 def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
@@ -146,15 +153,15 @@ def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
         yield f"{w[:1].upper()}{w[1:].rstrip('.')}."
 
 
-def percent_warning(study: Study) -> str:
-    """Return a warning about the fits in percent if an output integrates; "" otherwise."""
+def percent_warning(study: Study) -> Iterator[str]:
+    """Yield a warning about the fits in percent if an output integrates."""
     ramps = [
         o for o in each_output(study) if o.reference.comparison.velocity_fit_percent is not None
     ]
     if not ramps:
-        return ""
+        return
     angle = f"the {ramps[0].angle}" if study.others else "the angle"
-    return (
+    yield (
         f"The fit of {angle} is high for every model, because the ramp dominates the angle's "
         "variation: compare the rms errors. The fit of the velocity is computed from differences "
         "of the angle. The measured differences contain the converter's noise twice, so even the "
@@ -193,8 +200,8 @@ def arm_at_rest(study: Study) -> str:
     if not names:
         return ""
     return (
-        f" In {listed(names)} alpha is constant: the arm was removed or held. The physical model "
-        "has a moving arm, so it describes another rig."
+        f" In {plain(listed(names))} alpha is constant: the arm was removed or held. The physical "
+        "model has a moving arm, so it describes another rig."
     )
 
 
@@ -210,7 +217,7 @@ HYPOTHESES: tuple[tuple[str, str, Callable[[ResidualTest], float]], ...] = (
 """Hypotheses about the residuals, what to change if the p value is small, and the p value."""
 
 
-def residual_rows(study: Study) -> list[list[str]]:
+def residual_rows(study: Study) -> tuple[tuple[str, ...], ...]:
     """Return rows of the residual tests: hypothesis, p value of each model, and what to change.
 
     If the models have several outputs, the second column contains the output. The first row of
@@ -220,13 +227,127 @@ def residual_rows(study: Study) -> list[list[str]]:
     together = [m.together for m in study.estimated if m.together]
     if together:
         of_each.insert(0, ("together", together))
-    return [
-        [
+    return tuple(
+        (
             "" if i else hypothesis,
             *([output] if together else []),
             *(p_value(p_of(test)) for test in tests),
             "" if i else remedy,
-        ]
+        )
         for hypothesis, remedy, p_of in HYPOTHESES
         for i, (output, tests) in enumerate(of_each)
+    )
+
+
+MIN_BIASED_RMS_RATIO = 3.0
+"""Ratio of the rms errors of an ARX model and the best model, above which ARX is called biased."""
+
+
+def conclusions(study: Study) -> list[str]:
+    """Return the conclusions of a study, each in a few sentences."""
+    points = [
+        *(_simulation_verdict(one, _of(one, study, "of")) for one in each_output(study)),
+        *(_residual_verdict(model) for model in study.ranked),
+        *(_physics_verdict(one, _of(one, study, "to")) for one in each_output(study)),
+        *dict.fromkeys(text for one in each_output(study) for text in _structure_verdicts(one)),
     ]
+    points += calibration_sentences(study.recordings)
+    points += jitter_verdicts(study)
+    missing = sum(r.missing for r in study.recordings)
+    if missing:
+        points.append(
+            f"{missing} samples are missing. They are marked as missing, and no estimate uses a "
+            "value in their place."
+        )
+    return points
+
+
+def _of(one: Study, study: Study, word: str) -> str:
+    """Return a text such as " of the arm angle"; "" if the study has one output."""
+    return f" {word} the {one.angle}" if study.others else ""
+
+
+def _simulation_verdict(study: Study, of: str) -> str:
+    errors = ", ".join(
+        f"{error(m.comparison.rms_error, study.validation.unit)} "
+        f"({'the physical model' if m is study.reference else m.name})"
+        for m in (*study.ranked, study.reference)
+    )
+    return (
+        f"In a simulation of the {study.validation.t[-1]:.0f} s of validation data the rms error"
+        f"{of} is {errors}."
+    )
+
+
+def _physics_verdict(study: Study, to: str) -> str:
+    span = f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s"
+    medians = listed(
+        [f"{percent(100 * float(np.median(m.deviation)))} ({m.name})" for m in study.ranked]
+    )
+    return (
+        f"From {span} the frequency response{to} differs from that of the physical model by a "
+        f"median of {medians}."
+    )
+
+
+def _structure_verdicts(study: Study) -> Iterator[str]:
+    """Yield an explanation for each ARX model that simulates far worse than the best model."""
+    best = study.best
+    limit = MIN_BIASED_RMS_RATIO * best.comparison.rms_error
+    for m in study.estimated if best.fit.structure != "arx" else ():
+        if m.fit.structure == "arx" and m.comparison.rms_error > limit:
+            yield (
+                f"{m.name} and {best.name} disagree. ARX assumes that the noise passes through "
+                "1/A. Here the noise is added to the angle, so the ARX transfer function is "
+                "biased, although ARX predicts one step ahead well. For simulation and control "
+                f"use the {best.name} model."
+            )
+
+
+def _residual_verdict(model: AssessedFit) -> str:
+    tests = model.together or model.tests
+    whiteness = tests.white.p_value
+    if np.isnan([whiteness, tests.missing_dynamics]).any():
+        return f"{model.name}: too few residuals to test."
+    white, free = not tests.white.doubtful, tests.missing_dynamics >= WHITE_LEVEL
+    if tests.powerless and white and free:
+        return f"The residual tests of {model.name} have no power: {tests.powerless}."
+    said = f"{tests.white} and "
+    if tests.blind:
+        return (
+            f"On validation data the residuals of {model.name} are {said}{UNKNOWN}: {tests.blind}."
+        )
+    said += (
+        f"{'un' if free else ''}correlated with past input (p {p_relation(tests.missing_dynamics)})"
+    )
+    ending = "nothing speaks against its structure"
+    if not (white and free):
+        ending = f"look at its {'noise model' if free else 'orders and its delay'}"
+    if min(whiteness, tests.missing_dynamics) >= 0.001 and not (white and free):
+        ending += ", though one correct model in a hundred fails this test by chance"
+    of = f"{model.name}, all outputs together," if model.together else model.name
+    return f"On validation data the residuals of {of} are {said}: {ending}."
+
+
+def abstract(study: Study) -> str:
+    """Return the result of a study in three sentences."""
+    name, several = study.best.name, bool(study.others)
+    N, Ts = study.estimation.N, study.estimation.Ts
+    best = [next(m for m in one.estimated if m.name == name) for one in each_output(study)]
+    errors = [
+        f"{f'the {one.angle}' if several else 'the angle'} with an rms error of "
+        f"{error(m.comparison.rms_error, one.validation.unit)}"
+        for one, m in zip(each_output(study), best, strict=True)
+    ]
+    medians = listed([percent(100 * float(np.median(m.deviation))) for m in best])
+    differs = "responses differ from those" if several else "response differs from that"
+    angles = listed([f"the {one.angle}" for one in each_output(study)])
+    names = listed([with_article(m.name) for m in study.estimated])
+    were = "were" if len(study.estimated) > 1 else "was"
+    return (
+        f"{names[0].upper()}{names[1:]} model from the motor's voltage to "
+        f"{angles} {were} estimated from {N} samples "
+        f"at {milliseconds(Ts)}. On validation data the {name} model simulates {listed(errors)}. "
+        f"Its frequency {differs} of the physical model by "
+        f"{'medians' if several else 'a median'} of {medians}."
+    )

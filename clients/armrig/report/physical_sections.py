@@ -15,7 +15,8 @@ from armrig.physics.integrators.accuracy import Sinusoid
 from armrig.physics.integrators.methods import method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.step_response import Characteristics, characteristics, step_response
-from armrig.report.handout_study import METHODS, HandoutStudy, Section, Table
+from armrig.report.handout_study import METHODS, HandoutStudy
+from armrig.report.sections import Section, Table, figure
 
 
 def physical_sections(study: HandoutStudy) -> dict[str, Section]:
@@ -28,7 +29,7 @@ def physical_sections(study: HandoutStudy) -> dict[str, Section]:
 def _model(p: ArmParameters) -> Section:
     A, B, _ = arm_matrices(p)
     return Section(
-        answer=(
+        paragraphs=(
             "With the states $x = (theta_1, alpha, dot(theta)_1, dot(alpha))$ and the motor's "
             "voltage $u$ the rig is linear, with $k = N K_m$:",
             f"$ dot(x) = A x + B u, quad A = {_SYMBOLIC_A}, quad "
@@ -44,8 +45,7 @@ def _model(p: ArmParameters) -> Section:
             "Left out are the inductance, friction ($b_1 = 0$), play and elasticity of the gear, "
             "bending of the arm and the springs' mass.",
         ),
-        figure="rig",
-        caption="Parts of the rig, and the quantities between them.",
+        figures=figure("rig", "Parts of the rig, and the quantities between them.", floats=False),
     )
 
 
@@ -70,7 +70,7 @@ def _step(found: Characteristics) -> Section:
     w = max(found.poles, key=lambda z: z.imag)
     settled = float(step_response(found.parameters, np.linspace(0.0, 2.0, 2001))[-1])
     return Section(
-        answer=(
+        paragraphs=(
             f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s. The steady "
             f"speed is $1 slash (N K_m)$ = {found.steady_speed:.4f} rad/(s{NBSP}V). The slope at "
             f"$t = 0$ is $N K_m slash (R_m J_1)$ = {found.initial_slope:.2f} rad/s².",
@@ -83,9 +83,11 @@ def _step(found: Characteristics) -> Section:
             f'constant of the slowest pole, $1 slash abs(op("Re") s)$, is '
             f"{1e3 * found.slowest_time:.1f} ms. In a first-order system these times are equal.",
         ),
-        figure="step",
-        caption="Speed of the chassis after a step of 1 V, with the handout's parameters and with "
-        "two of them changed (2.3). Grey: steady speed and slope at 0.",
+        figures=figure(
+            "step",
+            "Speed of the chassis after a step of 1 V, with the handout's parameters and with "
+            "two of them changed (2.3). Grey: steady speed and slope at 0.",
+        ),
     )
 
 
@@ -114,7 +116,7 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
         ),
     )
     return Section(
-        answer=(
+        paragraphs=(
             f"{effects[0].upper()}{effects[1:]}.",
             "Without friction the steady speed is $1 slash (N K_m)$, independent of inertias, "
             "spring and $R_m$. The slope at $t = 0$ is $N K_m slash (R_m J_1)$, independent of "
@@ -173,9 +175,8 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
     if isfinite(limit):
         edge = f"The largest stable step is {1e3 * limit:.3f} ms"
         tried |= {0.98 * limit, 1.1 * limit}
-    first = number_ == "4.1"
     return Section(
-        answer=(
+        paragraphs=(
             f"{edge}. A step of {number(1e3 * h)} ms keeps the error of each state below "
             f"{100 * steps.tolerance:g} % of its largest value. The error is computed for "
             f"{advice.steps} steps over {problem.span:.3g} s with "
@@ -183,12 +184,20 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
             _METHOD_TEXTS[name],
         ),
         tables=(_errors(problem, name, sorted(tried), limit),),
-        figure="integrators" if first else "solution" if number_ == "4.4" else "",
-        caption="(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
-        "error against step, with the observed orders."
-        if first
-        else "(a) The speed by each method at h = 20 ms; (b) the errors.",
+        figures=_INTEGRATION_FIGURES.get(number_, ()),
     )
+
+
+_INTEGRATION_FIGURES = {
+    "4.1": figure(
+        "integrators",
+        "(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
+        "error against step, with the observed orders.",
+    ),
+    "4.4": figure(
+        "solution", "(a) The speed by each method at h = 20 ms; (b) the errors.", floats=False
+    ),
+}
 
 
 def _errors(problem: Sinusoid, name: str, steps: Sequence[float], limit: float) -> Table:

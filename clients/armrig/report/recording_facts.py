@@ -10,13 +10,22 @@ from armrig_core.telemetry.telemetry import ALPHA
 
 from armrig.data.dataset import Dataset
 from armrig.data.figures import without_ramp
-from armrig.numerics.quantities import NBSP, microseconds, milliseconds, number, percent
-from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
+from armrig.data.finding import Finding
+from armrig.numerics.quantities import NBSP, error, microseconds, milliseconds, number, percent
+from armrig.recordings.jitter import (
+    Disturbances,
+    SamplingStatistics,
+    Spread,
+    angle_of_jitter,
+    fastest_rate,
+)
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import calibration_date
+from armrig.recordings.usability import calibration_date, doubts_of_calibration
+from armrig.report.sections import plain
 from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
 from armrig.validation.linearity import in_open_loop
 
+Rows = tuple[tuple[str, ...], ...]
 _MAX_NOTES = 20  # of one recording in a report
 _ANGLE_SCALE = "theta_1_rad_per_count"
 
@@ -41,7 +50,7 @@ def without_turns(data: Dataset) -> str:
     return ", minus the ramp of its mean speed" if without_ramp(data)[2] else ""
 
 
-def facts(study: Study) -> list[list[str]]:
+def facts(study: Study) -> Rows:
     """Return the table of the recordings, one column for each recording."""
     texts: dict[str, Callable[[Recording], str]] = {
         "run": run_name,
@@ -58,8 +67,8 @@ def facts(study: Study) -> list[list[str]]:
         "in the dead band, or just after": lambda r: str(r.hidden),
         "outcome": _outcome,
     }
-    rows = [[name, *map(text, study.recordings)] for name, text in texts.items()]
-    return [[name, *(v or "–" for v in values)] for name, *values in rows if any(values)]
+    rows = [(name, *map(text, study.recordings)) for name, text in texts.items()]
+    return tuple((name, *(v or "–" for v in values)) for name, *values in rows if any(values))
 
 
 def notes(recordings: Sequence[Recording]) -> list[str]:
@@ -67,9 +76,11 @@ def notes(recordings: Sequence[Recording]) -> list[str]:
     said = []
     for recording in recordings:
         name, found = run_name(recording), recording.notes
-        said += [f"{name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MAX_NOTES]]
+        said += [
+            f"Note of {name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MAX_NOTES]
+        ]
         if len(found) > _MAX_NOTES:
-            said.append(f"{name}: {len(found) - _MAX_NOTES} more notes")
+            said.append(f"Note of {name}: {len(found) - _MAX_NOTES} more notes")
     return said
 
 
@@ -103,7 +114,7 @@ def shared_facts(study: Study) -> list[str]:
     return said
 
 
-def timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
+def timing_rows(timing: Sequence[SamplingStatistics]) -> Rows:
     """Return the rows of a table of sampling times, one column for each recording."""
     texts: dict[str, Callable[[SamplingStatistics], str]] = {
         "requested sampling time": lambda s: microseconds(s.Ts_us),
@@ -118,14 +129,14 @@ def timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
         "largest lateness": lambda s: microseconds(s.lateness.max),
         "missing samples, longest gap": lambda s: f"{s.missing}, {s.longest_gap}",
     }
-    return [[name, *map(text, timing)] for name, text in texts.items()]
+    return tuple((name, *map(text, timing)) for name, text in texts.items())
 
 
-def disturbance_rows(found: Sequence[Disturbances]) -> list[list[str]]:
+def disturbance_rows(found: Sequence[Disturbances]) -> Rows:
     """Return the rows of a table of disturbances of the timing, one column for each recording."""
     texts = [d.texts() for d in found]
     names = dict.fromkeys(name for text in texts for name in text)
-    return [[name, *(text.get(name, "–") for text in texts)] for name in names]
+    return tuple((name, *(text.get(name, "–") for text in texts)) for name in names)
 
 
 def _percentiles(spread: Spread) -> str:
@@ -174,7 +185,7 @@ def _units(study: Study) -> str:
         )
     scales = [m.figures[_ANGLE_SCALE] for m in made if _ANGLE_SCALE in m.figures]
     known = max((s.std / abs(s.value) for s in scales if s.value), default=None)
-    angle = f"The radian is from the calibration of {' and of '.join(calibrations)}"
+    angle = f"The radian is from the calibration of {plain(' and of '.join(calibrations))}"
     if known is not None:
         angle += f", accurate to {percent(100 * known)} (one standard deviation)"
     volt = "the volt is from a meter at the motor's terminals"
@@ -227,3 +238,39 @@ def _trends(name: str, data: Dataset) -> list[str]:
 def _line(what: str, level: float, slope: float, unit: str) -> str:
     rising = f" rising by {number(slope)}{NBSP}{unit}/s" if slope else ""
     return f"{number(level)}{NBSP}{unit} of {what}{rising}"
+
+
+def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
+    """Return the doubts about the calibrations of recordings, without repeated sentences.
+
+    A sentence that holds only for some of the recordings begins with the names of their files.
+    """
+    of: dict[Finding, list[str]] = {}
+    for r in recordings:
+        for found in doubts_of_calibration(r.calibration, r.manifest):
+            of.setdefault(found, []).append(r.path.name)
+    return [
+        found.text
+        if len(names) == len(recordings)
+        else f"{', '.join(names)}: {found.text[0].lower()}{found.text[1:]}"
+        for found, names in of.items()
+    ]
+
+
+def jitter_verdicts(study: Study) -> Iterator[str]:
+    """Yield sentences on the jitter of the validation data, if there is any, and its effect."""
+    timing = study.timing[study.recordings.index(study.recording_of(study.validation.source))]
+    if timing.std_us == 0:
+        return
+    moved: list[str] = []
+    for one in each_output(study):
+        data = one.validation
+        rate = f"at {number(fastest_rate(data))} {data.unit}/s"
+        rate += "" if moved else ", the rate that 99 % of the data do not exceed,"
+        by = error(angle_of_jitter(timing, data), data.unit)
+        moved.append(f"{rate} this jitter moves {one.symbol} by {by}")
+    yield (
+        "The sampling interval of the validation data has a standard deviation of "
+        f"{microseconds(timing.std_us)}. A{'; '.join(moved)[1:]}. The jitter affects both the "
+        "measurement and the response to the input."
+    )

@@ -5,25 +5,26 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import resources
+from importlib.metadata import version
 from pathlib import Path
 from threading import Thread
-from typing import Any
 
 import matplotlib as mpl
 import typst
 from armrig_core.errors import OperationError
 
 from armrig.recordings.recording import Recording
+from armrig.report.sections import Contents
 
 Places = list[tuple[str, float]]
 """Name and start of each section. A start of 2.3 is on page 2, below 30 % of the page."""
-SHARED = "shared.typ"
-"""File that the templates of both reports import."""
+TEMPLATE, _VALUES = "report.typ", "data.json"
 _UNKNOWN_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -43,22 +44,29 @@ def _started(recording: Recording) -> datetime:
     return started.replace(tzinfo=started.tzinfo or UTC).astimezone(UTC)
 
 
-def typeset(
-    root: Path, template: str, values: Mapping[str, Any], made: datetime
-) -> tuple[bytes, Places]:
-    """Write a template, the shared file and the values into a folder, and compile them to a PDF.
+def typeset(root: Path, contents: Contents, made: datetime) -> tuple[bytes, Places]:
+    """Write the template and the contents into a folder, and compile them to a PDF.
 
-    The folder contains the figures already. The template reads the values from data.json. The date
-    of the document is `made`. If the compiler refuses the document, which is a fault of this
+    The folder contains the figures already. The template reads the contents from data.json. The
+    date of the document is `made`. If the compiler refuses the document, which is a fault of this
     package, the function raises an OperationError.
     """
     made_on = [made.year, made.month, made.day]  # without a date, typst uses the current time
-    data = json.dumps({**values, "made_on": made_on}, indent=1, ensure_ascii=False)
-    (root / "data.json").write_text(data, encoding="utf-8")
-    for name in (SHARED, template):
-        text = resources.files("armrig.report").joinpath(name).read_text(encoding="utf-8")
-        (root / name).write_text(text, encoding="utf-8")
-    return compiled(root / template)
+    values = asdict(contents) | {"version": version("armrig"), "made_on": made_on}
+    data = json.dumps(values, indent=1, ensure_ascii=False)
+    (root / _VALUES).write_text(data, encoding="utf-8")
+    text = resources.files("armrig.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
+    (root / TEMPLATE).write_text(text, encoding="utf-8")
+    return compiled(root / TEMPLATE)
+
+
+def page_limit(folder: Path) -> int | None:
+    """Return the largest number of pages of the report with its source in a folder."""
+    try:
+        limit = json.loads((folder / _VALUES).read_text(encoding="utf-8"))["max_pages"]
+    except (OSError, ValueError, KeyError, TypeError):  # the reader wrote a source of their own
+        return None
+    return limit if isinstance(limit, int) else None
 
 
 @contextmanager

@@ -166,7 +166,7 @@ def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
 
     assert capsys.readouterr().out.startswith("reasons.toml\nreport.pdf\n{")
     assert Path("again.pdf").read_bytes() == Path("report.pdf").read_bytes()
-    assert json.loads(Path("source/data.json").read_text())["students"][0]["name"] == "Ada"
+    assert json.loads(Path("source/data.json").read_text())["cover"]["fields"][0][1] == "Ada"
 
 
 def test_the_questions_are_text_under_any_file_name(

@@ -6,10 +6,17 @@ from pathlib import Path
 
 import pytest
 from armrig.recordings.files.loading import load
+from armrig.report.sections import Section
 from armrig.report.study import Study, study
+from armrig.report.study_sections import study_contents
 
 
 @pytest.fixture(scope="session")
 def done(three_recordings: tuple[Path, Path, Path]) -> Study:
     """Give a study of a step, a telegraph and a telegraph for validation."""
     return study([load(path) for path in three_recordings])
+
+
+def section_of(study: Study, title: str) -> Section:
+    """Return a section of the report of a study."""
+    return next(s for s in study_contents(study, ()).sections if s.title == title)

@@ -112,4 +112,4 @@ def test_markup_in_an_answer_is_text(tmp_path: Path) -> None:
     assert reasons["2.1"] == [f"{wild} same", "next"]
     assert reasons["3.5"] == ["no recording"]
     assert reasons["2.2"] == []
-    assert values["students"] == [{"name": "#panic()", "registration_number": "*1*"}]
+    assert [text for _, text in values["cover"]["fields"]] == ["#panic()", "*1*", "", "", ""]

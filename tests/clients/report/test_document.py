@@ -18,11 +18,12 @@ from armrig.numerics.quantities import NBSP
 from armrig.physics.systems import physical_model
 from armrig.recordings.daemon_reports import Note
 from armrig.recordings.files.loading import load
-from armrig.report.conclusions import conclusions
-from armrig.report.document import content, report
+from armrig.report.document import report
 from armrig.report.figures import write_figures
+from armrig.report.model_facts import conclusions
 from armrig.report.recording_facts import role, treatment
 from armrig.report.study import Study, assessed, study
+from armrig.report.study_sections import study_contents
 from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset
 from armrig_core.rig.arm import ArmParameters
@@ -32,6 +33,7 @@ from matplotlib.text import Text
 
 from tests.clients.made_recordings import of_the_arm, written
 from tests.clients.models.made_fits import changed
+from tests.clients.report.conftest import section_of
 
 NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#panic() <b>")
 """Markup, which a report prints as text."""
@@ -84,7 +86,7 @@ def typeset_with_figures(study: Study, folder: Path) -> tuple[bytes, Path]:
 @pytest.mark.exhaustive
 def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, made: tuple[bytes, Path]) -> None:
     date = recorded_at(done.recordings)
-    pdf, _ = typeset(made[1], "report.typ", content(done, []), date)
+    pdf, _ = typeset(made[1], study_contents(done, []), date)
 
     assert pdf.startswith(b"%PDF-")
     pages = re.search(rb"/Type/Pages/Count (\d+)", pdf)
@@ -127,7 +129,7 @@ def test_a_report_writes_a_copy_of_each_figure(
     }
     assert pdf == tmp_path / "r.pdf"
     assert {path.name for path in (tmp_path / "source").iterdir()} == {
-        *("a.svg", "b.svg", "c.svg", "report.typ", "shared.typ", "data.json")
+        *("a.svg", "b.svg", "c.svg", "report.typ", "data.json")
     }
 
 
@@ -207,22 +209,19 @@ def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
 
 
 def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> None:
-    told = content(of_three, ())
-    [output] = told["outputs"]
+    told = study_contents(of_three, ())
+    shown = [part for s in told.sections for part in (*s.tables, *s.figures)]
 
-    runs = {
-        name: re.findall(r"@run-\d", text)
-        for name, text in {**told["captions"], **output["captions"], "step": told["step"]}.items()
-    }
+    runs = {part.name: re.findall(r"@run-\d", part.caption) for part in shown if part.name}
 
     assert runs == {
         **{name: ["@run-3"] for name in ("fits", "tests", "compare", "velocity", "residuals")},
-        **{name: ["@run-2"] for name in ("bode", "step_poles")},
+        **{name: ["@run-2"] for name in ("bode", "step_poles", "timing")},
         "data": ["@run-2", "@run-3"],
         "step": ["@run-1"],
     }
     estimation = of_three.recordings[1].manifest
-    assert told["subtitle"] == (
+    assert told.subtitle == (
         f"rig {estimation.rig}, recorded {estimation.started[:10]} {estimation.started[11:16]}"
     )
 
@@ -235,9 +234,9 @@ def test_the_caption_of_a_step_names_the_first_step_which_the_figure_shows(
         for r in of_three.recordings
     )
 
-    told = content(replace(of_three, recordings=steps), ())["step"]
+    *_, told = section_of(replace(of_three, recordings=steps), "Data").figures
 
-    assert re.findall(r"run-\d", told) == ["run-1"]
+    assert re.findall(r"run-\d", told.caption) == ["run-1"]
 
 
 def test_only_an_arx_model_far_from_the_best_is_reported_as_biased(
@@ -262,7 +261,7 @@ def test_only_an_arx_model_far_from_the_best_is_reported_as_biased(
 def test_untested_residuals_are_not_reported_as_coloured(done: Study) -> None:
     untested = replace(done.best, fit=changed(done.best.fit, whiteness=float("nan")))
 
-    said = str(content(replace(done, estimated=(untested,)), ())["estimation"])
+    said = str(section_of(replace(done, estimated=(untested,)), "Models").points)
 
     assert "on the estimation data, residuals not tested (too few, or all zero)." in said
     assert "coloured" not in said
@@ -270,12 +269,16 @@ def test_untested_residuals_are_not_reported_as_coloured(done: Study) -> None:
 
 
 def test_the_notes_of_a_recording_are_in_the_report(done: Study, of_three: Study) -> None:
-    told = [f"@run-{k} at 1.50{NBSP}s, {NOTE.owner}: {NOTE.text}" for k in (1, 2, 3)]
-    assert content(of_three, ())["notes"] == told
-    assert content(done, ())["notes"] == []
+    def notes(study: Study) -> list[str]:
+        points = section_of(study, "Recordings").points
+        return [text for text in points if text.startswith("Note of ")]
+
+    told = [f"Note of @run-{k} at 1.50{NBSP}s, {NOTE.owner}: {NOTE.text}" for k in (1, 2, 3)]
+    assert notes(of_three) == told
+    assert notes(done) == []
 
     many = replace(done.recordings[0], notes=(NOTE,) * 25)
-    told = content(replace(done, recordings=(many, *done.recordings[1:])), ())["notes"]
+    told = notes(replace(done, recordings=(many, *done.recordings[1:])))
     assert len(told) == 21
     assert told[-1].endswith(": 5 more notes")
 
@@ -300,7 +303,8 @@ def test_an_uncalibrated_rig_is_reported_once(done: Study) -> None:
     ):
         judged = replace(done, recordings=recordings)
         assert " ".join(conclusions(judged)).count("was not calibrated") == told
-        assert ["calibrated", *[when] * len(recordings)] in content(judged, [])["facts"]
+        [table] = section_of(judged, "Recordings").tables
+        assert ("calibrated", *[when] * len(recordings)) in table.rows
 
 
 @pytest.mark.exhaustive

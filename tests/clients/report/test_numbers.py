@@ -9,11 +9,12 @@ import pytest
 from armrig.numerics.whiteness import Whiteness
 from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
-from armrig.report.conclusions import conclusions
-from armrig.report.document import content
+from armrig.report.model_facts import conclusions
 from armrig.report.recording_facts import facts, shared_facts
 from armrig.report.study import AssessedFit, Study
 from armrig_core.rig.calibration import Calibration, Figure, Made
+
+from tests.clients.report.conftest import section_of
 
 TIMING = SamplingStatistics(
     Ts_us=10_000.0,
@@ -89,7 +90,7 @@ def test_the_worse_of_two_calibrations_is_reported(done: Study) -> None:
             calibrated(first, "2026-11-19T04:00:00+01:00", a),
             calibrated(second, "2026-11-20T04:00:00+01:00", b),
         )
-        said = str(content(replace(done, recordings=recordings), [])["data"])
+        said = section_of(replace(done, recordings=recordings), "Data").paragraphs[0]
         assert "of 2026-11-19 04:00 and of 2026-11-20 04:00, accurate to 0.5\xa0%" in said
         assert "no meter was read" in said
 
@@ -98,7 +99,7 @@ def test_the_share_of_hidden_estimation_data_is_a_percentage(done: Study) -> Non
     share = 100 * done.estimation.missing / done.estimation.N
     assert f"{share:.1f}" != f"{100 * done.validation.missing / done.validation.N:.1f}"
 
-    said = content(done, [])["data"]
+    said = section_of(done, "Data").paragraphs[0]
 
     assert f" {share:.1f}\xa0% of the estimation data have no angle" in said
 

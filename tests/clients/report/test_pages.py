@@ -16,15 +16,17 @@ import typst
 from armrig.excitation import telegraph
 from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
-from armrig.report.document import content, handout_report, report
+from armrig.report.document import handout_report, report
 from armrig.report.figures import MIN_SIZE, STYLE, save, write_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, best_first, study
+from armrig.report.typesetting import TEMPLATE
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tests.clients import pdf_text
 from tests.clients.pages import script
+from tests.clients.report.conftest import section_of
 
 HEIGHT_PT, MARGIN_PT = 842.0, 62.0
 PROBE = """
@@ -53,10 +55,10 @@ class Made:
     account: dict[str, Any]
 
 
-def made(make: Callable[..., Path], folder: Path, template: str) -> Made:
+def made(make: Callable[..., Path], folder: Path) -> Made:
     """Typeset a report, and ask Typst about its source."""
     pdf = make(folder / "report.pdf", source=folder / "source")
-    source = folder / "source" / template
+    source = folder / "source" / TEMPLATE
     source.write_text(source.read_text() + PROBE)
     compiler = typst.Compiler(str(source), root=str(source.parent))
     [account] = json.loads(compiler.query("<probe>", field="value"))
@@ -68,7 +70,7 @@ def made(make: Callable[..., Path], folder: Path, template: str) -> Made:
 def of_study(done: Study, tmp_path_factory: pytest.TempPathFactory) -> Made:
     """Give the report of a step and two telegraphs."""
     folder = tmp_path_factory.mktemp("report")
-    return made(lambda *a, **k: report(done, *a, **k), folder, "report.typ")
+    return made(lambda *a, **k: report(done, *a, **k), folder)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +80,7 @@ def of_handout(done: Study, tmp_path_factory: pytest.TempPathFactory) -> Made:
     u = telegraph(1500, 0.05, seed=3)
     script("experiments.py").record(folder / "c.mcap", u, 0.01, "greybox", 3, arm_removed=True)
     found = handout_study([*done.recordings, load(folder / "c.mcap")])
-    return made(lambda *a, **k: handout_report(found, *a, **k), folder, "handout.typ")
+    return made(lambda *a, **k: handout_report(found, *a, **k), folder)
 
 
 @pytest.fixture(params=["of_study", pytest.param("of_handout", marks=pytest.mark.exhaustive)])
@@ -125,7 +127,8 @@ def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_stu
     ]
     first = {f["kind"]: f["page"] for f in account["figures"] if f["number"] == 1}
     assert first == {"table": 1, "image": 1}
-    assert [row[0] for row in values["fits"]] == ["OE", "ARX", "physics"]
+    [fits] = values["sections"][0]["tables"]
+    assert [row[0] for row in fits["rows"]] == ["OE", "ARX", "physics"]
     assert headings["Data"] <= 2
     assert headings["Recordings"] > headings["Comparison with the physics"]
 
@@ -180,8 +183,8 @@ def test_constant_times_have_no_panel(
 
     assert len(figures.get("timing", [])) == panels
     assert all(ax.has_data() for axes in figures.values() for ax in axes)
-    told = content(found, [])["timing_figure"]
-    assert told is None if caption is None else told.startswith(caption)
+    told = [f.caption for f in section_of(found, "Sampling time").figures]
+    assert told == [] if caption is None else told[0].startswith(caption)
 
 
 def drawn_by(found: Study, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Axes]]:
@@ -219,8 +222,8 @@ def test_a_caption_names_the_quantity_on_the_axis(
 
     panels = drawn_by(found, monkeypatch)
 
-    [told] = content(found, [])["outputs"]
-    captions = told["captions"]
+    titles = ("Results", "Data", "Comparison with the physics")
+    captions = {f.name: f.caption for title in titles for f in section_of(found, title).figures}
     axis = {name: panels[name][0].get_ylabel() for name in ("data", "compare", "step_poles")}
     assert ("$t$" in axis["data"], "$t$" in axis["compare"]) == (grows, grows)
     assert ["minus the ramp" in captions[name] for name in ("data", "compare")] == [grows] * 2

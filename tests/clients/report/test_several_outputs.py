@@ -8,9 +8,11 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.files.loading import load
-from armrig.report.document import content
 from armrig.report.study import Orders, Study, each_output, study
+from armrig.report.study_sections import study_contents
 from armrig_core.errors import InputError
+
+from tests.clients.report.conftest import section_of
 
 
 @pytest.fixture(scope="module")
@@ -53,19 +55,19 @@ def test_the_numbers_of_each_output_are_those_of_the_model_of_both(
 
 
 def test_each_table_has_rows_for_each_output(both: Study) -> None:
-    values = content(both, ())
-
-    fits, tests = values["fits"], values["tests"]
-    assert [row[0] for row in fits] == ["θ₁", "", "", "α", "", ""]
-    assert [row[1] for row in fits] == ["ARX", "OE", "physics"] * 2
-    assert [row[4] == "–" for row in fits] == [False] * 3 + [True] * 3
-    assert [row[1] for row in tests] == ["together", "θ₁", "α"] * 3
-    assert all(len(row) == len(values["tests_header"]) for row in tests)
-    assert all(len(row) == len(values["fits_header"]) for row in fits)
-    names = [table["header"][0] for output in values["outputs"] for table in output["models"]]
+    [fits], [tests] = (section_of(both, title).tables for title in ("Results", "Validation"))
+    assert [row[0] for row in fits.rows] == ["θ₁", "", "", "α", "", ""]
+    assert [row[1] for row in fits.rows] == ["ARX", "OE", "physics"] * 2
+    assert [row[4] == "–" for row in fits.rows] == [False] * 3 + [True] * 3
+    assert [row[1] for row in tests.rows] == ["together", "θ₁", "α"] * 3
+    assert all(len(row) == len(table.header) for table in (fits, tests) for row in table.rows)
+    models = section_of(both, "Models")
+    names = [table.header[0] for table in models.tables]
     assert names == ["ARX, θ₁", "OE, θ₁", "ARX, α", "OE, α"]
-    assert [output["suffix"] for output in values["outputs"]] == ["", "-alpha"]
-    assert values["orders"] == "for θ₁ na = nb = nf = 4, nk = 1; for α na = nb = nf = 3, nk = 1"
+    assert [f.name for f in section_of(both, "Results").figures] == ["compare", "compare-alpha"]
+    assert models.paragraphs[0].startswith(
+        "The orders are for θ₁ na = nb = nf = 4, nk = 1; for α na = nb = nf = 3, nk = 1."
+    )
 
 
 def test_a_report_may_have_only_the_output_alpha(three_recordings: tuple[Path, Path, Path]) -> None:
@@ -73,10 +75,10 @@ def test_a_report_may_have_only_the_output_alpha(three_recordings: tuple[Path, P
 
     assert found.best.fit.orders == {"nb": 3, "nf": 3, "nk": 1}
     assert np.median(found.best.deviation) < 0.02
-    values = content(found, ())
-    assert values["fits_header"] == ["model", "fit of the angle", "rms error"]
-    assert "to the arm angle were estimated" in values["summary"]
-    assert "never negative" not in values["data"]
+    [fits] = section_of(found, "Results").tables
+    assert fits.header == ("model", "fit of the angle", "rms error")
+    assert "to the arm angle were estimated" in study_contents(found, ()).front.paragraphs[0]
+    assert "never negative" not in section_of(found, "Data").paragraphs[0]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,293 @@
+"""Sections of the report of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from string import ascii_lowercase
+
+from armrig.data.dataset import Dataset
+from armrig.models.characteristics import integrates
+from armrig.models.equation import typst_form
+from armrig.numerics.quantities import error, percent
+from armrig.recordings.figures import varying_times
+from armrig.recordings.usability import different_calibrations, emulation
+from armrig.report import model_facts, recording_facts
+from armrig.report.figures import DETAIL_S, suffix
+from armrig.report.recording_facts import run_name, without_turns
+from armrig.report.sections import Contents, Figure, Section, Table, figure, numbered
+from armrig.report.study import STEP, Study, each_output, kind_of
+from armrig.report.typesetting import recorded
+
+
+def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
+    """Return the contents of a study's report, with all numbers as text."""
+    manifest = study.recording_of(study.estimation.source).manifest
+    truncated = [
+        f"{r.path.name} is incomplete: {r.damage}." for r in study.recordings if r.truncated
+    ]
+    return Contents(
+        title="Black-box identification of the rig",
+        subtitle=f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
+        front=Section(
+            warnings=tuple(f"{found.text}." for found in different_calibrations(study.recordings)),
+            lead="Summary.",
+            paragraphs=(model_facts.abstract(study),),
+            points=(*emulation(study.recordings), *remarks, *truncated),
+        ),
+        sections=numbered(
+            (results(study), data(study), models(study), validation(study), physics(study)),
+            appendix=(recordings(study), sampling(study), files(study)),
+        ),
+    )
+
+
+def results(study: Study) -> Section:
+    """Return the section with the models' fits and the conclusions."""
+    first, *others = _figures(study, "compare", floats=False)
+    velocity = _with_velocity(study)
+    table = Table(
+        name="fits",
+        caption=f"Simulation of the validation data (recording {_run(study.validation, study)}"
+        f"). {study.note[0].upper()}{study.note[1:]}.",
+        header=(
+            *(["output"] if study.others else []),
+            *("model", "fit of the angle", "rms error"),
+            *(["fit of the velocity"] if velocity else []),
+        ),
+        rows=tuple(row for one in each_output(study) for row in _fit_rows(one, study)),
+    )
+    return Section(
+        title="Results",
+        paragraphs=(
+            f"<fits> and {_references(study, 'compare')} compare the models with the validation "
+            "data.",
+        ),
+        tables=(table,),
+        figures=(first, *(Figure(f.name, f.caption) for f in others)),
+        points=tuple(model_facts.conclusions(study)),
+    )
+
+
+def data(study: Study) -> Section:
+    """Return the section on the data, and on their treatment."""
+    steps = [r for r in study.recordings if kind_of(r) == STEP]
+    treated = recording_facts.treatment(study)
+    shown = f"{_shows(study, 'data')} the data for the models"
+    step: tuple[Figure, ...] = ()
+    if steps:
+        shown += ", <step> the step"
+        caption = "(a) Chassis angle after a step of the motor's voltage; (b) the voltage; "
+        step = figure("step", f"{caption}recording {run_name(steps[0])}.")
+    return Section(
+        title="Data",
+        paragraphs=(
+            f"{recording_facts.data_text(study)} {shown}. Samples in a shaded area have no angle. "
+            "Appendix A describes the recordings.",
+            *(["The data were treated in the order of the list."] if treated else []),
+        ),
+        figures=(*_figures(study, "data"), *step),
+        points=tuple(treated),
+    )
+
+
+def models(study: Study) -> Section:
+    """Return the section with the equations and the coefficients of the models."""
+    equations = " quad quad ".join(f'"{m.name}:" quad {typst_form(m.fit)}' for m in study.estimated)
+    return Section(
+        title="Models",
+        paragraphs=(
+            f"The orders are {model_facts.orders(study)}. With $q^(-1)$ the delay by one sample "
+            "and $e$ white noise:",
+            f"$ {equations} $",
+            model_facts.structure(study),
+        ),
+        tables=tuple(
+            model_facts.model_table(m, one.reference, one.symbol if study.others else "")
+            for one in each_output(study)
+            for m in one.estimated
+        ),
+        side_by_side=True,
+        points=tuple(model_facts.estimations(study)),
+    )
+
+
+def validation(study: Study) -> Section:
+    """Return the section on the simulation and on the tests of the residuals."""
+    table = Table(
+        name="tests",
+        caption="Tests of the one-step residuals on the validation data (recording "
+        f"{_run(study.validation, study)}). The tests allow for the uncertainty of the "
+        "estimated models.",
+        header=(
+            "hypothesis",
+            *(["output"] if study.others else []),
+            *(f"p ({m.name})" for m in study.estimated),
+            "a small p points to",
+        ),
+        rows=model_facts.residual_rows(study),
+    )
+    return Section(
+        title="Validation",
+        paragraphs=(
+            *model_facts.percent_warning(study),
+            f"{_shows(study, 'velocity')} a detail of the simulation. "
+            f"{_shows(study, 'residuals')} the correlations that the tests of <tests> use.",
+        ),
+        tables=(table,),
+        figures=(*_figures(study, "velocity"), *_figures(study, "residuals")),
+    )
+
+
+def physics(study: Study) -> Section:
+    """Return the section that compares the models with the physical model."""
+    return Section(
+        title="Comparison with the physics",
+        paragraphs=(
+            f"{model_facts.physics(study)} {_shows(study, 'bode')} the frequency responses, "
+            f"{_references(study, 'step_poles')} the step responses, poles and zeros.",
+        ),
+        figures=(
+            *_figures(study, "bode", floats=False),
+            *_figures(study, "step_poles", floats=False),
+        ),
+    )
+
+
+def recordings(study: Study) -> Section:
+    """Return the section with the facts about the recordings, and with their notes."""
+    table = Table(
+        caption="The recordings. Figures name a recording by its run. The first twelve digits of "
+        "the SHA-256 identify its file.",
+        header=_roles(study),
+        rows=recording_facts.facts(study),
+        numeric=False,
+    )
+    return Section(
+        title="Recordings",
+        tables=(table,),
+        points=(
+            *recording_facts.shared_facts(study),
+            *recording_facts.notes(study.recordings),
+        ),
+    )
+
+
+def sampling(study: Study) -> Section:
+    """Return the section on the sampling times."""
+    table = Table(
+        caption="Sampling time and jitter. An interval is the time between two consecutive samples "
+        "on the device's clock. Lateness is the time from a sample's deadline to the host's "
+        "request for the sample. If the device paced the run, lateness ends with the arrival of "
+        "the sample. The rows after the missing samples are from the daemon's reports, one a "
+        "second.",
+        header=_roles(study),
+        rows=(
+            *recording_facts.timing_rows(study.timing),
+            *recording_facts.disturbance_rows(study.disturbances),
+        ),
+    )
+    recording = study.recording_of(study.estimation.source)
+    texts = {"jitter": "jitter of the sampling instants", "lateness": "lateness at the host"}
+    if not (varying := varying_times(recording)):
+        return Section(title="Sampling time", tables=(table,))
+    timing = figure(
+        "timing",
+        f"Histogram of {' and of '.join(map(texts.__getitem__, varying))} in the "
+        f"estimation data (recording {run_name(recording)}). Both axes are logarithmic. Values "
+        "below the clock's resolution are at the left edge.",
+    )
+    shown = ("<timing> shows the distributions.",)
+    return Section(title="Sampling time", paragraphs=shown, tables=(table,), figures=timing)
+
+
+def files(study: Study) -> Section:
+    """Return the section with the hashes of the files."""
+    date = f"{recorded(study.recordings):%Y-%m-%d}"
+    return Section(
+        title="Files",
+        points=(
+            f"Made by armrig {version('armrig')} from recordings of {date}.",
+            *(
+                f"{recording_facts.role(study, r)}: `{r.path.name}`, SHA-256 `{r.sha256}`"
+                for r in study.recordings
+            ),
+        ),
+    )
+
+
+def _roles(study: Study) -> tuple[str, ...]:
+    return ("", *(recording_facts.role(study, r) for r in study.recordings))
+
+
+def _run(data: Dataset, study: Study) -> str:
+    return run_name(study.recording_of(data.source))
+
+
+def _with_velocity(study: Study) -> bool:
+    rows = (one.reference.comparison for one in each_output(study))
+    return any(row.velocity_fit_percent is not None for row in rows)
+
+
+def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:
+    """Yield a row for each model: its fits and its rms error for one output."""
+    for k, m in enumerate(one.models):
+        row = m.comparison
+        velocity = "–" if row.velocity_fit_percent is None else percent(row.velocity_fit_percent)
+        yield (
+            *([one.symbol if k == 0 else ""] if study.others else []),
+            row.name,
+            percent(row.fit_percent),
+            error(row.rms_error, one.validation.unit),
+            *([velocity] if _with_velocity(study) else []),
+        )
+
+
+def _references(study: Study, name: str) -> str:
+    return " and ".join(f"<{name}{suffix(one, study)}>" for one in each_output(study))
+
+
+def _shows(study: Study, name: str) -> str:
+    return f"{_references(study, name)} {'show' if study.others else 'shows'}"
+
+
+def _figures(study: Study, name: str, *, floats: bool = True) -> tuple[Figure, ...]:
+    """Return the figure `name` of each output."""
+    return tuple(
+        Figure(f"{name}{suffix(one, study)}", _captions(one)[name], floats)
+        for one in each_output(study)
+    )
+
+
+def _captions(one: Study) -> dict[str, str]:
+    """Return the captions of the figures of one output, with the quantities on their axes."""
+    estimation, validation = (_run(data, one) for data in (one.estimation, one.validation))
+    marks = ascii_lowercase[: 2 * len(one.estimated)]
+    halves = ", the first and the second half of one recording" if one.halves else ""
+    angle, ramp = one.angle, without_turns(one.validation)
+    turns = " with its turns counted" if one.integrates else ""
+    detail = f"rate of the {angle}, from differences" if one.integrates else angle
+    drawn = [f"{angle}{turns}{without_turns(data)}" for data in (one.estimation, one.validation)]
+    angles = f"(a, c) {drawn[0]}" if drawn[0] == drawn[1] else f"(a) {drawn[0]}; (c) {drawn[1]}"
+    rate = "Rate" if all(integrates(m.model) for m in one.models) else "Response"
+    return {
+        "data": f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
+        f"recording {validation}){halves}: {angles}; (b, d) voltage that the device applied. "
+        "Shaded: dead band or missing sample.",
+        "compare": f"(a) Measured and simulated {angle} of the validation data (recording "
+        f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model has a "
+        "much larger error, the scale is logarithmic beyond the dotted lines.",
+        "velocity": f"Detail of {DETAIL_S:g} s: {detail} (recording {validation}). The simulation "
+        "of the models starts at the beginning of the data.",
+        "bode": f"Frequency response from voltage to {angle}, (a) magnitude and (b) phase, with "
+        "95 % bands. A band is linearised or, if a linearisation is poor, sampled from the "
+        "covariance of the parameters. Dots: spectral analysis of the estimation data with 95 % "
+        f"bars. Recording {estimation}.",
+        "step_poles": f"(a) {rate} of the {angle} after a step of 1 V, with 95 % bands; (b) poles "
+        "(×) and zeros (○) with 95 % regions: bars for real roots, ellipses for complex roots, "
+        "dotted if sampled. A square marks a pole and a zero that are not significantly different "
+        f"(1 %). Models from recording {estimation}.",
+        "residuals": f"Correlation of the residuals of the {angle} with themselves "
+        f"({', '.join(marks[::2])}) and with the input ({', '.join(marks[1::2])}) on recording "
+        f"{validation}. Grey: range of 99 % of the values if the hypothesis is true.",
+    }
