@@ -90,8 +90,9 @@ def search(
     validation : Dataset or Signals, optional
         Data to rank the models on. By default the models are estimated from the first half of
         `data` and ranked on the second half. The chosen model is then estimated again from all
-        `data`. If u rests in one half, the cut is elsewhere. If no cut leaves two parts in which u
-        moves, the models are ranked by Akaike's FPE on the data that estimated them.
+        `data`, with all start values of its estimator. If u rests in one half, the cut is
+        elsewhere. If no cut leaves two parts in which u moves, the models are ranked by Akaike's
+        FPE on the data that estimated them.
     families : sequence of str, optional
         Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
         default contains only structures whose noise model prevents a bias by feedback. For several
@@ -179,7 +180,7 @@ def search(
     tests = residuals(ranked[chosen].model, validation)
     request = ranked[chosen].candidate.request_for(whole)
     if halved or request.replicates is not None:
-        fit = structs.replace(request, replicates=None).estimated(whole)
+        fit = structs.replace(request, replicates=None, starts=None).estimated(whole)
         ranked[chosen] = replace(ranked[chosen], fit=fit)
     outputs = validation.signals()
     return SearchResult(

@@ -284,6 +284,8 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert found.chosen.candidate.order <= 3
     assert found.halved
     assert found.fit.estimated_from(data)
+    again = armrig.oe(data, **dict(found.chosen.candidate.orders))
+    assert [s.name for s in found.fit.starts] == [s.name for s in again.starts]
     assert "the second part of the data" in found.table()
 
 
