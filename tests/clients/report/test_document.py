@@ -226,6 +226,16 @@ def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> No
     )
 
 
+def test_a_report_without_the_physics_refers_to_its_own_tables_and_figures(done: Study) -> None:
+    left = [s for s in study_contents(done, ()).sections if "physics" not in s.title]
+
+    named = {part.name for s in left for part in (*s.tables, *s.figures) if part.name}
+    texts = [text for s in left for text in s.paragraphs]
+
+    assert len(left) == 7
+    assert {name for text in texts for name in re.findall(r"<([\w-]+)>", text)} == named
+
+
 def test_the_caption_of_a_step_names_the_first_step_which_the_figure_shows(
     of_three: Study,
 ) -> None:

@@ -28,7 +28,7 @@ from armrig.report.identification_sections import identification_sections
 from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
-from armrig.report.sections import Contents, Section
+from armrig.report.sections import Contents, Section, plain
 from armrig.report.study import Assessed
 from armrig.report.typesetting import TEMPLATE, compiled, typeset
 from armrig_core.errors import OperationError
@@ -313,8 +313,9 @@ def test_edited_section_marks_are_reported(text: str, message: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("text", ["K_m", "x_hat_1", "K__", "a_b_c.mcap"])
-def test_a_name_with_underlines_is_typeset(text: str, tmp_path: Path) -> None:
-    front = Section(points=(text, f"#panic() {text}"))
+def test_names_of_others_are_typeset_as_text(text: str, tmp_path: Path) -> None:
+    others = (plain(f"$panic()$ <{text}>"), plain("<b>$"))
+    front = Section(paragraphs=others, points=(text, f"#panic() $panic()$ <b> {text}"))
     contents = Contents(title="A report", front=front, sections=())
 
     _, places = typeset(tmp_path, contents, datetime(2026, 1, 1, tzinfo=UTC))
