@@ -30,7 +30,7 @@ from armrig.numerics.covariance import (
     joint_exogenous_score,
     pairwise_covariance,
 )
-from armrig.numerics.criteria import fit_percent
+from armrig.numerics.criteria import fit_percent, mdl
 from armrig.numerics.least_squares import Basis
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import (
@@ -191,7 +191,7 @@ def infer(
             autoregression=tuple(C.tolist()),
             innovation_variance=s2,
         )
-        for of, (C, s2) in zip(outputs, noise, strict=True)
+        for of, (C, s2) in zip(outputs, _consistent(outputs), strict=True)
     )
     inflation = counts / degrees
     if ny == 1:
@@ -206,6 +206,14 @@ def infer(
         noise_covariance=Lambda,
         quality=quality,
     )
+
+
+def _consistent(outputs: Sequence[Sequence[OutputResiduals]]) -> list[tuple[Array, float]]:
+    """Return the autoregression of each output by MDL, for tests on other data.
+
+    In short data AIC often finds one in white residuals, whose variance is too small.
+    """
+    return [autoregression([r.e for r in of], mdl) for of in outputs]
 
 
 def _degrees(parts: Sequence[OutputResiduals], N: int, parameters: float) -> float:
