@@ -157,10 +157,11 @@ class PolynomialProblem:
         """Find the places of the coefficients."""
         gaps = any(x.gaps for of in self.experiments for x in of)
         layout = _layout(self.rows, gaps and any(n.na for n in self.rows))
-        n, x = self.rows[0], self.experiments[0][0]
+        n = self.rows[0]
         single = len(self.rows) == len(self.experiments) == len(n.nb) == 1
+        projects = single and self.experiments[0][0].whole and n.na == n.trend == 0
         object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
-        object.__setattr__(self, "projects", single and x.whole and n.na == n.trend == 0)
+        object.__setattr__(self, "projects", projects)
 
     @property
     def N(self) -> int:
