@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from armrig import __main__ as program
 from armrig.cli import demo, main
+from armrig.data.finding import warning
 from armrig.lab.fleet_recorder import RigRecorded
 from armrig.report.batch.batch import Batch
 from armrig.report.batch.tasks import CHECKS
@@ -156,6 +157,8 @@ def test_a_fleet_reports_each_file_and_each_failed_or_silent_rig(
 
 HINTS: dict[str, Any] = {
     **dict.fromkeys(("structures", "resonances", "antiresonances", "nk_interval"), ()),
+    "findings": (),
+    "reasons": ("the first", "the second"),
     **dict.fromkeys(("low_slope", "low_slope_std", "high_slope", "threshold"), 0.0),
     **{"nb": 3, "nf": 5, "nk": 2, "integrator_shown": True, "relative_degree": 4},
 }
@@ -173,7 +176,7 @@ class _Hints(SimpleNamespace):
     ("integrator", "doubtful", "given"),
     [
         (True, "", ""),
-        (False, "excitation", " --signal alpha --from 0.5"),
+        (False, "", " --signal alpha --from 0.5"),
         (True, "feedback", " --from 0.5"),
         (False, "", ""),
     ],
@@ -187,7 +190,7 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     found = _Hints(**HINTS, integrator=integrator, singular_values=np.array([1.0, 0.5]))
-    doubts = [SimpleNamespace(about=doubtful, text="a doubt")] if doubtful else []
+    doubts = [warning(doubtful, "a doubt", "check")] if doubtful else []
     fakes: dict[str, Any] = {
         "structure_hints": lambda _, integrator: found,
         "validation.data_advice.data_doubts": lambda _: doubts,
