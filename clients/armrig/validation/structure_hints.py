@@ -215,7 +215,7 @@ def structure_hints(
     (2, (1, 1))
     """
     decided = integration(data, integrator)
-    integrates = decided.integrates
+    integrates = decided.integrates and not decided.rejected
     late: Delay | None = None
     with suppress(ValueError):
         late = delay(data, integrator=integrates)

@@ -309,6 +309,8 @@ class Integration:
     """Evidence from the test; "" if the test finds no integrator or is not needed."""
     undecided: bool = False
     """True if the data do not distinguish an integrator from a slow pole."""
+    rejected: bool = False
+    """True if y is theta_1, and its response returns within a tenth of the record."""
     unstable: bool = False
     """True if the response of y to u has a real pole outside the unit circle."""
 
@@ -326,13 +328,15 @@ def integration(data: Dataset, integrator: bool | None) -> Integration:
 
     If `integrator` is given, its value is the decision. Otherwise an output integrates if its name
     is theta_1, or if `pole_test` finds an integrator. In this last case, the notes report the
-    result of the test.
+    result of the test. If the response of theta_1 returns, another rig may be read as theta_1, or a
+    controller may hold the angle.
     """
     if integrator is not None:
         return Integration(integrates=integrator)
-    if data.output in INTEGRATING_OUTPUTS:
-        return Integration(integrates=True)
     found = pole_test(data.signals(), 0)
+    if data.output in INTEGRATING_OUTPUTS:
+        returns = found is not None and found.rise > _MAX_RISE and found.share < _MIN_RECORD_SHARE
+        return Integration(integrates=True, rejected=returns)
     if found is None:
         return Integration(integrates=False, undecided=True)
     return Integration(
