@@ -252,10 +252,6 @@ def main(arguments: list[str], root: Path = ROOT) -> int:
     return 1 if arguments and stale else 0
 
 
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
-
-
 FILLINGS = ("zero", "ones", "mixed")
 
 
@@ -293,3 +289,7 @@ def vectors_text(before: str, generated: Sequence[str]) -> str:
     lines = [line.rstrip(",") for line in before.splitlines()[1:-1]]
     by_hand = [line for line in lines if not is_generated(line)]
     return "[\n" + ",\n".join([*by_hand, *generated]) + "\n]\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -98,10 +98,6 @@ def cpuinfo(root: Path) -> str:
     return text(root / "proc/cpuinfo")
 
 
-if __name__ == "__main__":
-    print(int(set_fifo(int(sys.argv[1]))), int(lock_memory()))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Granted:
     """Rights and resources of this user, as determined by a trial."""
@@ -184,3 +180,7 @@ class Host:
     """Status of this machine's daemon; if None, the rights of this user are examined instead."""
     silent: str = ""
     """Reason why this machine's service does not answer; if it is not "", no right is examined."""
+
+
+if __name__ == "__main__":
+    print(int(set_fifo(int(sys.argv[1]))), int(lock_memory()))
