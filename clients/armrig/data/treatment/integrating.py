@@ -31,6 +31,7 @@ _MAX_RISE = 10.83  # chi-squared, 1 degree of freedom, 99.9 %
 _MAX_EFFECT_P = 1e-5  # p value of the integrated response to u above which u moves nothing
 _MIN_RECORD_SHARE = 0.1  # least time constant of a pole that counts as 1, as a share of the record
 _POLE_ROUNDING = 1e-9
+_REMOVED = 1e-10  # relative norm below which a filtered column is rounding
 _UNSTABLE_SIGMAS = 4.0  # distance of an unstable pole from 1
 _MIN_DEGREES = 10  # degrees of freedom below which the data are too few for a test
 _MAX_SAMPLES = 6000  # longer data are averaged over blocks of samples
@@ -182,14 +183,20 @@ class _Experiment:
 
 
 def _whitened(model: list[_Experiment], D: Vector, columns: list[Array]) -> tuple[Array, Vector]:
-    """Return the columns and y of all experiments, filtered by D, where y is known."""
+    """Return the columns and y of all experiments, filtered by D, where y is known.
+
+    A column that D removes, such as a constant by a difference, is 0 without rounding.
+    """
     rows, targets = [], []
     for part, M in zip(model, columns, strict=True):
         y = np.convolve(part.y, D)[: part.y.size]
         known = np.isfinite(y) & (np.arange(y.size) >= D.size - 1)
         rows.append(filtered(D, [1.0], M.T).T[known])
         targets.append(y[known])
-    return np.vstack(rows), np.concatenate(targets)
+    X = np.vstack(rows)
+    before = np.sqrt(sum(np.sum(M**2, axis=0) for M in columns)) * float(np.abs(D).sum())
+    X[:, np.linalg.norm(X, axis=0) < _REMOVED * before] = 0.0
+    return X, np.concatenate(targets)
 
 
 def _curve(model: list[_Experiment], D: Vector, slow: list[Array]) -> tuple[Vector, int, float]:
