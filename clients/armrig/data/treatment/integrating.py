@@ -25,6 +25,7 @@ INTEGRATING_OUTPUTS = frozenset({THETA_1})
 _ORDER = 8  # order of the ARX model whose poles, except the slowest, shape the fast response
 _MAX_FAST_POLE = 0.99  # modulus to which the poles of the fast response are limited
 _LAGS = 30  # lags of u that describe the fast response
+_PREFILTERS = 4  # passes of Steiglitz and McBride
 _PASSES = 2  # estimates of the noise model
 _POLES = 40  # poles that are compared with 1
 _MAX_RISE = 10.83  # chi-squared, 1 degree of freedom, 99.9 %
@@ -120,7 +121,7 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
     longest = max(y.size for _, y in parts)
     if all(_unstable(whitening(parts, n)) for n in (order, order // 2 + 1)):
         return PoleTest(rise=np.inf, share=0.0, p_effect=0.0)
-    F, marks = _fast_poles(whitening(parts, order).A), np.eye(len(parts))
+    F, marks = _fast_poles(_plant(parts, order)), np.eye(len(parts))
     model = [_Experiment.of(*part, F, lags, mark) for part, mark in zip(parts, marks, strict=True)]
     poles = np.append(np.exp(-1 / np.geomspace(2, 20 * longest, _POLES)), 1.0)
     curves, effects = [], []
@@ -245,10 +246,31 @@ def _unstable(noise: Whitening) -> bool:
     return bool(z - 1 > _UNSTABLE_SIGMAS * np.sqrt(by_a @ noise.covariance[:n, :n] @ by_a))
 
 
+def _plant(parts: list[tuple[Array, Vector]], order: int) -> Array:
+    """Return the denominator of the response to u by the method of Steiglitz and McBride.
+
+    ARX alone takes the noise of a measurement for dynamics, and misses poles of the plant near 1.
+    """
+    A = whitening(parts, order).A
+    if any(np.isnan(y).any() for _, y in parts):
+        return A
+    for _ in range(_PREFILTERS):
+        D = _inside(A)
+        A = whitening(
+            [(filtered([1.0], D, u.T).T, filtered([1.0], D, y)) for u, y in parts], order
+        ).A
+    return A
+
+
 def _fast_poles(A: Array) -> Array:
     """Return the polynomial of the roots of A except the root nearest to 1, all inside."""
     z = np.roots(A)
-    z = np.delete(z, np.argmin(np.abs(z - 1)))
+    return _inside(np.poly(np.delete(z, np.argmin(np.abs(z - 1)))))
+
+
+def _inside(A: Array) -> Array:
+    """Return the polynomial whose roots outside the unit circle are reflected, and limited."""
+    z = np.roots(np.atleast_1d(A))
     size = np.maximum(np.abs(z), np.finfo(np.float64).tiny)
     return np.atleast_1d(
         np.real(np.poly(z * np.minimum(1, np.minimum(1 / size, _MAX_FAST_POLE) / size)))

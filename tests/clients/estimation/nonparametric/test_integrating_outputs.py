@@ -100,11 +100,12 @@ def test_an_integrator_at_rest_for_one_input_is_not_settling(holds: tuple[int, .
     assert found.integrates
 
 
-def of_pole(pole: float, *, walk: float = 0.0, noise: float = 0.02, seed: int = 3) -> Dataset:
-    """Return the response of a pole to a telegraph, with white noise and a random walk."""
-    rng = np.random.default_rng(seed)
-    u = np.cumprod(np.where(rng.random(2000) < 0.02, -1.0, 1.0))
-    y = filtered([0.0, 0.002 if pole == 1 else 1 - pole], [1.0, -pole], u)
+def of_pole(pole: float, *, fast: float = 0.0, walk: float = 0.0, noise: float = 0.02) -> Dataset:
+    """Return the response of two poles to a telegraph, with white noise and a random walk."""
+    rng = np.random.default_rng(3)
+    u = np.cumprod(np.where(rng.random(2000) < (0.2 if fast else 0.02), -1.0, 1.0))
+    B = [0.0, (0.002 if pole == 1 else 1 - pole) * (1 - fast)]
+    y = filtered(B, np.convolve([1.0, -pole], [1.0, -fast]), u)
     y += noise * rng.standard_normal(2000) + np.cumsum(walk * rng.standard_normal(2000))
     return Dataset(u=u, y=y, Ts=0.1)
 
@@ -113,11 +114,12 @@ def of_pole(pole: float, *, walk: float = 0.0, noise: float = 0.02, seed: int = 
     ("data", "integrates"),
     [
         (of_pole(0.998), False),
+        (of_pole(0.998, fast=0.97, noise=0.001), False),
         (of_pole(0.9, walk=0.03), False),
         (of_pole(1.0), True),
         (of_pole(1.0, walk=0.01, noise=0.0), True),
     ],
-    ids=["slow pole", "random walk", "integrator", "integrator, random walk"],
+    ids=["slow pole", "two poles", "random walk", "integrator", "integrator, random walk"],
 )
 def test_only_a_response_without_return_is_an_integrator(data: Dataset, integrates: bool) -> None:
     assert integration(data, None).integrates == integrates

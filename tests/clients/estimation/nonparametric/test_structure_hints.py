@@ -262,9 +262,9 @@ def test_poles_on_the_unit_circle_that_fit_the_noise_are_not_recommended_first()
 @pytest.mark.exhaustive
 def test_if_a_slow_pole_may_be_at_1_both_are_recommended() -> None:
     rng = np.random.default_rng(1)
-    u = telegraph(100, 0.05, seed=1)
+    u = telegraph(150, 0.05, seed=1)
     y = filtered([0.0, 0.1], [1.0, -0.995], u - u.mean())
-    data = Dataset(u=u, y=y + np.std(y) * rng.standard_normal(100), Ts=1.0)
+    data = Dataset(u=u, y=y + np.std(y) * rng.standard_normal(150), Ts=1.0)
 
     found = structure_hints(data)
 
