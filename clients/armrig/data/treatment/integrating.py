@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,7 +122,16 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
     longest = max(y.size for _, y in parts)
     if all(_unstable(whitening(parts, n)) for n in (order, order // 2 + 1)):
         return PoleTest(rise=np.inf, share=0.0, p_effect=0.0)
-    F, marks = _fast_poles(_plant(parts, order)), np.eye(len(parts))
+    found = [_likelihood(parts, A, lags, longest) for A in _denominators(parts, order)]
+    tests = [one for one in found if one is not None]
+    return min(tests, key=lambda one: one[0])[1] if tests else None
+
+
+def _likelihood(
+    parts: list[tuple[Array, Vector]], A: Array, lags: int, longest: int
+) -> tuple[float, PoleTest] | None:
+    """Return -2 log likelihood with the fast poles of A, and the test; None with few samples."""
+    F, marks = _fast_poles(A), np.eye(len(parts))
     model = [_Experiment.of(*part, F, lags, mark) for part, mark in zip(parts, marks, strict=True)]
     poles = np.append(np.exp(-1 / np.geomspace(2, 20 * longest, _POLES)), 1.0)
     curves, effects = [], []
@@ -145,7 +155,8 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
     slowest = poles[int(np.argmax(rises < _MAX_RISE))]
     tau = np.inf if slowest == 1 else -1 / np.log(slowest)
     p_effect = effects[int(np.argmin([c[-1] for c in curves]))]
-    return PoleTest(rise=float(rises[-1]), share=float(tau / longest), p_effect=p_effect)
+    test = PoleTest(rise=float(rises[-1]), share=float(tau / longest), p_effect=p_effect)
+    return degrees * float(np.log(best.min())), test
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,20 +257,22 @@ def _unstable(noise: Whitening) -> bool:
     return bool(z - 1 > _UNSTABLE_SIGMAS * np.sqrt(by_a @ noise.covariance[:n, :n] @ by_a))
 
 
-def _plant(parts: list[tuple[Array, Vector]], order: int) -> Array:
-    """Return the denominator of the response to u by the method of Steiglitz and McBride.
+def _denominators(parts: list[tuple[Array, Vector]], order: int) -> Iterator[Array]:
+    """Yield the denominator of ARX, and that of the method of Steiglitz and McBride.
 
-    ARX alone takes the noise of a measurement for dynamics, and misses poles of the plant near 1.
+    ARX takes the noise of a measurement for dynamics, and misses poles of the plant near 1. The
+    other method fails for noise that drifts. The likelihood chooses.
     """
     A = whitening(parts, order).A
+    yield A
     if any(np.isnan(y).any() for _, y in parts):
-        return A
+        return
     for _ in range(_PREFILTERS):
         D = _inside(A)
         A = whitening(
             [(filtered([1.0], D, u.T).T, filtered([1.0], D, y)) for u, y in parts], order
         ).A
-    return A
+    yield A
 
 
 def _fast_poles(A: Array) -> Array:
