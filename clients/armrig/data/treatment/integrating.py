@@ -130,7 +130,7 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
 def _likelihood(
     parts: list[tuple[Array, Vector]], A: Array, lags: int, longest: int
 ) -> tuple[float, PoleTest] | None:
-    """Return -2 log likelihood with the fast poles of A, and the test; None with few samples."""
+    """Return the least loss with the fast poles of A, and the test; None with too few samples."""
     F, marks = _fast_poles(A), np.eye(len(parts))
     model = [_Experiment.of(*part, F, lags, mark) for part, mark in zip(parts, marks, strict=True)]
     poles = np.append(np.exp(-1 / np.geomspace(2, 20 * longest, _POLES)), 1.0)
@@ -156,7 +156,7 @@ def _likelihood(
     tau = np.inf if slowest == 1 else -1 / np.log(slowest)
     p_effect = effects[int(np.argmin([c[-1] for c in curves]))]
     test = PoleTest(rise=float(rises[-1]), share=float(tau / longest), p_effect=p_effect)
-    return degrees * float(np.log(best.min())), test
+    return float(best.min()), test
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,7 +261,7 @@ def _denominators(parts: list[tuple[Array, Vector]], order: int) -> Iterator[Arr
     """Yield the denominator of ARX, and that of the method of Steiglitz and McBride.
 
     ARX takes the noise of a measurement for dynamics, and misses poles of the plant near 1. The
-    other method fails for noise that drifts. The likelihood chooses.
+    other method fails for noise that drifts. The smaller loss decides.
     """
     A = whitening(parts, order).A
     yield A
