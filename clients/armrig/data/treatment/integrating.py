@@ -101,8 +101,8 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
 
         y(t) = r w(t)/(1 - p q^-1) + sum_k h_k w(t-k) + c + d (1 - p^t)/(1 - p) + v(t)
 
-    w is u filtered by the poles, except the slowest, of an ARX model. For each p the model is a
-    linear regression. v is whitened by an autoregression of the residuals at the best p and at 1,
+    w is u filtered by the poles, except the slowest, of an ARX model or of the method of Steiglitz
+    and McBride, whichever gives the smaller loss. For each p the model is a linear regression. v is whitened by an autoregression of the residuals at the best p and at 1,
     of v or of its differences, so that a random walk v is no integrator. Each p has its best noise
     model. A time-invariant regression of y on its past would need many lags instead, because the
     noise of a measurement is added to y.
@@ -112,6 +112,7 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.4 (likelihood ratio).
+    .. [2] K. Steiglitz, L. E. McBride, IEEE Trans. Automatic Control 10 (1965) 461-464.
     """
     parts = [_averaged(part.u, part.y[:, i], data.N) for part in data.experiments()]
     parts = [(u, y) for u, y in parts if y.size > 1]
