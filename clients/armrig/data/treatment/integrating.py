@@ -102,10 +102,11 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
         y(t) = r w(t)/(1 - p q^-1) + sum_k h_k w(t-k) + c + d (1 - p^t)/(1 - p) + v(t)
 
     w is u filtered by the poles, except the slowest, of an ARX model or of the method of Steiglitz
-    and McBride, whichever gives the smaller loss. For each p the model is a linear regression. v is whitened by an autoregression of the residuals at the best p and at 1,
-    of v or of its differences, so that a random walk v is no integrator. Each p has its best noise
-    model. A time-invariant regression of y on its past would need many lags instead, because the
-    noise of a measurement is added to y.
+    and McBride [2]_; the smaller loss decides. For each p the model is a linear regression. v is
+    whitened by an autoregression of the residuals at the best p and at 1, of v or of its
+    differences, so that a random walk v is no integrator. Each p has its best noise model. A
+    time-invariant regression of y on its past would need many lags instead, because the noise of a
+    measurement is added to y.
 
     The result is None for fewer than 40 samples, or 10 degrees of freedom, and if y is constant.
 
