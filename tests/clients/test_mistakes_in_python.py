@@ -52,6 +52,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("Ts='10 ms'", lambda: _dataset(Ts="10 ms"), TypeError, "one number, in seconds"),
     ("Ts=t", lambda: _dataset(Ts=np.arange(400.0)), TypeError, "such as Ts=0.01"),
     ("inf in y", lambda: _dataset(y=Y * np.inf), ValueError, "valid=numpy.isfinite(y)"),
+    ("inf in Signals", lambda: a.Signals(u=Y, y=Y * np.inf, Ts=0.1), ValueError, "isfinite(y)"),
     ("text", lambda: _dataset(u=["1,5"] * 400), ValueError, "numbers with a decimal point"),
     ("a file's name", lambda: _dataset(u="f.csv"), ValueError, "armrig.load_data(path)"),
     ("data[0]", lambda: DATA[a and 0], TypeError, "data[a:b]"),

@@ -79,8 +79,8 @@ class Signals(Experiments):
     Raises
     ------
     ValueError
-        A shape is wrong, names repeat, an input is not finite, or one of several outputs has no
-        valid sample.
+        A shape is wrong, names repeat, an input is not finite, a valid output is infinite, or one
+        of several outputs has no valid sample.
 
     Examples
     --------
@@ -143,7 +143,10 @@ class Signals(Experiments):
                 f"{', '.join(both)}: the name of both an input and an output; each channel needs "
                 "its own name"
             )
-        valid_ = np.isfinite(y_) & validity(valid, y_.shape)
+        valid_ = validity(valid, y_.shape) & ~np.isnan(y_)
+        for j, name in enumerate(outputs_):
+            mark = "mark them missing, valid=numpy.isfinite(y)"
+            require_finite(name, y_[:, j], mark, where=valid_[:, j])
         for j, name in enumerate(inputs_):
             cut_out = "a model needs the input at each instant: cut these samples out"
             require_finite(name, u_[:, j], cut_out)
