@@ -19,6 +19,7 @@ BARE = "bare loop lateness"
 BARE_CPU = "bare loop CPU per tick"
 DAEMON = "daemon lateness"
 DAEMON_CPU = "daemon CPU per tick"
+SCHEDULED_CPU = "daemon CPU, scheduled mode"
 C_CPU = "C loop CPU per tick"
 UNSPUN = ", without spin"
 PUT = "bare put to callback"
@@ -30,6 +31,7 @@ DEFINITIONS = {
     BARE_CPU: "thread CPU time of that loop per tick, spin included, one value each 0.1 s",
     DAEMON: "t_host_ns - t_sched_ns in exchange mode, with zenoh, MCAP and subscribers",
     DAEMON_CPU: "CPU time of the loop's process per sample in exchange mode, spin included",
+    SCHEDULED_CPU: "CPU time of the loop's process per sample in scheduled mode, without a spin",
     C_CPU: "thread CPU time of a loop in C that makes the same system calls, spin included, alone",
     DAEMON_CPU + UNSPUN: "the same with [timing] spin_us = 0",
     C_CPU + UNSPUN: "the same, with the spin slept",
@@ -40,7 +42,7 @@ DEFINITIONS = {
 PERCENTILES = (50, 99, 99.9, 100)
 WAKE_RATE_HZ, LOSSLESS_RATE_HZ, LOSSLESS_S = 1000, 2000, 60.0
 MAX_WAKE_P99, MAX_WAKE_P999, MAX_LATENCY = 0.1, 1.0, 1.3
-MAX_OWN_WORK_US = 60.0
+MAX_OWN_WORK_US, MAX_SCHEDULED_US = 60.0, 130.0
 MAX_CPU = {"": 1.5, UNSPUN: 2.2}
 """Processor time of a tick, times that of the loop in C, with and without spin."""
 
@@ -134,6 +136,8 @@ def against_targets(rate: Rate, seconds: float) -> list[Target]:
     if {BARE_CPU, DAEMON_CPU} <= tails.keys():
         work_us = tails[DAEMON_CPU][1] - tails[BARE_CPU][1]
         found.append(Target("own work per tick", work_us, MAX_OWN_WORK_US, "µs"))
+    if SCHEDULED_CPU in tails:
+        found.append(Target(SCHEDULED_CPU, tails[SCHEDULED_CPU][1], MAX_SCHEDULED_US, "µs"))
     for spin, most in MAX_CPU.items():
         if {C_CPU + spin, DAEMON_CPU + spin} <= tails.keys():
             ratio = tails[DAEMON_CPU + spin][1] / tails[C_CPU + spin][1]

@@ -241,26 +241,15 @@ def served(*, terminal: bool = False, spin_us: int = SPIN_NS // 1000) -> Iterato
 
 def exchange(rate: Rate, bench: Bench, u: NDArray[np.float64]) -> None:
     """Add lateness and processor time of the daemon's loop in exchange mode."""
-    loop, readings = bench.loop_pid(bench.processes[-1]), list[tuple[int, int]]()
-
-    def read(done: int, total: int) -> None:
-        with suppress(OSError):  # the loop may have ended
-            cpu_ns = int(Path(f"/proc/{loop}/schedstat").read_text().split()[0])
-            readings.append((time.monotonic_ns(), cpu_ns))
-
-    recording = played(bench, rate, u, "exchange", read)
+    recording = played(bench, rate, u, "exchange", targets.DAEMON_CPU)
     gaps = [(gap.k_first, gap.count, gap.code) for gap in recording.gaps]
-    samples = recording.samples
-    rate.add(targets.DAEMON, targets.wake_lateness_us(samples, gaps, recording.Ts))
-    rate.add(
-        targets.DAEMON_CPU, targets.cpu_per_tick_us(readings, samples["t_host_ns"].astype(np.int64))
-    )
+    rate.add(targets.DAEMON, targets.wake_lateness_us(recording.samples, gaps, recording.Ts))
 
 
 def scheduled(rate: Rate, bench: Bench, u: NDArray[np.float64]) -> None:
-    """Add the time from a sample's arrival to the subscribers, in scheduled mode."""
+    """Add processor time, and the time from a sample's arrival to the subscribers, if scheduled."""
     with subscribers(bench.rig().endpoint) as processes:
-        samples = played(bench, rate, u, "scheduled").samples
+        samples = played(bench, rate, u, "scheduled", targets.SCHEDULED_CPU).samples
         add_received(rate, samples["k"].astype(np.int64), heard(processes))
 
 
@@ -277,20 +266,28 @@ def played(
     rate: Rate,
     u: NDArray[np.float64],
     pacing: Literal["exchange", "scheduled"],
-    progress: Callable[[int, int], None] | None = None,
+    cpu: str,
 ) -> Recording:
-    """Play `u`; return its recording, and count the lost and the misplaced samples."""
+    """Play `u`; return its recording; add `cpu`, and count the lost and the misplaced samples."""
+    loop, readings = bench.loop_pid(bench.processes[-1]), list[tuple[int, int]]()
+
+    def read(done: int, total: int) -> None:
+        with suppress(OSError):  # the loop may have ended
+            cpu_ns = int(Path(f"/proc/{loop}/schedstat").read_text().split()[0])
+            readings.append((time.monotonic_ns(), cpu_ns))
+
     bring_to_rest(bench)
     with bench.rig() as rig:
         rig.arm("benchmark", 1 / rate.rate_hz)
         pwm_bits = int(str(rig.status().device["pwm_bits"]))
         try:
-            path = rig.run(u, pacing=pacing, experiment="benchmark", progress=progress)
+            path = rig.run(u, pacing=pacing, experiment="benchmark", progress=read)
         except RunEndedError as err:
             path = err.recording
             rate.remarks.append(f"{pacing}: {err}")
     recording = load(path)
     samples = recording.samples
+    rate.add(cpu, targets.cpu_per_tick_us(readings, samples["t_host_ns"].astype(np.int64)))
     rate.counts[f"{pacing} requested"] += u.size
     rate.counts[f"{pacing} lost"] += u.size - samples.size
     wrong = targets.misplaced(u, samples, recording.manifest.k_first, pwm_bits)
