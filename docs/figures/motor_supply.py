@@ -221,12 +221,6 @@ def feedback() -> Iterator[tuple[str, ...]]:
         yield name, f"{emf:.2f} V", f"{fed_back(emf):.2f} A", *rails
 
 
-def fuse() -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of the table of the fuse."""
-    for multiple, time in FUSE_GATES:
-        yield f"{multiple} × {FUSE_A} A", f"{multiple * FUSE_A:.1f} A", time
-
-
 def wrong_supply() -> Iterator[tuple[str, ...]]:
     """Yield the rows of the table of 12 V applied by mistake."""
     for name, ohm, limit, charge in SOURCES:
@@ -287,7 +281,6 @@ TABLES = {
         " | rail with 15 Ω | rail with 10 Ω | rail with 7.5 Ω",
         feedback,
     ),
-    "fuse": ("multiple of the rating | current | blows after", fuse),
     "wrong supply": (
         "12 V by mistake | peak voltage | time above 5.25 V"
         " | thyristor, peak | continuous | power | fuse blows",
