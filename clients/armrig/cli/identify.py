@@ -81,7 +81,9 @@ class _Search:
     search: bool = chosen(
         False, "Search several structures, or the given structure, with several orders."
     )
-    most: int = chosen(5, "Highest order that --search tries.", names="--max-order", min=1)
+    most: int | None = chosen(
+        None, "Highest order that --search tries.", "5, up to 8 if needed", "--max-order", min=1
+    )
     jobs: int = chosen(1, "Number of processes that --search uses.", min=1)
     fixed: Given = field(default_factory=dict)
     """Fixed arguments of the search; the search chooses all other arguments."""
@@ -516,7 +518,7 @@ def _searched(
         return armrig.search(
             data,
             other,
-            orders=range(1, wanted.most + 1),
+            orders=None if wanted.most is None else range(1, wanted.most + 1),
             executor=executor,
             progress=progress,
             **given,

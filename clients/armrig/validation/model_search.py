@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
@@ -34,6 +35,8 @@ Data = TypeVar("Data", Dataset, Signals)
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is decided
+_ORDERS = range(1, 9)  # default orders
+_ALWAYS_TRIED = 5  # highest default order that does not depend on the models of lower order
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
 _CIRCLE_TOLERANCE = 1e-6
@@ -99,8 +102,9 @@ def search(
         signals "ss", "n4sid" and "oe", or only "oe" with an integrator, because a state-space model
         has no fixed pole.
     orders : iterable of int, optional
-        Numbers of poles to try, >= 1, including the pole of an integrator; by default 1 to 5. For
-        several signals the poles of integrators do not count, and the default is 1 to 8.
+        Numbers of poles to try, >= 1, including the pole of an integrator, which does not count for
+        several signals. The default is 1 to 5, and 6 to 8 as long as the choice is a model of the
+        highest order so far.
     nk : int or iterable of int, optional
         Numbers of samples before u affects y; each number is tried. The default is the nk that
         `delay` finds, at least 1; for several signals 1. If a direct term is not ruled out, 0 is
@@ -125,7 +129,8 @@ def search(
         in the thread of the caller.
     progress : callable, optional
         Called with the number of finished candidates, the number of all candidates, and the name of
-        the next candidate. After the last candidate the name is "".
+        the next candidate. A candidate that is not needed counts as finished. After the last
+        candidate the name is "".
 
     Returns
     -------
@@ -153,9 +158,8 @@ def search(
     """
     if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
         data = data.dataset()
-    if orders is None:
-        orders = range(1, 9) if isinstance(data, Signals) else range(1, 6)
-    whole, halved, orders = data, False, several("orders", orders)
+    rising = orders is None
+    whole, halved, orders = data, False, several("orders", _ORDERS if orders is None else orders)
     if validation is None:
         data, validation = _estimation_and_validation(data)  # type: ignore[type-var]
         halved = data is not whole
@@ -167,16 +171,21 @@ def search(
         plan = _with_integrators(plan)
     score = partial(_score, data=data, validation=validation, horizon=plan.horizon, own=own)
     runner = map if executor is None else executor.map
-    first = [c for c in plan.candidates if c.named_by_pole and c.family == "n4sid"]
-    others = [c for c in plan.candidates if c not in first]
-    scored = _counted(runner(score, first), first, progress, after=len(others))
-    pole = _pole_at_1(scored, validation)
-    others = [c for c in others if pole is None or c.integrator == pole or not c.named_by_pole]
-    scored += _counted(runner(score, others), others, progress, before=len(first))
+    tell = progress or (lambda done, total, name: None)
+    scored: list[Scored] = []
+    done, total = 0, len(plan.candidates)
+    stage = partial(_stage, highest=_ALWAYS_TRIED if rising else max(orders))
+    for _, members in groupby(sorted(plan.candidates, key=stage), stage):
+        group = [*members]
+        needed = _needed(group, scored, validation)
+        coming = iter(runner(score, needed))
+        for k, candidate in enumerate(needed, start=done):
+            tell(k, total, candidate.name)
+            scored.append(next(coming))
+        done += len(group)
+    tell(total, total, "")
     ranked, rms, excess, excess_std = _ranked(scored, validation)
-    # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
-    complexity = [s.parameters + 0.5 * (s.candidate.nk == 0) for s in ranked]
-    chosen = simplest_as_good(excess, excess_std, complexity)
+    chosen = _chosen(ranked, excess, excess_std)
     tests = residuals(ranked[chosen].model, validation)
     request = ranked[chosen].candidate.request_for(whole)
     if halved or request.replicates is not None:
@@ -307,38 +316,40 @@ def _offset(
     return True, [f for f in against if f not in level], [note]
 
 
-def _counted(
-    coming: Iterable[Scored],
-    candidates: list[Candidate],
-    progress: Callable[[int, int, str], object] | None,
-    *,
-    before: int = 0,
-    after: int = 0,
-) -> list[Scored]:
-    """Return the results; before each result, call `progress` with the name of its candidate."""
-    tell = progress or (lambda done, total, name: None)
-    scored, following, total = [], iter(coming), before + len(candidates) + after
-    for k, candidate in enumerate(candidates, start=before):
-        tell(k, total, candidate.name)
-        scored.append(next(following))
-    if not after:
-        tell(total, total, "")
-    return scored
+def _stage(candidate: Candidate, highest: int) -> int:
+    """Return the stage of a search: 0 decides on a pole at 1, 1 has the usual orders, then one."""
+    if candidate.order > highest:
+        return candidate.order
+    return int(not (candidate.named_by_pole and candidate.family == "n4sid"))
 
 
-def _pole_at_1(scored: list[Scored], validation: Dataset | Signals) -> bool | None:
-    """Return whether the models with a pole at 1 are better, or None if the models do not decide.
+def _needed(
+    candidates: list[Candidate], scored: list[Scored], validation: Dataset | Signals
+) -> list[Candidate]:
+    """Return the candidates of a stage that the earlier stages do not exclude.
 
-    The best model of one kind decides if each model of the other kind is worse by more than
-    `_MIN_EXCESS_SIGMAS` standard errors.
+    If each model with a pole at 1 is worse than the best model without by more than
+    `_MIN_EXCESS_SIGMAS` standard errors, or the other way round, no such model is needed. A higher
+    order is needed if the choice so far has the highest order.
     """
     if all(s.reason for s in scored):
-        return None
+        return candidates
     ranked, _, excess, excess_std = _ranked(scored, validation)
-    best = bool(ranked[0].candidate.integrator)
-    of_other = np.array([s.candidate.integrator != best for s in ranked])
-    decided = of_other.any() and (excess > _MIN_EXCESS_SIGMAS * excess_std)[of_other].all()
-    return best if decided else None
+    highest = max(s.candidate.order for s in scored)
+    if candidates[0].order > highest > ranked[_chosen(ranked, excess, excess_std)].candidate.order:
+        return []
+    best = ranked[0].candidate.integrator
+    worse = np.array([s.candidate.integrator != best for s in ranked])
+    if worse.any() and (excess > _MIN_EXCESS_SIGMAS * excess_std)[worse].all():
+        return [c for c in candidates if c.integrator == best or not c.named_by_pole]
+    return candidates
+
+
+def _chosen(ranked: list[Scored], excess: Vector, excess_std: Vector) -> int:
+    """Return the index of the simplest candidate within one standard error of the best."""
+    # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
+    complexity = [s.parameters + 0.5 * (s.candidate.nk == 0) for s in ranked]
+    return simplest_as_good(excess, excess_std, complexity)
 
 
 def _likely_delays(known: Tested) -> list[int]:

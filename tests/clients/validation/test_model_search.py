@@ -196,14 +196,22 @@ def _of_one_pole(pole: float, N: int, seed: int) -> Dataset:
     return Dataset(u=u, y=y + 1e-3 * rng.standard_normal(N), Ts=1.0)
 
 
-def test_orders_one_to_five_are_tried_by_default() -> None:
-    """As the docstring says for its 200 runs."""
-    data = _data(1, [1.0], [1.0], N=200)
+@pytest.mark.parametrize(("poles", "highest"), [(2, 5), (6, 7)])
+def test_orders_above_five_are_tried_while_the_choice_has_the_highest(
+    poles: int, highest: int
+) -> None:
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 400)
+    F = np.real(
+        np.poly([0.95 * np.exp(s * w * 1j) for w in (0.4, 1.2, 2.2) for s in (1, -1)][:poles])
+    )
+    y = filtered([0.0, 1.0], F, u)
+    data = Dataset(u=u, y=y + 0.01 * rng.standard_normal(400), Ts=1.0)
 
-    found = search(data, families=("arx",), nk=1, integrator=False, offset=False)
+    found = search(data, families=("oe",), nk=1, integrator=False, offset=False)
 
-    poles = [dict(scored.candidate.orders)["na"] for scored in found.ranked]
-    assert sorted(poles) == [1, 2, 3, 4, 5]
+    assert found.chosen.candidate.order == poles
+    assert sorted(scored.candidate.order for scored in found.ranked) == [*range(1, highest + 1)]
 
 
 def test_an_optional_structure_is_searched_on_request() -> None:
@@ -335,7 +343,8 @@ def test_other_data_decide_on_an_integrator_that_the_test_leaves_open(
     names = {j.candidate.name for j in (*found.ranked, *found.failed)}
     assert names == tried
     assert found.chosen.candidate.name.endswith(", pole at 1")
-    assert told[-1] == (len(tried), len(tried), "")
+    assert told[-1] == (len(families) * 2 - ("arx" in families),) * 2 + ("",)
+    assert {total for _, total, _ in told} == {told[-1][0]}
 
 
 def test_the_search_chooses_the_order_of_the_plant() -> None:
