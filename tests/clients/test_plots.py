@@ -87,7 +87,7 @@ PLOTS: dict[str, Plot] = {
     "compare": lambda s, r, ax: plots.plot_compare(
         s.validation, *(m.model for m in s.models), ax=ax
     ),
-    "residuals": lambda s, r, ax: plots.plot_residuals(s.best.fit, s.validation, ax=ax),
+    "residuals": lambda s, r, ax: plots.plot_residuals(s.best.model, s.validation, ax=ax),
     "bode": lambda s, r, ax: plots.plot_bode(*_models(s), ax=ax),
     "poles and zeros": lambda s, r, ax: plots.plot_poles_zeros(*_models(s), ax=ax),
     "step": lambda s, r, ax: plots.plot_step(*_models(s), ax=ax),
@@ -230,7 +230,7 @@ def test_a_step_keeps_its_ramp(done: Study) -> None:
 def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
-    far = changed(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
+    far = changed(done.best.model, B=np.append(0.0, 2.0 * done.best.model.B[1:]))
     plots.plot_compare(done.validation, far, *models, ax=figure.add_subplot())
     FigureCanvasAgg(figure)
     figure.draw_without_rendering()
@@ -251,7 +251,7 @@ def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study
 def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.3, 2.8), layout="constrained")
     plots.plot_compare(
-        done.validation, done.best.fit, labels=["OE[4 4 1]"], ax=figure.add_subplot()
+        done.validation, done.best.model, labels=["OE[4 4 1]"], ax=figure.add_subplot()
     )
     FigureCanvasAgg(figure)
     figure.draw_without_rendering()
@@ -294,7 +294,7 @@ def test_a_step_response_begins_at_zero(integrator: bool, done: Study) -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(300)
     data = Dataset(u=u, y=filtered([0.5], [1, -0.5], u) + rng.standard_normal(300), Ts=0.01)
-    model = done.best.fit if integrator else oe(data, nb=1, nf=1, nk=0)
+    model = done.best.model if integrator else oe(data, nb=1, nf=1, nk=0)
     ax = plots.plot_step(model, ax=Figure().add_subplot())
 
     assert ax.lines[0].get_xydata()[0].tolist() == [0.0, 0.0]  # type: ignore[index]
@@ -332,7 +332,7 @@ def test_two_scales_of_one_panel_have_one_letter(recording: Recording) -> None:
 
 def test_a_saved_figure_has_panel_letters(done: Study, tmp_path: Path) -> None:
     figure = Figure(layout="constrained")
-    plots.plot_bode(done.best.fit, ax=figure.add_subplot())
+    plots.plot_bode(done.best.model, ax=figure.add_subplot())
 
     save(figure, tmp_path / "a.png")
 
@@ -367,7 +367,7 @@ def test_a_notebook_shows_text_and_figure(result: str, done: Study, recording: R
         "recording": lambda: recording,
         "dataset": lambda: data,
         "sampling time": lambda: armrig.sampling_time(data),
-        "comparison": lambda: armrig.compare(data, done.best.fit),
+        "comparison": lambda: armrig.compare(data, done.best.model),
     }[result]()
     html = shown._repr_html_()
 

@@ -22,7 +22,8 @@ from armrig.cli.printing import fields_of
 from armrig.excitation import step, telegraph
 
 if TYPE_CHECKING:
-    from armrig.report.study import Assessed, Study
+    from armrig.report.study import Study
+    from armrig.validation.comparison import Comparison
 
 RIG = "demo"
 Ts = 0.01
@@ -152,7 +153,7 @@ def demo(
     return {
         "recordings": dict(zip(names, map(str, paths), strict=True)),
         "in_virtual_time": names[n_real:],
-        "models": [_row(model) for model in done.models],
+        "models": [_row(row) for row in done.models],
         "figures": sorted(map(str, directory.absolute().glob("*.svg"))),
         "report": str(pdf.absolute()),
     }
@@ -203,7 +204,7 @@ def _print_results(
     models = Table(title="simulated on the validation recording", title_justify="left")
     for heading in ("model", "rms error", "fit of the angle", "fit of the velocity"):
         models.add_column(heading, justify="left" if heading == "model" else "right")
-    for row in (model.comparison for model in done.models):
+    for row in done.models:
         velocity = row.velocity_fit_percent
         models.add_row(
             row.name,
@@ -223,8 +224,7 @@ def _print_results(
     console.print(where)
 
 
-def _row(model: Assessed) -> dict[str, Any]:
-    row = model.comparison
+def _row(row: Comparison) -> dict[str, Any]:
     return {"model": row.name} | fields_of(row, "rms_error fit_percent velocity_fit_percent")
 
 

@@ -296,7 +296,7 @@ def _studied(
     where = typed(done.recording_of(done.validation.source).path)
     if done.halves:
         where += ", its second half (the models are estimated from its first half)"
-    models = [(assessed.name, assessed.model) for assessed in done.models]
+    models = [(row.name, row.model) for row in done.models]
     more = []
     for name, fit in saved:
         same = next((n for n, m in models if _same(m, fit)), None)

@@ -157,7 +157,7 @@ def plot_velocity(study: Study, *, ax: Axes) -> None:
 
 
 def _plot_residuals(model: AssessedFit, data: Dataset, *, ax: Axes) -> None:
-    plots.plot_residuals(model.fit, data, ax=ax)
+    plots.plot_residuals(model.model, data, ax=ax)
     ax.set_ylabel(f"{model.name}: {ax.get_ylabel()}")
 
 
@@ -184,7 +184,7 @@ def _of_handout(study: HandoutStudy) -> dict[str, Drawing]:
     found |= {name: (height, [x.plot]) for name, (height, x) in results.items() if x is not None}
     if black := study.black:
         data, labels = black.validation, [m.name for m in black.models]
-        of_best = partial(plots.plot_residuals, black.best.fit, data)
+        of_best = partial(plots.plot_residuals, black.best.model, data)
         of_all = partial(plots.plot_compare, data, *(m.model for m in black.models), labels=labels)
         found |= {"residuals": (_LEGENDS_HEIGHT, [of_best]), "compare": (2.95, [of_all])}
     if study.grey is not None and study.chassis is not None:

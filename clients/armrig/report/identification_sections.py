@@ -134,7 +134,7 @@ def _hints(_: HandoutStudy, found: StructureHints) -> Section:
 def _black_box(study: HandoutStudy, black: Study) -> Section:
     best = black.best
     halves = " (the second half of the recording)" if black.halves else ""
-    nb, nf = (best.fit.orders.get(name) for name in ("nb", "nf"))
+    nb, nf = (best.model.orders.get(name) for name in ("nb", "nf"))
     hints = study.hints
     other = ""
     if hints is not None and nf is not None and (nb, nf) != (hints.nb, hints.nf):
@@ -146,9 +146,10 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
         paragraphs=(
             f"The {best.name} model simulates the validation data{halves} with an rms error of "
             f"{error(best.comparison.rms_error, black.validation.unit)}. It is estimated from "
-            f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}: "
-            f"for these samples the angle and its past are known.{other}",
-            f"$ {', quad '.join([typst_form(best.fit), *_polynomials(best.fit)])} $",
+            f"{best.model.N} of {black.estimation.N} samples at "
+            f"{milliseconds(black.estimation.Ts)}: for these samples the angle and its past are "
+            f"known.{other}",
+            f"$ {', quad '.join([typst_form(best.model), *_polynomials(best.model)])} $",
             f"The equation contains the delay $q^(-1)$ and white noise $e(t)$.{_fixed_root(black)} "
             "The rms error is the error of the simulated angle on the validation data. p white and "
             "p dynamics are the p values of two hypotheses: the residuals are white, and past "
@@ -166,7 +167,7 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
 
 def _fixed_root(black: Study) -> str:
     """Return a sentence on the models with a fixed integrator; "" if there are none."""
-    names = [m.name for m in black.estimated if m.fit.integrator]
+    names = [m.name for m in black.estimated if m.model.integrator]
     if not names:
         return ""
     return (
@@ -190,7 +191,8 @@ def _polynomials(model: Fit) -> list[str]:
 def _coefficients(black: Study) -> Table:
     columns: dict[str, list[str]] = {}
     for m in black.estimated:
-        for name, *estimate in zip(m.fit.names, m.fit.theta, m.fit.std, strict=True):
+        fit = m.model
+        for name, *estimate in zip(fit.names, fit.theta, fit.std, strict=True):
             decimals = places(float(estimate[1]))
             cell = " ± ".join(fixed(float(x), decimals) for x in estimate)
             columns.setdefault(f"{m.name}, {name[0]}_k", []).append(cell)
@@ -226,13 +228,12 @@ _CHARACTERISTICS = (
 
 def _comparison(_: HandoutStudy, black: Study) -> Section:
     rows = []
-    for m in black.models:
-        c, found = m.comparison, m.comparison.characteristics
-        velocity = c.velocity_fit_percent
+    for row in black.models:
+        found, velocity = row.characteristics, row.velocity_fit_percent
         rows.append(
             (
-                m.name,
-                error(c.rms_error, black.validation.unit),
+                row.name,
+                error(row.rms_error, black.validation.unit),
                 "–" if velocity is None else percent(velocity),
                 *(
                     _figure(getattr(found, name), found.std.get(name, float("nan")), k)
@@ -241,8 +242,8 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
             )
         )
     unit = black.validation.unit
-    off = {m.name: error(m.comparison.rms_error, unit) for m in black.models}
-    best = min(black.models, key=lambda m: m.comparison.rms_error)
+    off = {row.name: error(row.rms_error, unit) for row in black.models}
+    best = min(black.models, key=lambda row: row.rms_error)
     closest = [name for name, size in off.items() if size == off[best.name]]
     table = Table(
         caption="Models on the validation data, and characteristics of their step responses.",

@@ -25,7 +25,8 @@ from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import calibration_sentences, jitter_verdicts, run_name
 from armrig.report.sections import Table, plain
-from armrig.report.study import Assessed, AssessedFit, Study, each_output
+from armrig.report.study import AssessedFit, Study, each_output
+from armrig.validation.comparison import Comparison
 from armrig.validation.residual_test import UNKNOWN, ResidualTest
 
 
@@ -43,10 +44,10 @@ def _orders(study: Study) -> str:
     """Return the orders of the models; orders that all models share are not repeated."""
     values: dict[str, set[int]] = {}
     for m in study.estimated:
-        for name, n in m.fit.orders.items():
+        for name, n in m.model.orders.items():
             values.setdefault(name, set()).add(n)
     if any(len(found) > 1 for found in values.values()):
-        return "; ".join(f"{m.name} {_assigned(m.fit.orders)}" for m in study.estimated)
+        return "; ".join(f"{m.name} {_assigned(m.model.orders)}" for m in study.estimated)
     shared = {name: n for name, (n,) in values.items()}
     nk = shared.pop("nk")
     if len(set(shared.values())) == 1:
@@ -58,13 +59,13 @@ def _assigned(orders: Mapping[str, int]) -> str:
     return ", ".join(f"{name} = {n}" for name, n in orders.items())
 
 
-def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> Table:
+def model_table(m: AssessedFit, reference: Comparison, symbol: str = "") -> Table:
     """Return the table of a model's coefficients.
 
     If reference and model have the same polynomials, one column has the reference's coefficients.
     If the model has several outputs, `symbol` is that of the output.
     """
-    same = letters(m.fit) == letters(reference.model)
+    same = letters(m.model) == letters(reference.model)
     of = f" of {symbol}" if symbol else ""
     caption = f"{m.name} model{of} and its standard deviations."
     if same:
@@ -79,7 +80,7 @@ def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> Table:
             "σ robust",
             *([reference.name] if same else []),
         ),
-        rows=tuple(_coefficients(m.fit, reference.model if same else None)),
+        rows=tuple(_coefficients(m.model, reference.model if same else None)),
     )
 
 
@@ -97,10 +98,10 @@ def structure(study: Study) -> str:
     """Return a text on the integrator, the initial state and the dead band in the models."""
     said = []
     letters_of = {
-        m.fit.integrating.upper()
+        m.model.integrating.upper()
         for one in each_output(study)
         for m in one.estimated
-        if m.fit.integrator
+        if m.model.integrator
     }
     if letters_of:
         ramp = next(one for one in each_output(study) if one.integrates)
@@ -140,7 +141,7 @@ def estimations(study: Study) -> list[str]:
 
 def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
     """Yield sentences with losses and warnings; FPE and AIC only for a model of one output."""
-    fit = model.fit
+    fit = model.model
     of = f" of {symbol}" if symbol else ""
     criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if not symbol else ""
     yield (
@@ -155,9 +156,7 @@ def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
 
 def percent_warning(study: Study) -> Iterator[str]:
     """Yield a warning about the fits in percent if an output integrates."""
-    ramps = [
-        o for o in each_output(study) if o.reference.comparison.velocity_fit_percent is not None
-    ]
+    ramps = [o for o in each_output(study) if o.reference.velocity_fit_percent is not None]
     if not ramps:
         return
     angle = f"the {ramps[0].angle}" if study.others else "the angle"
@@ -269,9 +268,9 @@ def _of(one: Study, study: Study, word: str) -> str:
 
 def _simulation_verdict(study: Study, of: str) -> str:
     errors = ", ".join(
-        f"{error(m.comparison.rms_error, study.validation.unit)} "
-        f"({'the physical model' if m is study.reference else m.name})"
-        for m in (*study.ranked, study.reference)
+        f"{error(row.rms_error, study.validation.unit)} "
+        f"({'the physical model' if row is study.reference else row.name})"
+        for row in (*(m.comparison for m in study.ranked), study.reference)
     )
     return (
         f"In a simulation of the {study.validation.t[-1]:.0f} s of validation data the rms error"
@@ -294,8 +293,8 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
     """Yield an explanation for each ARX model that simulates far worse than the best model."""
     best = study.best
     limit = MIN_BIASED_RMS_RATIO * best.comparison.rms_error
-    for m in study.estimated if best.fit.structure != "arx" else ():
-        if m.fit.structure == "arx" and m.comparison.rms_error > limit:
+    for m in study.estimated if best.model.structure != "arx" else ():
+        if m.model.structure == "arx" and m.comparison.rms_error > limit:
             yield (
                 f"{m.name} and {best.name} disagree. ARX assumes that the noise passes through "
                 "1/A. Here the noise is added to the angle, so the ARX transfer function is "

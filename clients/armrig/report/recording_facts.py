@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from armrig_core.rig.calibration import Driver
@@ -13,11 +13,12 @@ from armrig.data.figures import without_ramp
 from armrig.data.finding import Finding
 from armrig.numerics.quantities import NBSP, error, microseconds, milliseconds, number, percent
 from armrig.recordings.jitter import (
-    Disturbances,
     SamplingStatistics,
     Spread,
     angle_of_jitter,
+    disturbances,
     fastest_rate,
+    sampling_statistics,
 )
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import calibration_date, doubts_of_calibration
@@ -52,22 +53,32 @@ def without_turns(data: Dataset) -> str:
 
 def facts(study: Study) -> Rows:
     """Return the table of the recordings, one column for each recording."""
-    texts: dict[str, Callable[[Recording], str]] = {
-        "run": run_name,
-        "SHA-256": lambda r: r.short_hash,
-        "experiment": lambda r: r.manifest.experiment,
-        "made with": lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
-        "started": lambda r: r.manifest.started.replace("T", " ")[:19],
-        "paced by": lambda r: {"scheduled": "the device"}.get(r.manifest.pacing, "the host"),
-        "samples at Ts": lambda r: f"{r.N} at {milliseconds(r.Ts)}",
-        "length": lambda r: f"{r.N * r.Ts:.1f} s",
-        "input": _input_range,
-        "calibrated": lambda r: calibration_date(r.calibration),
-        "missing samples": lambda r: str(r.missing),
-        "in the dead band, or just after": lambda r: str(r.hidden),
-        "outcome": _outcome,
+    return _rows(_facts(r) for r in study.recordings)
+
+
+def _facts(r: Recording) -> dict[str, str]:
+    return {
+        "run": run_name(r),
+        "SHA-256": r.short_hash,
+        "experiment": r.manifest.experiment,
+        "made with": ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
+        "started": r.manifest.started.replace("T", " ")[:19],
+        "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
+        "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
+        "length": f"{r.N * r.Ts:.1f} s",
+        "input": _input_range(r),
+        "calibrated": calibration_date(r.calibration),
+        "missing samples": str(r.missing),
+        "in the dead band, or just after": str(r.hidden),
+        "outcome": _outcome(r),
     }
-    rows = [(name, *map(text, study.recordings)) for name, text in texts.items()]
+
+
+def _rows(columns: Iterable[Mapping[str, str]]) -> Rows:
+    """Return the rows of a table, each column by name; a row without any text is left out."""
+    columns = [*columns]
+    names = dict.fromkeys(name for texts in columns for name in texts)
+    rows = [(name, *(texts.get(name, "") for texts in columns)) for name in names]
     return tuple((name, *(v or "–" for v in values)) for name, *values in rows if any(values))
 
 
@@ -114,29 +125,23 @@ def shared_facts(study: Study) -> list[str]:
     return said
 
 
-def timing_rows(timing: Sequence[SamplingStatistics]) -> Rows:
-    """Return the rows of a table of sampling times, one column for each recording."""
-    texts: dict[str, Callable[[SamplingStatistics], str]] = {
-        "requested sampling time": lambda s: microseconds(s.Ts_us),
-        "mean interval": lambda s: f"{s.mean_us:.2f} µs",
-        "standard deviation of the interval": lambda s: microseconds(s.std_us),
-        "shortest … longest interval": lambda s: (
-            f"{s.least_us:.0f} … {microseconds(s.greatest_us)}"
-        ),
-        "jitter p50, p99, p99.9": lambda s: _percentiles(s.jitter),
-        "largest jitter": lambda s: microseconds(s.jitter.max),
-        "lateness p50, p99, p99.9": lambda s: _percentiles(s.lateness),
-        "largest lateness": lambda s: microseconds(s.lateness.max),
-        "missing samples, longest gap": lambda s: f"{s.missing}, {s.longest_gap}",
+def timing_rows(recordings: Sequence[Recording]) -> Rows:
+    """Return the table of sampling times and their disturbances, one column for each recording."""
+    return _rows(_timing(sampling_statistics(r)) | disturbances(r).texts() for r in recordings)
+
+
+def _timing(s: SamplingStatistics) -> dict[str, str]:
+    return {
+        "requested sampling time": microseconds(s.Ts_us),
+        "mean interval": f"{s.mean_us:.2f} µs",
+        "standard deviation of the interval": microseconds(s.std_us),
+        "shortest … longest interval": f"{s.least_us:.0f} … {microseconds(s.greatest_us)}",
+        "jitter p50, p99, p99.9": _percentiles(s.jitter),
+        "largest jitter": microseconds(s.jitter.max),
+        "lateness p50, p99, p99.9": _percentiles(s.lateness),
+        "largest lateness": microseconds(s.lateness.max),
+        "missing samples, longest gap": f"{s.missing}, {s.longest_gap}",
     }
-    return tuple((name, *map(text, timing)) for name, text in texts.items())
-
-
-def disturbance_rows(found: Sequence[Disturbances]) -> Rows:
-    """Return the rows of a table of disturbances of the timing, one column for each recording."""
-    texts = [d.texts() for d in found]
-    names = dict.fromkeys(name for text in texts for name in text)
-    return tuple((name, *(text.get(name, "–") for text in texts)) for name in names)
 
 
 def _percentiles(spread: Spread) -> str:
@@ -259,7 +264,7 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
 
 def jitter_verdicts(study: Study) -> Iterator[str]:
     """Yield sentences on the jitter of the validation data, if there is any, and its effect."""
-    timing = study.timing[study.recordings.index(study.recording_of(study.validation.source))]
+    timing = sampling_statistics(study.recording_of(study.validation.source))
     if timing.std_us == 0:
         return
     moved: list[str] = []

@@ -20,12 +20,6 @@ from armrig.estimation.request import require_sensible
 from armrig.models.fit import Fit
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.systems import physical_model
-from armrig.recordings.jitter import (
-    Disturbances,
-    SamplingStatistics,
-    disturbances,
-    sampling_statistics,
-)
 from armrig.recordings.recording import Recording
 from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residual_test import ResidualTest
@@ -77,35 +71,27 @@ class Orders:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Assessed:
-    """A model, and its simulation of the validation data."""
+class AssessedFit:
+    """An estimated model, its validation residuals, and its deviation from the physical model."""
 
     comparison: Comparison
     """Comparison of the model with the validation data."""
-
-    @property
-    def name(self) -> str:
-        """Name of the model in the report: ARX, OE or physics."""
-        return self.comparison.name
-
-    @property
-    def model(self) -> Fit:
-        """The model."""
-        return self.comparison.model
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AssessedFit(Assessed):
-    """An estimated model, its validation residuals, and its deviation from the physical model."""
-
-    fit: Fit
-    """The estimated model, with the results of its estimation."""
     tests: ResidualTest
     """Tests of the model's residuals on the validation data."""
     deviation: Vector
     """|G - G_physics| / |G_physics| at the study's frequencies, (n,)."""
     together: ResidualTest | None = None
     """Tests of the residuals of all outputs of the model; None if the model has one output."""
+
+    @property
+    def name(self) -> str:
+        """Name of the model in the report: ARX or OE."""
+        return self.comparison.name
+
+    @property
+    def model(self) -> Fit:
+        """The model."""
+        return self.comparison.model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,14 +108,10 @@ class Study:
     """True if estimation and validation data are the first and the second half of one recording."""
     estimated: tuple[AssessedFit, ...]
     """Models that were estimated from the estimation data."""
-    reference: Assessed
-    """The physical model, whose parameters were not estimated from data."""
+    reference: Comparison
+    """Comparison of the physical model, whose parameters were not estimated from data."""
     note: str
     """Text that names the quantities that the comparisons estimated from the validation data."""
-    timing: tuple[SamplingStatistics, ...]
-    """Statistics of the sampling times of each recording, in µs."""
-    disturbances: tuple[Disturbances, ...]
-    """Disturbances of the timing of each recording."""
     omega: Vector
     """Frequencies at which the models are compared with the physical model, in rad/s, (n,)."""
     others: tuple[Study, ...] = ()
@@ -156,9 +138,9 @@ class Study:
         return self.output in INTEGRATING_OUTPUTS
 
     @property
-    def models(self) -> tuple[Assessed, ...]:
-        """The estimated models, then the physical model."""
-        return (*self.estimated, self.reference)
+    def models(self) -> tuple[Comparison, ...]:
+        """Comparisons of the estimated models, then of the physical model."""
+        return (*(m.comparison for m in self.estimated), self.reference)
 
     @property
     def best(self) -> AssessedFit:
@@ -264,8 +246,6 @@ def study(
     shared: dict[str, Any] = {
         "recordings": tuple(recordings),
         "halves": len(excited) == 1,
-        "timing": tuple(sampling_statistics(r) for r in recordings),
-        "disturbances": tuple(disturbances(r) for r in recordings),
     }
     first, *others = (
         Study(
@@ -334,7 +314,6 @@ def assessed(
     estimated = tuple(
         AssessedFit(
             comparison=row,
-            fit=fit,
             tests=residuals(fit, validation),
             deviation=np.abs(fit.frequency_response(omega).G - G) / np.abs(G),
             together=together.get(name),
@@ -343,7 +322,7 @@ def assessed(
     )
     return {
         "estimated": estimated,
-        "reference": Assessed(comparison=reference),
+        "reference": reference,
         "note": table.note,
         "omega": omega,
     }

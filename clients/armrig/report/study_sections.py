@@ -93,7 +93,9 @@ def data(study: Study) -> Section:
 
 def models(study: Study) -> Section:
     """Return the section with the equations and the coefficients of the models."""
-    equations = " quad quad ".join(f'"{m.name}:" quad {typst_form(m.fit)}' for m in study.estimated)
+    equations = " quad quad ".join(
+        f'"{m.name}:" quad {typst_form(m.model)}' for m in study.estimated
+    )
     return Section(
         title="Models",
         paragraphs=(
@@ -182,10 +184,7 @@ def sampling(study: Study) -> Section:
         "the sample. The rows after the missing samples are from the daemon's reports, one a "
         "second.",
         header=_roles(study),
-        rows=(
-            *recording_facts.timing_rows(study.timing),
-            *recording_facts.disturbance_rows(study.disturbances),
-        ),
+        rows=recording_facts.timing_rows(study.recordings),
     )
     recording = study.recording_of(study.estimation.source)
     texts = {"jitter": "jitter of the sampling instants", "lateness": "lateness at the host"}
@@ -225,14 +224,12 @@ def _run(data: Dataset, study: Study) -> str:
 
 
 def _with_velocity(study: Study) -> bool:
-    rows = (one.reference.comparison for one in each_output(study))
-    return any(row.velocity_fit_percent is not None for row in rows)
+    return any(one.reference.velocity_fit_percent is not None for one in each_output(study))
 
 
 def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:
     """Yield a row for each model: its fits and its rms error for one output."""
-    for k, m in enumerate(one.models):
-        row = m.comparison
+    for k, row in enumerate(one.models):
         velocity = "–" if row.velocity_fit_percent is None else percent(row.velocity_fit_percent)
         yield (
             *([one.symbol if k == 0 else ""] if study.others else []),

@@ -287,11 +287,7 @@ def test_a_demonstration_prints_the_results_of_its_models(tmp_path: Path) -> Non
     rec = armrig.load(path)
     of = {"oe": (0.5, 90.0, 80.0), "arx": (0.25, 95.125, None)}
     models = [
-        SimpleNamespace(
-            comparison=SimpleNamespace(
-                name=name, rms_error=rms, fit_percent=fit, velocity_fit_percent=velocity
-            )
-        )
+        SimpleNamespace(name=name, rms_error=rms, fit_percent=fit, velocity_fit_percent=velocity)
         for name, (rms, fit, velocity) in of.items()
     ]
     validation = SimpleNamespace(unit="rad")
@@ -305,9 +301,9 @@ def test_a_demonstration_prints_the_results_of_its_models(tmp_path: Path) -> Non
     assert "arx 0.25 rad 95.12 %" in said
     assert f"4 samples, sha256 {rec.short_hash}" in said
     for model in models:
-        rms, fit, velocity = of[model.comparison.name]
+        rms, fit, velocity = of[model.name]
         assert demo._row(model) == {  # type: ignore[arg-type]
-            **{"model": model.comparison.name, "rms_error": rms, "fit_percent": fit},
+            **{"model": model.name, "rms_error": rms, "fit_percent": fit},
             "velocity_fit_percent": velocity,
         }
     assert f"figures {tmp_path}/*.svg" in said

@@ -43,7 +43,7 @@ NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#
 def of_three(done: Study) -> Study:
     """Give the study with a third model, which comes first."""
     armax = armrig.armax(done.estimation, na=4, nb=4, nc=1, integrator=True)
-    fits = {"ARMAX": armax} | {m.name: m.fit for m in done.estimated}
+    fits = {"ARMAX": armax} | {m.name: m.model for m in done.estimated}
     recordings = tuple(
         replace(r, manifest=msgspec.structs.replace(r.manifest, run_id=f"run-{k}"), notes=(NOTE,))
         for k, r in enumerate(done.recordings, 1)
@@ -269,13 +269,14 @@ def test_only_an_arx_model_far_from_the_best_is_reported_as_biased(
 
 
 def test_untested_residuals_are_not_reported_as_coloured(done: Study) -> None:
-    untested = replace(done.best, fit=changed(done.best.fit, whiteness=float("nan")))
+    fit = changed(done.best.model, whiteness=float("nan"))
+    untested = replace(done.best, comparison=replace(done.best.comparison, model=fit))
 
     said = str(section_of(replace(done, estimated=(untested,)), "Models").points)
 
     assert "on the estimation data, residuals not tested (too few, or all zero)." in said
     assert "coloured" not in said
-    assert not untested.fit.trusts_robust
+    assert not fit.trusts_robust
 
 
 def test_the_notes_of_a_recording_are_in_the_report(done: Study, of_three: Study) -> None:

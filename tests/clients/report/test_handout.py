@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from threading import Event, current_thread, main_thread
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,7 +29,6 @@ from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
 from armrig.report.sections import Contents, Section, plain
-from armrig.report.study import Assessed
 from armrig.report.typesetting import TEMPLATE, compiled, typeset
 from armrig_core.errors import OperationError
 from armrig_core.recording_file.manifest import Outcome
@@ -37,7 +36,6 @@ from armrig_core.rig.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
 
-A = TypeVar("A", bound=Assessed)
 ASSIGNMENTS = [
     *("2.1", "2.2", "2.3"),
     *(f"3.{i}" for i in range(1, 9)),
@@ -177,12 +175,13 @@ def test_the_answer_names_the_closest_of_all_models(
 ) -> None:
     assert done.black is not None
 
-    def off(m: A, rms_error: float) -> A:
-        return replace(m, comparison=replace(m.comparison, rms_error=rms_error))
-
     errors = {"ARX": arx, "OE": oe}
-    estimated = tuple(off(m, errors[m.name]) for m in done.black.estimated)
-    black = replace(done.black, estimated=estimated, reference=off(done.black.reference, physics))
+    estimated = tuple(
+        replace(m, comparison=replace(m.comparison, rms_error=errors[m.name]))
+        for m in done.black.estimated
+    )
+    reference = replace(done.black.reference, rms_error=physics)
+    black = replace(done.black, estimated=estimated, reference=reference)
 
     found = sections(replace(done, black=black), "3")["3.4"].paragraphs[0]
 

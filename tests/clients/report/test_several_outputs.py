@@ -31,7 +31,7 @@ def test_both_outputs_have_the_poles_of_one_model(both: Study) -> None:
 def test_a_model_of_both_outputs_has_smaller_deviations_of_its_poles(
     both: Study, done: Study
 ) -> None:
-    pair = [np.sort(x.best.fit.poles().std)[1] for x in (both, done)]
+    pair = [np.sort(x.best.model.poles().std)[1] for x in (both, done)]
 
     assert pair[0] < 0.7 * pair[1]
 
@@ -73,7 +73,7 @@ def test_each_table_has_rows_for_each_output(both: Study) -> None:
 def test_a_report_may_have_only_the_output_alpha(three_recordings: tuple[Path, Path, Path]) -> None:
     found = study([load(path) for path in three_recordings], outputs=("alpha",))
 
-    assert found.best.fit.orders == {"nb": 3, "nf": 3, "nk": 1}
+    assert found.best.model.orders == {"nb": 3, "nf": 3, "nk": 1}
     assert np.median(found.best.deviation) < 0.02
     [fits] = section_of(found, "Results").tables
     assert fits.header == ("model", "fit of the angle", "rms error")
