@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -15,71 +15,47 @@ from armrig.numerics.quantities import (
     listed,
     milliseconds,
     number,
-    p_relation,
     p_value,
     percent,
     places,
     power,
 )
-from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import calibration_sentences, jitter_verdicts, run_name
 from armrig.report.sections import Table, plain
 from armrig.report.study import AssessedFit, Study, each_output
-from armrig.validation.comparison import Comparison
-from armrig.validation.residual_test import UNKNOWN, ResidualTest
+from armrig.validation.answer import tests_sentence
+from armrig.validation.residual_test import ResidualTest
 
 
 def orders(study: Study) -> str:
-    """Return the orders of the models of each output as text."""
-    of_each = [_orders(one) for one in each_output(study)]
-    if len(of_each) == 1:
-        return of_each[0]
+    """Return the orders of each model as text."""
     return "; ".join(
-        f"for {one.symbol} {text}" for one, text in zip(each_output(study), of_each, strict=True)
+        ", ".join(f"{name} = {n}" for name, n in m.model.orders.items())
+        + f" ({_named(m, one, study)})"
+        for one in each_output(study)
+        for m in one.estimated
     )
 
 
-def _orders(study: Study) -> str:
-    """Return the orders of the models; orders that all models share are not repeated."""
-    values: dict[str, set[int]] = {}
-    for m in study.estimated:
-        for name, n in m.model.orders.items():
-            values.setdefault(name, set()).add(n)
-    if any(len(found) > 1 for found in values.values()):
-        return "; ".join(f"{m.name} {_assigned(m.model.orders)}" for m in study.estimated)
-    shared = {name: n for name, (n,) in values.items()}
-    nk = shared.pop("nk")
-    if len(set(shared.values())) == 1:
-        return f"{' = '.join(shared)} = {next(iter(shared.values()))}, nk = {nk}"
-    return _assigned(shared | {"nk": nk})
+def _named(m: AssessedFit, one: Study, study: Study) -> str:
+    """Return the name of a model; if the study has several outputs, with the output's symbol."""
+    return f"{m.name} of {one.symbol}" if study.others else m.name
 
 
-def _assigned(orders: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} = {n}" for name, n in orders.items())
+def model_table(m: AssessedFit, one: Study, study: Study) -> Table:
+    """Return the table of a model's coefficients for one output of the study.
 
-
-def model_table(m: AssessedFit, reference: Comparison, symbol: str = "") -> Table:
-    """Return the table of a model's coefficients.
-
-    If reference and model have the same polynomials, one column has the reference's coefficients.
-    If the model has several outputs, `symbol` is that of the output.
+    If the physical model has the same polynomials, one column has its coefficients.
     """
+    name, reference = _named(m, one, study), one.reference
     same = letters(m.model) == letters(reference.model)
-    of = f" of {symbol}" if symbol else ""
-    caption = f"{m.name} model{of} and its standard deviations."
+    more = " and their standard deviations"
     if same:
-        caption = f"{m.name} model{of}, its standard deviations, and the coefficients of the "
-        caption += "physical model."
+        more = ", their standard deviations, and the coefficients of the physical model"
     return Table(
-        caption=caption,
-        header=(
-            f"{m.name}, {symbol}" if symbol else m.name,
-            "estimate",
-            "σ",
-            "σ robust",
-            *([reference.name] if same else []),
-        ),
+        caption=f"Coefficients of {name}{more}.",
+        header=(name, "estimate", "σ", "σ robust", *([reference.name] if same else [])),
         rows=tuple(_coefficients(m.model, reference.model if same else None)),
     )
 
@@ -132,20 +108,18 @@ def structure(study: Study) -> str:
 def estimations(study: Study) -> list[str]:
     """Return the losses and the warnings of each model, without repeated texts."""
     texts = [
-        " ".join(_estimation(m, one.symbol if study.others else ""))
+        " ".join(_estimation(_named(m, one, study), m.model, alone=not study.others))
         for one in each_output(study)
         for m in one.estimated
     ]
     return list(dict.fromkeys(texts))
 
 
-def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
+def _estimation(name: str, fit: Fit, *, alone: bool) -> Iterator[str]:
     """Yield sentences with losses and warnings; FPE and AIC only for a model of one output."""
-    fit = model.model
-    of = f" of {symbol}" if symbol else ""
-    criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if not symbol else ""
+    criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if alone else ""
     yield (
-        f"{model.name}{of}: loss {power(fit.loss)} {fit.unit}²{criteria}; "
+        f"{name}: loss {power(fit.loss)} {fit.unit}²{criteria}; "
         f"on the estimation data, {whiteness_sentence(fit, 'σ', 'σ robust')}."
     )
     if not fit.converged:
@@ -244,12 +218,8 @@ MIN_BIASED_RMS_RATIO = 3.0
 
 def conclusions(study: Study) -> list[str]:
     """Return the conclusions of a study, each in a few sentences."""
-    points = [
-        *(_simulation_verdict(one, _of(one, study, "of")) for one in each_output(study)),
-        *(_residual_verdict(model) for model in study.ranked),
-        *(_physics_verdict(one, _of(one, study, "to")) for one in each_output(study)),
-        *dict.fromkeys(text for one in each_output(study) for text in _structure_verdicts(one)),
-    ]
+    points = [_residual_verdict(m) for m in study.ranked]
+    points += dict.fromkeys(text for one in each_output(study) for text in _structure_verdicts(one))
     points += calibration_sentences(study.recordings)
     points += jitter_verdicts(study)
     missing = sum(r.missing for r in study.recordings)
@@ -259,34 +229,6 @@ def conclusions(study: Study) -> list[str]:
             "value in their place."
         )
     return points
-
-
-def _of(one: Study, study: Study, word: str) -> str:
-    """Return a text such as " of the arm angle"; "" if the study has one output."""
-    return f" {word} the {one.angle}" if study.others else ""
-
-
-def _simulation_verdict(study: Study, of: str) -> str:
-    errors = ", ".join(
-        f"{error(row.rms_error, study.validation.unit)} "
-        f"({'the physical model' if row is study.reference else row.name})"
-        for row in (*(m.comparison for m in study.ranked), study.reference)
-    )
-    return (
-        f"In a simulation of the {study.validation.t[-1]:.0f} s of validation data the rms error"
-        f"{of} is {errors}."
-    )
-
-
-def _physics_verdict(study: Study, to: str) -> str:
-    span = f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s"
-    medians = listed(
-        [f"{percent(100 * float(np.median(m.deviation)))} ({m.name})" for m in study.ranked]
-    )
-    return (
-        f"From {span} the frequency response{to} differs from that of the physical model by a "
-        f"median of {medians}."
-    )
 
 
 def _structure_verdicts(study: Study) -> Iterator[str]:
@@ -303,50 +245,25 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
             )
 
 
-def _residual_verdict(model: AssessedFit) -> str:
-    tests = model.together or model.tests
-    whiteness = tests.white.p_value
-    if np.isnan([whiteness, tests.missing_dynamics]).any():
-        return f"{model.name}: too few residuals to test."
-    white, free = not tests.white.doubtful, tests.missing_dynamics >= WHITE_LEVEL
-    if tests.powerless and white and free:
-        return f"The residual tests of {model.name} have no power: {tests.powerless}."
-    said = f"{tests.white} and "
-    if tests.blind:
-        return (
-            f"On validation data the residuals of {model.name} are {said}{UNKNOWN}: {tests.blind}."
-        )
-    said += (
-        f"{'un' if free else ''}correlated with past input (p {p_relation(tests.missing_dynamics)})"
-    )
-    ending = "nothing speaks against its structure"
-    if not (white and free):
-        ending = f"look at its {'noise model' if free else 'orders and its delay'}"
-    if min(whiteness, tests.missing_dynamics) >= 0.001 and not (white and free):
-        ending += ", though one correct model in a hundred fails this test by chance"
-    of = f"{model.name}, all outputs together," if model.together else model.name
-    return f"On validation data the residuals of {of} are {said}: {ending}."
+def _residual_verdict(m: AssessedFit) -> str:
+    of = f"{m.name}, all outputs together" if m.together else m.name
+    return f"{of}, on the validation data. {tests_sentence(m.together or m.tests)}."
 
 
 def abstract(study: Study) -> str:
     """Return the result of a study in three sentences."""
-    name, several = study.best.name, bool(study.others)
-    N, Ts = study.estimation.N, study.estimation.Ts
-    best = [next(m for m in one.estimated if m.name == name) for one in each_output(study)]
+    name, each = study.best.name, each_output(study)
+    best = [next(m for m in one.estimated if m.name == name) for one in each]
     errors = [
-        f"{f'the {one.angle}' if several else 'the angle'} with an rms error of "
-        f"{error(m.comparison.rms_error, one.validation.unit)}"
-        for one, m in zip(each_output(study), best, strict=True)
+        f"the {one.angle} with an rms error of {error(m.comparison.rms_error, one.validation.unit)}"
+        for one, m in zip(each, best, strict=True)
     ]
-    medians = listed([percent(100 * float(np.median(m.deviation))) for m in best])
-    differs = "responses differ from those" if several else "response differs from that"
-    angles = listed([f"the {one.angle}" for one in each_output(study)])
+    medians = [percent(100 * float(np.median(m.deviation))) for m in best]
     names = listed([with_article(m.name) for m in study.estimated])
-    were = "were" if len(study.estimated) > 1 else "was"
     return (
         f"{names[0].upper()}{names[1:]} model from the motor's voltage to "
-        f"{angles} {were} estimated from {N} samples "
-        f"at {milliseconds(Ts)}. On validation data the {name} model simulates {listed(errors)}. "
-        f"Its frequency {differs} of the physical model by "
-        f"{'medians' if several else 'a median'} of {medians}."
+        f"{listed([f'the {one.angle}' for one in each])} were estimated from {study.estimation.N} "
+        f"samples at {milliseconds(study.estimation.Ts)}. On validation data the {name} model "
+        f"simulates {listed(errors)}. In the median its frequency response differs from that of "
+        f"the physical model by {listed(medians)}."
     )

@@ -105,7 +105,7 @@ def models(study: Study) -> Section:
             model_facts.structure(study),
         ),
         tables=tuple(
-            model_facts.model_table(m, one.reference, one.symbol if study.others else "")
+            model_facts.model_table(m, one, study)
             for one in each_output(study)
             for m in one.estimated
         ),

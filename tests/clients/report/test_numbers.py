@@ -5,32 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import msgspec
-import pytest
 from armrig.numerics.quantities import microseconds
-from armrig.numerics.whiteness import Whiteness
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.recording import Recording
 from armrig.report.model_facts import conclusions
 from armrig.report.recording_facts import facts, shared_facts
-from armrig.report.study import AssessedFit, Study
+from armrig.report.study import Study
 from armrig_core.rig.calibration import Calibration, Figure, Made
 
 from tests.clients.report.conftest import section_of
-
-
-def with_tests(m: AssessedFit, **p_values: float) -> AssessedFit:
-    """Return a model whose residual tests came out so."""
-    return replace(m, tests=replace(m.tests, **p_values))
 
 
 def calibrated(r: Recording, date: str, figures: dict[str, Figure]) -> Recording:
     """Return a recording that was read with a calibration."""
     made = Made(date=date, rig="1", device_uid="0001", armrig="0.1.0", figures=figures)
     return replace(r, calibration=Calibration(made=made))
-
-
-def p_of(value: float) -> Whiteness:
-    return Whiteness(p_value=value, test="portmanteau test")
 
 
 def test_the_facts_of_a_run_are_those_of_its_manifest(done: Study) -> None:
@@ -99,23 +88,3 @@ def test_the_jitter_is_that_of_the_validation_recording(done: Study) -> None:
     said = " ".join(conclusions(done))
 
     assert f"has a standard deviation of {validation}. " in said
-
-
-@pytest.mark.parametrize(
-    ("white", "free", "ending"),
-    [
-        (0.5, 0.5, "nothing speaks against its structure."),
-        (0.005, 0.5, "look at its noise model, though one correct model in a hundred fails"),
-        (0.5, 0.005, "look at its orders and its delay, though one correct model in a hundred"),
-        (0.0005, 0.5, "look at its noise model."),
-        (0.5, 0.0005, "look at its orders and its delay."),
-    ],
-)
-def test_the_verdict_on_residuals_suggests_what_to_check(
-    done: Study, white: float, free: float, ending: str
-) -> None:
-    judged = with_tests(done.best, white=p_of(white), missing_dynamics=free)
-
-    said = conclusions(replace(done, estimated=(judged,)))[1]
-
-    assert said.partition(": ")[2].startswith(ending)

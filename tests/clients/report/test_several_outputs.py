@@ -8,8 +8,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.files.loading import load
+from armrig.report.model_facts import conclusions
 from armrig.report.study import Orders, Study, each_output, study
 from armrig.report.study_sections import study_contents
+from armrig.validation import answer
 from armrig_core.errors import InputError
 
 from tests.clients.report.conftest import section_of
@@ -52,6 +54,9 @@ def test_the_numbers_of_each_output_are_those_of_the_model_of_both(
     assert together is not None
     assert together.white.p_value == pytest.approx(tests.white.p_value)
     assert together.missing_dynamics == pytest.approx(tests.missing_dynamics)
+    assert f"OE, all outputs together, on the validation data. {answer.tests_sentence(tests)}." in (
+        conclusions(both)
+    )
 
 
 def test_each_table_has_rows_for_each_output(both: Study) -> None:
@@ -63,10 +68,10 @@ def test_each_table_has_rows_for_each_output(both: Study) -> None:
     assert all(len(row) == len(table.header) for table in (fits, tests) for row in table.rows)
     models = section_of(both, "Models")
     names = [table.header[0] for table in models.tables]
-    assert names == ["ARX, θ₁", "OE, θ₁", "ARX, α", "OE, α"]
+    assert names == ["ARX of θ₁", "OE of θ₁", "ARX of α", "OE of α"]
     assert [f.name for f in section_of(both, "Results").figures] == ["compare", "compare-alpha"]
     assert models.paragraphs[0].startswith(
-        "The orders are for θ₁ na = nb = nf = 4, nk = 1; for α na = nb = nf = 3, nk = 1."
+        "The orders are na = 4, nb = 4, nk = 1 (ARX of θ₁); nb = 4, nf = 4, nk = 1 (OE of θ₁); na "
     )
 
 
