@@ -210,7 +210,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_input": lambda e: armrig.describe_input(telegraph(3000, 0.1, seed=1), 0.01).plot(),
     "plot_input, constant": lambda e: armrig.describe_input(np.ones(40), 0.01).plot(),
     "plot_fit, draws": lambda e: hardly_a_pair().plot(),
-    "plot_fit, exact": lambda e: e.study.reference.model.plot(),
+    "plot_fit, exact": lambda e: e.study.models[-1].model.plot(),
     "plot_bode, others": lambda e: plots.plot_bode(
         control.tf([1.0], [1.0, 1.0]), armrig.spa(second_order()), omega=OMEGA, ax=ax()
     ),

@@ -32,7 +32,7 @@ from armrig.numerics.quantities import (
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy
 from armrig.report.handout_study import HandoutStudy
-from armrig.report.model_facts import arm_at_rest
+from armrig.report.model_facts import without_arm
 from armrig.report.recording_facts import linearity_sentences, without_turns
 from armrig.report.sections import Section, Table, figure
 from armrig.report.study import Study
@@ -277,11 +277,13 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 
 def _difference(black: Study) -> str:
+    if black.best.deviation is None:
+        return without_arm(black)
     median = percent(100 * float(np.median(black.best.deviation)))
     return (
         f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
         f"{black.best.name} differs from that of the physical model by a median of {median}. "
-        f"Nothing in the physical model was fitted.{arm_at_rest(black)}"
+        "Nothing in the physical model was fitted."
     )
 
 

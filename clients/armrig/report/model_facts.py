@@ -49,14 +49,16 @@ def model_table(m: AssessedFit, one: Study, study: Study) -> Table:
     If the physical model has the same polynomials, one column has its coefficients.
     """
     name, reference = _named(m, one, study), one.reference
-    same = letters(m.model) == letters(reference.model)
-    more = " and their standard deviations"
-    if same:
+    if reference is not None and letters(m.model) != letters(reference.model):
+        reference = None
+    more, columns = " and their standard deviations", [name, "estimate", "σ", "σ robust"]
+    if reference is not None:
         more = ", their standard deviations, and the coefficients of the physical model"
+        columns.append(reference.name)
     return Table(
         caption=f"Coefficients of {name}{more}.",
-        header=(name, "estimate", "σ", "σ robust", *([reference.name] if same else [])),
-        rows=tuple(_coefficients(m.model, reference.model if same else None)),
+        header=tuple(columns),
+        rows=tuple(_coefficients(m.model, reference.model if reference else None)),
     )
 
 
@@ -130,7 +132,7 @@ def _estimation(name: str, fit: Fit, *, alone: bool) -> Iterator[str]:
 
 def percent_warning(study: Study) -> Iterator[str]:
     """Yield a warning about the fits in percent if an output integrates."""
-    ramps = [o for o in each_output(study) if o.reference.velocity_fit_percent is not None]
+    ramps = [o for o in each_output(study) if o.models[0].velocity_fit_percent is not None]
     if not ramps:
         return
     angle = f"the {ramps[0].angle}" if study.others else "the angle"
@@ -144,10 +146,12 @@ def percent_warning(study: Study) -> Iterator[str]:
 
 def physics(study: Study) -> str:
     """Return a text on the deviation of each model from the physical model, the best first."""
+    if study.reference is None:
+        return without_arm(study)
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
-        f"{' '.join(_deviations(one, study) for one in each_output(study))}{arm_at_rest(study)}"
+        f"{' '.join(_deviations(one, study) for one in each_output(study))}"
     )
 
 
@@ -155,9 +159,9 @@ def _deviations(one: Study, study: Study) -> str:
     span = f"{one.omega[0]:g} to {one.omega[-1]:.0f} rad/s"
     to = f"{f' to the {one.angle}' if study.others else ''} differs from the physical model"
     texts: list[str] = []
-    for m in one.ranked:
-        at = number(float(one.omega[np.argmax(m.deviation)]))
-        shares = (np.median(m.deviation), np.max(m.deviation))
+    for m, deviation in ((m, m.deviation) for m in one.ranked if m.deviation is not None):
+        at = number(float(one.omega[np.argmax(deviation)]))
+        shares = (np.median(deviation), np.max(deviation))
         median, most = (percent(100 * float(x)) for x in shares)
         texts.append(
             f"the {m.name} model{' differs' if texts else to} by a median of {median} and at most "
@@ -166,15 +170,13 @@ def _deviations(one: Study, study: Study) -> str:
     return f"From {span} {'; '.join(texts)}."
 
 
-def arm_at_rest(study: Study) -> str:
-    """Return a space and a sentence on recordings whose arm did not move; "" if there are none."""
+def without_arm(study: Study) -> str:
+    """Return the reason why the models are not compared with the physical model."""
     used = {study.estimation.source, study.validation.source}
     names = [run_name(r) for r in study.recordings if r.sha256 in used and not alpha_moves(r)]
-    if not names:
-        return ""
     return (
-        f" In {plain(listed(names))} alpha is constant: the arm was removed or held. The physical "
-        "model has a moving arm, so it describes another rig."
+        f"In {plain(listed(names))} alpha is constant: the arm was removed or held. The models are "
+        "therefore not compared with the physical model of the whole rig."
     )
 
 
@@ -258,12 +260,12 @@ def abstract(study: Study) -> str:
         f"the {one.angle} with an rms error of {error(m.comparison.rms_error, one.validation.unit)}"
         for one, m in zip(each, best, strict=True)
     ]
-    medians = [percent(100 * float(np.median(m.deviation))) for m in best]
+    medians = [percent(100 * float(np.median(d))) for m in best if (d := m.deviation) is not None]
+    differs = " In the median its frequency response differs from that of the physical model by "
     names = listed([with_article(m.name) for m in study.estimated])
     return (
         f"{names[0].upper()}{names[1:]} model from the motor's voltage to "
         f"{listed([f'the {one.angle}' for one in each])} were estimated from {study.estimation.N} "
         f"samples at {milliseconds(study.estimation.Ts)}. On validation data the {name} model "
-        f"simulates {listed(errors)}. In the median its frequency response differs from that of "
-        f"the physical model by {listed(medians)}."
+        f"simulates {listed(errors)}.{f'{differs}{listed(medians)}.' if medians else ''}"
     )

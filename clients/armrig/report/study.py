@@ -20,6 +20,7 @@ from armrig.estimation.request import require_sensible
 from armrig.models.fit import Fit
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.systems import physical_model
+from armrig.recordings.findings import alpha_moves
 from armrig.recordings.recording import Recording
 from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residual_test import ResidualTest
@@ -72,14 +73,14 @@ class Orders:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AssessedFit:
-    """An estimated model, its validation residuals, and its deviation from the physical model."""
+    """An estimated model, its validation residuals, and its deviation from a physical model."""
 
     comparison: Comparison
     """Comparison of the model with the validation data."""
     tests: ResidualTest
     """Tests of the model's residuals on the validation data."""
-    deviation: Vector
-    """|G - G_physics| / |G_physics| at the study's frequencies, (n,)."""
+    deviation: Vector | None
+    """|G - G_physics| / |G_physics| at the study's frequencies, (n,); None without a reference."""
     together: ResidualTest | None = None
     """Tests of the residuals of all outputs of the model; None if the model has one output."""
 
@@ -108,8 +109,8 @@ class Study:
     """True if estimation and validation data are the first and the second half of one recording."""
     estimated: tuple[AssessedFit, ...]
     """Models that were estimated from the estimation data."""
-    reference: Comparison
-    """Comparison of the physical model, whose parameters were not estimated from data."""
+    reference: Comparison | None
+    """Comparison of the physical model of the arm; None if the arm was removed or held."""
     note: str
     """Text that names the quantities that the comparisons estimated from the validation data."""
     omega: Vector
@@ -139,8 +140,9 @@ class Study:
 
     @property
     def models(self) -> tuple[Comparison, ...]:
-        """Comparisons of the estimated models, then of the physical model."""
-        return (*(m.comparison for m in self.estimated), self.reference)
+        """Comparisons of the estimated models, then of a physical model."""
+        estimated = tuple(m.comparison for m in self.estimated)
+        return estimated if self.reference is None else (*estimated, self.reference)
 
     @property
     def best(self) -> AssessedFit:
@@ -181,6 +183,8 @@ def study(
     outputs: Sequence[OutputName] = (THETA_1,),
 ) -> Study:
     """Estimate ARX and OE models, and compare them and the physical model with validation data.
+
+    If alpha is constant, the arm was removed or held, and there is no physical model.
 
     Steps and staircases are used neither for estimation nor for validation. Of the other
     recordings, the first is used for estimation, and the second for validation. A single other
@@ -247,14 +251,16 @@ def study(
         "recordings": tuple(recordings),
         "halves": len(excited) == 1,
     }
+    has_arm = all(alpha_moves(r) for r in excited[:2])
+    physics = [physical_model(ArmParameters(), one) if has_arm else None for one in each[0]]
     first, *others = (
         Study(
             estimation=ours,
             validation=theirs,
             **shared,
-            **assessed(found, physical_model(ArmParameters(), ours), theirs, tests),
+            **assessed(found, reference, theirs, tests),
         )
-        for found, ours, theirs in zip(fits, *each, strict=True)
+        for found, reference, ours, theirs in zip(fits, physics, *each, strict=True)
     )
     return replace(first, others=tuple(others))
 
@@ -297,7 +303,7 @@ def _joint_fits(data: Signals, orders: Orders) -> dict[str, Fit]:
 
 def assessed(
     fits: Mapping[str, Fit],
-    physics: Fit,
+    physics: Fit | None,
     validation: Dataset,
     together: Mapping[str, ResidualTest] = MappingProxyType({}),
 ) -> dict[str, Any]:
@@ -307,22 +313,24 @@ def assessed(
     outputs, for the models that have several outputs.
     """
     # Compare first, because `compare` refuses a model of another sampling time.
-    table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))
+    every = dict(fits) if physics is None else {**fits, physics.label: physics}
+    table = compare(validation, *every.values(), labels=tuple(every))
     omega = np.geomspace(0.5, min(100.0, np.pi / validation.Ts), 200)
-    G = physics.frequency_response(omega).G
-    *rows, reference = table.rows
+    G = None if physics is None else physics.frequency_response(omega).G
     estimated = tuple(
         AssessedFit(
             comparison=row,
             tests=residuals(fit, validation),
-            deviation=np.abs(fit.frequency_response(omega).G - G) / np.abs(G),
+            deviation=None
+            if G is None
+            else np.abs(fit.frequency_response(omega).G - G) / np.abs(G),
             together=together.get(name),
         )
-        for row, (name, fit) in zip(rows, fits.items(), strict=True)
+        for row, (name, fit) in zip(table.rows, fits.items(), strict=False)
     )
     return {
         "estimated": estimated,
-        "reference": reference,
+        "reference": None if physics is None else table.rows[-1],
         "note": table.note,
         "omega": omega,
     }

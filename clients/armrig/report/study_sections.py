@@ -142,9 +142,10 @@ def validation(study: Study) -> Section:
 
 
 def physics(study: Study) -> Section:
-    """Return the section that compares the models with the physical model."""
+    """Return the section with the responses, which compares them with those of the physics."""
+    compared = study.reference is not None
     return Section(
-        title="Comparison with the physics",
+        title="Comparison with the physics" if compared else "Frequency and step responses",
         paragraphs=(
             f"{model_facts.physics(study)} {_shows(study, 'bode')} the frequency responses, "
             f"{_references(study, 'step_poles')} the step responses, poles and zeros.",
@@ -224,7 +225,7 @@ def _run(data: Dataset, study: Study) -> str:
 
 
 def _with_velocity(study: Study) -> bool:
-    return any(one.reference.velocity_fit_percent is not None for one in each_output(study))
+    return any(one.models[0].velocity_fit_percent is not None for one in each_output(study))
 
 
 def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:

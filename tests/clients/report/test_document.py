@@ -33,7 +33,7 @@ from matplotlib.text import Text
 
 from tests.clients.made_recordings import of_the_arm, written
 from tests.clients.models.made_fits import changed
-from tests.clients.report.conftest import section_of
+from tests.clients.report.conftest import at_rest, section_of
 
 NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#panic() <b>")
 """Markup, which a report prints as text."""
@@ -48,7 +48,8 @@ def of_three(done: Study) -> Study:
         replace(r, manifest=msgspec.structs.replace(r.manifest, run_id=f"run-{k}"), notes=(NOTE,))
         for k, r in enumerate(done.recordings, 1)
     )
-    models = assessed(fits, done.reference.model, done.validation)
+    physics = physical_model(ArmParameters(), done.estimation)
+    models = assessed(fits, physics, done.validation)
     return replace(done, recordings=recordings, **models)
 
 
@@ -226,13 +227,18 @@ def test_each_caption_names_the_run_that_its_figure_shows(of_three: Study) -> No
     )
 
 
-def test_a_report_without_the_physics_refers_to_its_own_tables_and_figures(done: Study) -> None:
-    left = [s for s in study_contents(done, ()).sections if "physics" not in s.title]
+def test_a_rig_without_its_arm_is_not_compared_with_the_physics(done: Study) -> None:
+    found = study([at_rest(r) for r in done.recordings])
 
-    named = {part.name for s in left for part in (*s.tables, *s.figures) if part.name}
-    texts = [text for s in left for text in s.paragraphs]
+    told = study_contents(found, ())
+    titles = [s.title for s in told.sections]
 
-    assert len(left) == 7
+    assert (found.reference, [m.name for m in found.models]) == (None, ["ARX", "OE"])
+    assert titles[4] == "Frequency and step responses"
+    assert "alpha is constant: the arm was removed or held" in told.sections[4].paragraphs[0]
+    assert "physic" not in told.front.paragraphs[0] + str(told.sections[:4])
+    texts = [text for s in told.sections for text in s.paragraphs]
+    named = {part.name for s in told.sections for part in (*s.tables, *s.figures) if part.name}
     assert {name for text in texts for name in re.findall(r"<([\w-]+)>", text)} == named
 
 

@@ -25,7 +25,6 @@ from armrig.report.answers import QUESTIONS, Answers, Student
 from armrig.report.document import MOST_PAGES, check_length, handout_report
 from armrig.report.handout_study import HandoutStudy, handout_study
 from armrig.report.identification_sections import identification_sections
-from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.recording_facts import run_name
 from armrig.report.sections import Contents, Section, plain
@@ -35,6 +34,7 @@ from armrig_core.recording_file.manifest import Outcome
 from armrig_core.rig.arm import ArmParameters
 
 from tests.clients.made_recordings import of_the_arm, written
+from tests.clients.report.conftest import at_rest
 
 ASSIGNMENTS = [
     *("2.1", "2.2", "2.3"),
@@ -141,24 +141,27 @@ def test_an_insignificant_extreme_of_a_spectrum_is_not_reported(done: HandoutStu
     assert "two zeros each: none." in found
 
 
-def test_a_comparison_of_a_recording_without_the_arm_is_annotated(
+def test_models_of_other_orders_or_of_a_rig_without_its_arm_are_annotated(
     done: HandoutStudy,
 ) -> None:
     assert done.black is not None
     assert done.hints is not None
     *others, last = done.black.recordings
-    samples = last.samples.copy()
-    samples["alpha_counts"] = 32768
-    bare = replace(done.black, recordings=(*others, replace(last, samples=samples)))
+    bare = replace(
+        done.black,
+        recordings=(*others, at_rest(last)),
+        reference=None,
+        estimated=tuple(replace(m, deviation=None) for m in done.black.estimated),
+    )
     two = replace(done.hints, structures=(replace(done.hints.structures[0], nb=2, nf=2),))
 
     with_arm, without_arm = sections(done, "3"), sections(replace(done, black=bare, hints=two), "3")
 
-    resting = f"In {run_name(last)} alpha is constant: the arm was removed or held."
+    resting = f"In {run_name(last)} alpha is constant: the arm was removed or held. The models are "
     assert resting in without_arm["3.4"].paragraphs[0]
-    assert resting in physics(bare)
+    assert [row[0] for row in without_arm["3.4"].tables[0].rows] == ["OE", "ARX"]
     assert "It has nb = 4 and nf = 4, not the orders of 3.2" in without_arm["3.3"].paragraphs[0]
-    assert "alpha" not in with_arm["3.4"].paragraphs[0] + physics(done.black)
+    assert "alpha" not in with_arm["3.4"].paragraphs[0]
     assert "not the orders" not in with_arm["3.3"].paragraphs[0]
 
 
@@ -180,6 +183,7 @@ def test_the_answer_names_the_closest_of_all_models(
         replace(m, comparison=replace(m.comparison, rms_error=errors[m.name]))
         for m in done.black.estimated
     )
+    assert done.black.reference is not None
     reference = replace(done.black.reference, rms_error=physics)
     black = replace(done.black, estimated=estimated, reference=reference)
 
