@@ -74,22 +74,14 @@ def _coefficients(fit: Fit, reference: Fit | None) -> Iterator[tuple[str, ...]]:
 
 def structure(study: Study) -> str:
     """Return a text on the integrator, the initial state and the dead band in the models."""
-    said = []
-    letters_of = {
-        m.model.integrating.upper()
-        for one in each_output(study)
-        for m in one.estimated
-        if m.model.integrator
-    }
-    if letters_of:
-        ramp = next(one for one in each_output(study) if one.integrates)
-        angle = f"The {ramp.angle}" if study.others else "The angle"
-        of = " of this angle" if study.others else ""
-        has = "have" if len(letters_of) > 1 else "has"
-        said.append(
-            f"{angle} integrates the voltage, so {listed(sorted(letters_of))}{of} {has} the factor "
-            "1 − q⁻¹ by construction."
-        )
+    fixed_roots = [
+        (one, m) for one in each_output(study) for m in one.estimated if m.model.integrator
+    ]
+    said = [
+        f"{one.symbol} integrates the voltage, so {m.model.integrating.upper()} of "
+        f"{_named(m, one, study)} has the factor 1 − q⁻¹ by construction."
+        for one, m in fixed_roots
+    ]
     if study.others:
         outputs = listed([one.symbol for one in each_output(study)])
         said.append(
@@ -98,7 +90,7 @@ def structure(study: Study) -> str:
             "coefficients of its own transfer function. In the ARX model each output depends on "
             "its own past only, and the covariance of the errors weights both outputs."
         )
-    offset = " and the input offset" if letters_of else ""
+    offset = " and the input offset" if fixed_roots else ""
     are = "are" if offset else "is"
     said.append(
         f"The initial state{offset} of each experiment {are} estimated with the model. Samples in "
@@ -131,17 +123,15 @@ def _estimation(name: str, fit: Fit, *, alone: bool) -> Iterator[str]:
 
 
 def percent_warning(study: Study) -> Iterator[str]:
-    """Yield a warning about the fits in percent if an output integrates."""
-    ramps = [o for o in each_output(study) if o.models[0].velocity_fit_percent is not None]
-    if not ramps:
-        return
-    angle = f"the {ramps[0].angle}" if study.others else "the angle"
-    yield (
-        f"The fit of {angle} is high for every model, because the ramp dominates the angle's "
-        "variation: compare the rms errors. The fit of the velocity is computed from differences "
-        "of the angle. The measured differences contain the converter's noise twice, so even the "
-        "true system would not reach 100 %."
-    )
+    """Yield a warning about the fits in percent of each output that integrates."""
+    for one in each_output(study):
+        if one.models[0].velocity_fit_percent is not None:
+            yield (
+                f"The fit of {one.symbol} is high for every model, because the ramp dominates the "
+                "variation: compare the rms errors. The fit of the velocity is computed from "
+                "differences of the angle. The measured differences contain the converter's noise "
+                "twice, so even the true system would not reach 100 %."
+            )
 
 
 def physics(study: Study) -> str:
@@ -265,7 +255,8 @@ def abstract(study: Study) -> str:
     names = listed([with_article(m.name) for m in study.estimated])
     return (
         f"{names[0].upper()}{names[1:]} model from the motor's voltage to "
-        f"{listed([f'the {one.angle}' for one in each])} were estimated from {study.estimation.N} "
-        f"samples at {milliseconds(study.estimation.Ts)}. On validation data the {name} model "
-        f"simulates {listed(errors)}.{f'{differs}{listed(medians)}.' if medians else ''}"
+        f"{listed([f'the {one.angle} {one.symbol}' for one in each])} were estimated from "
+        f"{study.estimation.N} samples at {milliseconds(study.estimation.Ts)}. On validation data "
+        f"the {name} model simulates {listed(errors)}."
+        f"{f'{differs}{listed(medians)}.' if medians else ''}"
     )

@@ -59,7 +59,6 @@ def facts(study: Study) -> Rows:
 def _facts(r: Recording) -> dict[str, str]:
     return {
         "run": run_name(r),
-        "SHA-256": r.short_hash,
         "experiment": r.manifest.experiment,
         "made with": ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
         "started": r.manifest.started.replace("T", " ")[:19],
@@ -154,18 +153,16 @@ def data_text(study: Study) -> str:
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
     for one in each_output(study):
-        the, no = ("The angle", "no angle")
-        if study.others or not one.integrates:
-            the, no = f"The {one.angle} {one.symbol}", f"no {one.symbol}"
+        y = one.symbol
         said.append(
-            f"{the} is unwrapped from the raw counts. {the} grows without limit, because the "
-            "voltage is never negative"
+            f"{y} is unwrapped from the raw counts. {y} grows without limit, because the voltage "
+            "is never negative"
             if one.integrates
-            else f"{the} is relative to the chassis"
+            else f"{y} is relative to the chassis"
         )
         said[-1] += ". No mean and no trend is removed from this angle." if steps <= cut else "."
         hidden = 100 * one.estimation.missing / one.estimation.N
-        said.append(f"{hidden:.1f}{NBSP}% of the estimation data have {no}.")
+        said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {y}.")
         said += linearity_sentences(one.validation)
     return " ".join([*said, _units(study)])
 

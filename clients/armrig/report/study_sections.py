@@ -17,7 +17,6 @@ from armrig.report.figures import DETAIL_S, suffix
 from armrig.report.recording_facts import run_name, without_turns
 from armrig.report.sections import Contents, Figure, Section, Table, figure, numbered
 from armrig.report.study import STEP, Study, each_output, kind_of
-from armrig.report.typesetting import recorded
 
 
 def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
@@ -37,7 +36,7 @@ def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
         ),
         sections=numbered(
             (results(study), data(study), models(study), validation(study), physics(study)),
-            appendix=(recordings(study), sampling(study), files(study)),
+            appendix=(recordings(study), sampling(study)),
         ),
     )
 
@@ -158,10 +157,9 @@ def physics(study: Study) -> Section:
 
 
 def recordings(study: Study) -> Section:
-    """Return the section with the facts about the recordings, and with their notes."""
+    """Return the section with the facts about the recordings, their files and their notes."""
     table = Table(
-        caption="The recordings. Figures name a recording by its run. The first twelve digits of "
-        "the SHA-256 identify its file.",
+        caption="The recordings. Figures name a recording by its run.",
         header=_roles(study),
         rows=recording_facts.facts(study),
         numeric=False,
@@ -170,6 +168,11 @@ def recordings(study: Study) -> Section:
         title="Recordings",
         tables=(table,),
         points=(
+            f"Report by armrig {version('armrig')}.",
+            *(
+                f"{recording_facts.role(study, r)}: `{r.path.name}`, SHA-256 `{r.sha256}`"
+                for r in study.recordings
+            ),
             *recording_facts.shared_facts(study),
             *recording_facts.notes(study.recordings),
         ),
@@ -199,21 +202,6 @@ def sampling(study: Study) -> Section:
     )
     shown = ("<timing> shows the distributions.",)
     return Section(title="Sampling time", paragraphs=shown, tables=(table,), figures=timing)
-
-
-def files(study: Study) -> Section:
-    """Return the section with the hashes of the files."""
-    date = f"{recorded(study.recordings):%Y-%m-%d}"
-    return Section(
-        title="Files",
-        points=(
-            f"Made by armrig {version('armrig')} from recordings of {date}.",
-            *(
-                f"{recording_facts.role(study, r)}: `{r.path.name}`, SHA-256 `{r.sha256}`"
-                for r in study.recordings
-            ),
-        ),
-    )
 
 
 def _roles(study: Study) -> tuple[str, ...]:

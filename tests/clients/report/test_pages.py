@@ -123,7 +123,7 @@ def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_stu
     headings = {text.strip("[]"): page for text, page in account["headings"]}
     assert list(headings) == [
         *("Results", "Data", "Models", "Validation", "Comparison with the physics"),
-        *("Recordings", "Sampling time", "Files"),
+        *("Recordings", "Sampling time"),
     ]
     first = {f["kind"]: f["page"] for f in account["figures"] if f["number"] == 1}
     assert first == {"table": 1, "image": 1}
