@@ -49,26 +49,15 @@ def test_each_sample_of_a_slow_stream_is_a_bin() -> None:
     assert _binned(_samples([1, 2, 3], Ts=0.01)).shape[0] == 3
 
 
-def test_a_wrap_ends_a_bin() -> None:
-    """Otherwise the page would draw a line across the whole turn."""
-    rows = _binned(_samples([358, 359, 1, 2]))
+@pytest.mark.parametrize("dead_band", [0, 2])
+def test_a_wrap_ends_a_bin(dead_band: int) -> None:
+    """Otherwise the page would draw a line across the whole turn; the dead band hides the wrap."""
+    angles = [358.0, 359.0, *[float("nan")] * dead_band, 1.0, 2.0]
 
-    assert rows[:, 3].round().tolist() == [358, 1]
-    assert rows[:, 4].round().tolist() == [359, 2]
-
-
-def test_a_change_below_half_a_turn_is_not_a_wrap() -> None:
-    assert _binned(_samples([0, 170])).shape[0] == 1
-
-
-def test_a_wrap_inside_the_dead_band_ends_a_bin() -> None:
-    nan = float("nan")
-    rows = _binned(_samples([358, 359, nan, nan, 1, 2]))
-    wide = coarser(_binned(_samples([358, 359, nan, nan, 1, 2], Ts=0.01)), 0.1)
-
-    for found in (rows, wide):
+    for found in (_binned(_samples(angles)), coarser(_binned(_samples(angles, Ts=0.01)), 0.1)):
         assert found[:, 3].round().tolist() == [358, 1]
         assert found[:, 4].round().tolist() == [359, 2]
+    assert _binned(_samples([0, 170])).shape[0] == 1
 
 
 def test_an_unknown_angle_does_not_hide_a_known_angle_of_its_bin() -> None:

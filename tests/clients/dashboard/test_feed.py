@@ -54,15 +54,6 @@ def test_a_gap_that_is_reported_before_its_next_sample_is_counted() -> None:
     assert counted(feed) == (4, 0, "link silent")
 
 
-def test_missing_samples_without_a_reported_gap_count_as_not_received() -> None:
-    feed = Feed()
-    feed.add_samples(samples(0))
-    feed.add_gaps([gap(2, 3, 1.0, "overrun")])
-    feed.add_samples(samples(6))
-
-    assert counted(feed) == (3, 2, "overrun")
-
-
 def test_a_repeated_sample_is_ignored() -> None:
     feed = Feed()
     feed.add_samples(samples(0, 1, 2))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.dashboard import study_of_one
-from armrig.dashboard.study_of_one import csv, curves, facts, identified
+from armrig.dashboard.study_of_one import curves, facts, identified
 from armrig.estimation.arx import arx
 from armrig.recordings.files.loading import load
 from armrig.validation.residuals import residuals
@@ -28,29 +28,6 @@ def test_a_part_without_a_sample_shows_the_next_or_last_sample(
 
     assert shown["u"][0] == [pytest.approx(recording.t[k])]
     assert shown["u"][1] == shown["u"][2] == [pytest.approx(recording.u[k], abs=1e-4)]
-
-
-def test_the_mean_rate_is_the_turned_angle_divided_by_the_time(
-    three_recordings: tuple[Path, Path, Path],
-) -> None:
-    recording = load(three_recordings[0])
-    t, rate, _ = curves(three_recordings[0], None, None)["rate"]
-    turned = np.degrees(np.nanmax(recording.theta_1) - np.nanmin(recording.theta_1))
-
-    assert np.nanmean(np.array(rate, float)) == pytest.approx(turned / t[-1], rel=0.05)
-
-
-def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, Path, Path]) -> None:
-    path = three_recordings[0]
-    recording = load(path)
-    header, *rows = csv(path, 1.0, 1.5).decode().splitlines()
-    k = np.flatnonzero((recording.t >= 1.0) & (recording.t <= 1.5))
-
-    assert header == "t [s],u [V],theta_1 counted [deg],alpha [deg]"
-    shown = np.array([[float(text) for text in row.split(",")] for row in rows])
-    angles = np.degrees([recording.theta_1[k], recording.alpha[k]])
-    expected = np.column_stack([recording.t[k], recording.u[k], *angles])
-    np.testing.assert_allclose(shown, expected, atol=6e-5)
 
 
 def test_an_infinite_voltage_is_not_drawn(tmp_path: Path) -> None:
