@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -14,7 +14,7 @@ from concurrent.futures import (
     Future,
     wait,
 )
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -154,44 +154,33 @@ def results(
     OperationError
         The executor cancelled its work.
     """
-    waiting, alone = deque(items), deque[T]()
-    deaths: Counter[T] = Counter()
+    waiting, alone, deaths = deque(items), deque[T](), Counter[T]()
     while waiting or alone:
-        with open_executor() as workers:
-            ran = yield from _until_a_death(workers, function, waiting, alone, at_once)
-        if len(ran) == 1:
-            deaths[ran[0]] += 1
-            if deaths[ran[0]] >= MOST_DEATHS:
+        running: dict[Future[R], T] = {}
+        with open_executor() as workers, suppress(BrokenExecutor):
+            while waiting or alone or running:
+                source, most = (alone, 1) if alone else (waiting, at_once)
+                while source and len(running) < most:
+                    future = workers.submit(function, source[0])
+                    running[future] = source.popleft()
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in sorted(done, key=lambda f: isinstance(_error(f), BrokenExecutor)):
+                    result = _error(future) or future.result()
+                    if isinstance(result, BrokenExecutor):
+                        raise result
+                    yield running.pop(future), result
+        left = [*running.values()]
+        if len(left) == 1:
+            deaths[left[0]] += 1
+            if deaths[left[0]] >= MOST_DEATHS:
                 text = f"its process died {MOST_DEATHS} times: it was killed or ran out of memory"
-                yield ran.pop(), RuntimeError(text)
-        alone.extend(ran)
+                yield left.pop(), RuntimeError(text)
+        alone.extend(left)
 
 
-def _until_a_death(
-    workers: Executor, function: Callable[[T], R], waiting: deque[T], alone: deque[T], at_once: int
-) -> Generator[tuple[T, R | Exception], None, list[T]]:
-    """Yield results until all items are done or a worker dies; return the items still running."""
-    running: dict[Future[R], T] = {}
-    while waiting or alone or running:
-        source, most = (alone, 1) if alone else (waiting, at_once)
-        while source and len(running) < most:
-            try:
-                future = workers.submit(function, source[0])
-            except BrokenExecutor:  # a worker died before this submission
-                return [*running.values()]
-            running[future] = source.popleft()
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for future in sorted(done, key=_is_broken):
-            if _is_broken(future):
-                return [*running.values()]
-            item = running.pop(future)
-            yield item, future.exception() or future.result()  # type: ignore[misc]
-    return []
-
-
-def _is_broken(future: Future[R]) -> bool:
+def _error(future: Future[Any]) -> Exception | None:
     try:
-        return isinstance(future.exception(), BrokenExecutor)
+        return future.exception()  # type: ignore[return-value]  # of a worker: no BaseException
     except CancelledError as err:
         msg = "the cluster dropped its work: its scheduler or all workers are gone. Results so far "
         raise OperationError(
