@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -29,6 +28,7 @@ from armrig.dashboard.study_of_one import ModelOutput, csv, curves, facts, ident
 from armrig.recordings.files.catalogue import Catalogue, catalogue, facts_of
 from armrig.recordings.files.recording_names import Answering, answering_among, short_name
 from armrig.recordings.files.recording_summary import RecordingSummary, shown_path
+from armrig.report.batch.workers import begin_worker
 
 _MOST_LISTED = 200
 _PIECE = 1 << 18  # B
@@ -167,7 +167,7 @@ class RecordingRoutes:
         if self._worker is None:
             # Spawned: a fork would keep the locks of other threads forever.
             context = multiprocessing.get_context("spawn")
-            self._worker = ProcessPoolExecutor(1, mp_context=context, initializer=_leave_ctrl_c)
+            self._worker = ProcessPoolExecutor(1, mp_context=context, initializer=begin_worker)
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._worker, does, *arguments)
 
@@ -199,8 +199,3 @@ def _name_or_file(summary: RecordingSummary, answering: Answering) -> str:
     """Return the @name that the commands accept for a recording; without one, its file name."""
     name = short_name(summary, answering)
     return name if name.startswith("@") else shown_path(Path(summary.file))
-
-
-def _leave_ctrl_c() -> None:
-    """Ignore Ctrl-C, because the server ends this process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -27,7 +27,7 @@ def processes(count: int) -> Iterator[Executor]:
     # Do not fork: the copy would contain locks that threads of this process hold.
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
-    executor = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+    executor = ProcessPoolExecutor(count, mp_context=context, initializer=begin_worker)
     try:
         yield executor
     except BaseException:
@@ -69,7 +69,7 @@ def _connected(distributed: Any, address: str) -> Any:
         raise OperationError(f"{msg}prints its address, such as tcp://127.0.0.1:8786") from err
 
 
-def _begin() -> None:
+def begin_worker() -> None:
     """Prepare a worker process, which ignores Ctrl-C and ends when its parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
