@@ -227,13 +227,18 @@ _CHARACTERISTICS = (
 
 
 def _comparison(_: HandoutStudy, black: Study) -> Section:
-    rows = []
+    rows, unit = [], black.validation.unit
+    least = error(min(row.rms_error for row in black.models), unit)
+    closest = []
     for row in black.models:
         found, velocity = row.characteristics, row.velocity_fit_percent
+        size = error(row.rms_error, unit)
+        if size == least:
+            closest.append("the physical model" if row is black.reference else row.name)
         rows.append(
             (
                 row.name,
-                error(row.rms_error, black.validation.unit),
+                size,
                 "–" if velocity is None else percent(velocity),
                 *(
                     _figure(getattr(found, name), found.std.get(name, float("nan")), k)
@@ -241,10 +246,6 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
                 ),
             )
         )
-    unit = black.validation.unit
-    off = {row.name: error(row.rms_error, unit) for row in black.models}
-    best = min(black.models, key=lambda row: row.rms_error)
-    closest = [name for name, size in off.items() if size == off[best.name]]
     table = Table(
         caption="Models on the validation data, and characteristics of their step responses.",
         header=("model", "rms error", "fit of the rate", *(h for _, h, _ in _CHARACTERISTICS)),
@@ -254,7 +255,7 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
     return Section(
         paragraphs=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
-            f"{off[best.name]}. {_difference(black)}",
+            f"{least}. {_difference(black)}",
             "The fit of the rate is $100 (1 - norm(v - w) slash norm(v - macron(v)))$ %, $v$ "
             "measured with mean $macron(v)$, $w$ simulated. This fit is below 0 % if a constant "
             "fits better. It is below 100 % even for the true system, since $v$ contains the "
