@@ -20,6 +20,7 @@ from armrig.recordings.files.loading import load
 from armrig.recordings.files.recording_summary import shown_path
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import data_verdict
+from armrig.report.recording_facts import run_facts
 from armrig.validation.advice import advice
 from armrig.validation.answer import answer
 from armrig.validation.comparison import compare
@@ -39,18 +40,11 @@ def facts(path: Path) -> dict[str, Any]:
     """Return facts about a recording, the verdict on its data, and its complete curves."""
     recording = _loaded(path)
     verdict = data_verdict(recording)
-    manifest, outcome = recording.manifest, recording.outcome
     return {
         "file": shown_path(Path(path.name)),
         "about": [
-            ("experiment", manifest.experiment),
-            ("started", manifest.started),
-            ("length", f"{recording.N * recording.Ts:g} s, {recording.N} samples"),
-            ("Ts", f"{recording.Ts:g} s, {manifest.pacing}"),
-            ("missing", f"{recording.missing} samples"),
-            ("dead band", f"{recording.hidden} samples show no angle"),
-            ("outcome", outcome.outcome if outcome else recording.damage),
-            ("sha256", recording.sha256[:12]),
+            *((name, text) for name, text in run_facts(recording).items() if text),
+            ("SHA-256", recording.short_hash),
         ],
         "usable": verdict.usable,
         "summary": verdict.summary,

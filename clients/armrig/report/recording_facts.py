@@ -53,10 +53,11 @@ def without_turns(data: Dataset) -> str:
 
 def facts(study: Study) -> Rows:
     """Return the table of the recordings, one column for each recording."""
-    return _rows(_facts(r) for r in study.recordings)
+    return _rows(run_facts(r) for r in study.recordings)
 
 
-def _facts(r: Recording) -> dict[str, str]:
+def run_facts(r: Recording) -> dict[str, str]:
+    """Return the facts about a run by name, as text; "" for a fact that is not known."""
     return {
         "run": run_name(r),
         "experiment": r.manifest.experiment,
