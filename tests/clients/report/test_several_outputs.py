@@ -82,7 +82,7 @@ def test_a_report_may_have_only_the_output_alpha(three_recordings: tuple[Path, P
     assert np.median(found.best.deviation) < 0.02
     [fits] = section_of(found, "Results").tables
     assert fits.header == ("model", "fit of the angle", "rms error")
-    assert "to the arm angle were estimated" in study_contents(found, ()).front.paragraphs[0]
+    assert "to the arm angle α were estimated" in study_contents(found, ()).front.paragraphs[0]
     assert "never negative" not in section_of(found, "Data").paragraphs[0]
 
 
