@@ -5,17 +5,8 @@ from __future__ import annotations
 import re
 
 import pytest
-from armrig_protocol.messages import (
-    Cause,
-    Event,
-    Exchange,
-    Flag,
-    Mode,
-    Sample,
-    Start,
-    State,
-    Status,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Cause, Flag, Mode, State
 
 from tests.daemon.emulator.emulated_host import MS, US, Host, S, only
 from tests.daemon.emulator.test_readings import reading
@@ -37,13 +28,13 @@ def test_a_code_corrupted_in_memory_is_not_driven(host: Host) -> None:
     host.reach(State.ARMED, mode=Mode.SCHEDULED, u_max=1000)
     host.supply(0, [500] * 24)
     host.wait(2 * MS)
-    host.ask(Start, k_stop=0)
+    host.ask(wire.Start, k_stop=0)
     assert host.device.board.code
     host.device.use().pc_spoil_next(1001)
 
     heard = host.wait(40 * MS)
 
-    (event,) = [m for m in heard if isinstance(m, Event)]
+    (event,) = [m for m in heard if isinstance(m, wire.Event)]
     assert (event.state, event.cause) == (State.FAULT, Cause.INTERNAL)
     assert host.device.board.volts == 0.0
     assert max(change.volts for change in host.changes) < 5.0 * 1000 / 65535
@@ -59,9 +50,9 @@ def test_readings_are_not_averaged_across_the_dead_band(
     host.reach(State.READY, ts_us=5000, oversampling=4)
     reading(host, codes, [2000] * 4)
 
-    host.put(Exchange, k=1, u=0)
+    host.put(wire.Exchange, k=1, u=0)
 
-    assert only(Sample, host.wait(3 * MS)).y0 == expected
+    assert only(wire.Sample, host.wait(3 * MS)).y0 == expected
 
 
 def test_only_one_function_drives_the_motor() -> None:
@@ -89,9 +80,9 @@ def test_bytes_lost_by_the_board_are_counted_and_reported_once(host: Host) -> No
     host.device.use().pc_lose(3)
     host.device.use().rig_poll()
 
-    first = only(Sample, host.ask(Exchange, k=1, u=0))
-    second = only(Sample, host.ask(Exchange, k=2, u=0))
-    status = [m for m in host.wait(1 * S) if isinstance(m, Status)]
+    first = only(wire.Sample, host.ask(wire.Exchange, k=1, u=0))
+    second = only(wire.Sample, host.ask(wire.Exchange, k=2, u=0))
+    status = [m for m in host.wait(1 * S) if isinstance(m, wire.Status)]
 
     assert first.flags & Flag.RX_OVERFLOW
     assert not second.flags & Flag.RX_OVERFLOW
@@ -101,10 +92,10 @@ def test_bytes_lost_by_the_board_are_counted_and_reported_once(host: Host) -> No
 def test_a_board_that_polls_often_reports_its_status_once_a_second(host: Host) -> None:
     """The numbers of its frames have no gap, so none is sent between those that arrive."""
     host.hello()
-    heard: list[Status] = []
+    heard: list[wire.Status] = []
     for _ in range(30):
         host.device.use().rig_poll()
-        heard += [m for m in host.wait(100 * MS) if isinstance(m, Status)]
+        heard += [m for m in host.wait(100 * MS) if isinstance(m, wire.Status)]
 
     assert [round(m.uptime_ms / 1000) for m in heard] == [1, 2, 3]
     assert [m.seq - heard[0].seq for m in heard] == [0, 1, 2]
@@ -115,7 +106,7 @@ def test_samples_skipped_by_a_busy_main_loop_are_counted(host: Host) -> None:
     host.hello()
     c = host.device.use()
     for k in (1, 2):
-        host.put(Exchange, k=k, u=0)
+        host.put(wire.Exchange, k=k, u=0)
     host.wait(400 * US)  # both are taken in
 
     for what in (0, 0, 1):  # their ends, and one of the timer, before main looks

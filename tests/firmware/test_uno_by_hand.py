@@ -7,24 +7,9 @@ from itertools import pairwise
 
 import pytest
 from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    Cause,
-    ConfigReply,
-    Estop,
-    Event,
-    Exchange,
-    Flag,
-    Hello,
-    Keepalive,
-    Ping,
-    Sample,
-    Setpoints,
-    Start,
-    State,
-    Status,
-    Stop,
-)
+from armrig_protocol.messages import Cause, Flag, State
 
 from tests.firmware.uno_host import (
     BOOT_NS,
@@ -52,11 +37,11 @@ def test_a_silent_host_stops_the_motor_within_the_watchdog_and_1_ms(watchdog_ms:
 
         low_ns = host.uno.ns(host.uno.harness.figures().last_high)
         assert (watchdog_ms - 0.1) * MS <= low_ns - fed_ns <= (watchdog_ms + 1) * MS
-        assert host.last(Event).cause == Cause.WATCHDOG
+        assert host.last(wire.Event).cause == Cause.WATCHDOG
         assert_low_outside_run(host)
 
 
-@pytest.mark.parametrize("kind", [Stop, Estop])
+@pytest.mark.parametrize("kind", [wire.Stop, wire.Estop])
 def test_a_stop_acts_within_a_millisecond_of_its_last_byte(kind: type) -> None:
     """S6: and the pin stays low."""
     with powered() as host:
@@ -81,7 +66,7 @@ def test_a_reset_in_run_stops_the_motor_at_once(boot_loader: bool) -> None:
         host.uno.reset(host.now)
         reset_ns = host.now
         assert (host.uno.state, host.uno.cause) == (State.BOOT, Cause.POWER_ON)
-        host.put(encode(Hello(0, 77, 2, 0)))  # nobody hears it
+        host.put(encode(wire.Hello(0, 77, 2, 0)))  # nobody hears it
         if boot_loader:
             host.wait(1000)
             assert host.uno.state is State.BOOT
@@ -117,7 +102,7 @@ def test_the_first_period_after_0_v_has_the_new_duty(between: str) -> None:
         host.start()
         host.drive(65535, 5)
         if between == "STOP":
-            host.say(Stop)
+            host.say(wire.Stop)
             host.wait(5)
             host.start()
         else:
@@ -155,7 +140,7 @@ def test_a_duty_of_0_disconnects_the_pin_without_a_spike() -> None:
         host.drive(0, 5, k=20)
 
         assert host.uno.harness.figures().edges == edges
-        assert host.last(Sample).u_k == 0
+        assert host.last(wire.Sample).u_k == 0
 
 
 def test_theta_1_is_held_at_the_time_that_hello_declares() -> None:
@@ -166,7 +151,7 @@ def test_theta_1_is_held_at_the_time_that_hello_declares() -> None:
         host.uno.stuck = lambda t_ns, channel: holds.append((t_ns, channel))
         host.drive(0, 50)
 
-        samples = host.of(Sample)
+        samples = host.of(wire.Sample)
         alpha, theta_1 = holds[::2], holds[1::2]
         assert {channel for _, channel in alpha} == {1}
         assert {channel for _, channel in theta_1} == {0}
@@ -191,13 +176,13 @@ def test_an_oversampled_reading_is_the_mean_of_conversions_one_skew_apart() -> N
             return 500 + len(holds) % 4 + 100 * channel
 
         host.uno.stuck = reading
-        host.say(Exchange, 1, 0)
+        host.say(wire.Exchange, 1, 0)
         host.wait(10)
 
         assert [channel for _, channel in holds] == [1, 0] * 16
         gaps = [b - a for (a, _), (b, _) in pairwise(holds)]
         assert all(abs(gap - 128_000) <= 1000 for gap in gaps)
-        sample = host.last(Sample)
+        sample = host.last(wire.Sample)
         codes = [500 + (i + 1) % 4 + 100 * (i % 2 == 0) for i in range(32)]
         assert sample.y1 == round(sum(codes[::2]) / 16 * 64)
         assert sample.y0 == round(sum(codes[1::2]) / 16 * 64)
@@ -209,18 +194,18 @@ def test_a_supply_measurement_does_not_change_the_channel_of_a_reading(ts_us: in
     with powered() as host:
         host.arm(mode=1, ts_us=ts_us, watchdog_ms=250)
         host.uno.stuck = lambda _, channel: 300 + 400 * channel
-        host.say(Start, 0, host.last(ConfigReply).nonce)
+        host.say(wire.Start, 0, host.last(wire.ConfigReply).nonce)
         for i in range(20):
             host.wait(100)
-            host.say(Ping, i)
+            host.say(wire.Ping, i)
             host.uno.harness.supply(4600)
         host.wait(10)
 
-        taken = [s for s in host.of(Sample) if s.flags & Flag.RUN]
+        taken = [s for s in host.of(wire.Sample) if s.flags & Flag.RUN]
         assert len(taken) >= 1_990_000 // ts_us
         assert {(s.y0, s.y1) for s in taken} == {(300 * 64, 700 * 64)}
         assert not any(s.flags & Flag.TICK_LATE for s in taken)
-        assert host.last(Status).vcc_mv == pytest.approx(4600, abs=25)
+        assert host.last(wire.Status).vcc_mv == pytest.approx(4600, abs=25)
 
 
 def test_a_low_supply_causes_a_fault() -> None:
@@ -233,7 +218,7 @@ def test_a_low_supply_causes_a_fault() -> None:
         for k in range(100, 400):
             host.drive(HALF, 1, k)
 
-        assert host.last(Event).cause == Cause.VCC_LOW
+        assert host.last(wire.Event).cause == Cause.VCC_LOW
         assert_low_outside_run(host)
 
 
@@ -289,14 +274,14 @@ def test_the_hardware_watchdog_stops_the_motor_if_the_converter_stops() -> None:
     with powered() as host:
         host.start(mode=1, watchdog_ms=250, underrun=1, hold=255)
         boot_id = host.hello().boot_id
-        host.say(Setpoints, host.last(Sample).k + 3, 24, 0, (HALF,) * 24)
+        host.say(wire.Setpoints, host.last(wire.Sample).k + 3, 24, 0, (HALF,) * 24)
         host.wait(60)
         host.uno.harness.stand()
         stood_ns = host.now
         driven = bool(high_from(host.uno, stood_ns - 1, stood_ns))
 
         for _ in range(50):
-            host.say(Keepalive)
+            host.say(wire.Keepalive)
             host.wait(10)
         hello = host.hello()
 

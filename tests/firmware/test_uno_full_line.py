@@ -11,23 +11,9 @@ from armrig_core.rig.volts import applied_code, duty
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.budget import scheduled_us
 from armrig_daemon.emulator.harness import Violation
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    SETPOINTS_PER_FRAME,
-    Cause,
-    ConfigReply,
-    Event,
-    Flag,
-    Keepalive,
-    Mode,
-    Ping,
-    Sample,
-    Setpoints,
-    Start,
-    State,
-    Status,
-    Stop,
-)
+from armrig_protocol.messages import SETPOINTS_PER_FRAME, Cause, Flag, Mode, State
 
 from tests.firmware.test_uno_runs import (
     LATCH_NS,
@@ -48,23 +34,23 @@ HALF = 32768
 N = 600
 
 
-def _play(host: Host, u: list[int], ts_us: int) -> list[Sample]:
+def _play(host: Host, u: list[int], ts_us: int) -> list[wire.Sample]:
     """Play a run during a flood that leaves no gap in the line to the device."""
     host.arm(mode=int(Mode.SCHEDULED), ts_us=ts_us, watchdog_ms=250)
     for k0 in range(0, 240, SETPOINTS_PER_FRAME):
-        host.say(Setpoints, k0, 24, 0, tuple(u[k0 : k0 + 24]))
+        host.say(wire.Setpoints, k0, 24, 0, tuple(u[k0 : k0 + 24]))
         host.wait(2)
-    host.say(Start, len(u), host.last(ConfigReply).nonce)
+    host.say(wire.Start, len(u), host.last(wire.ConfigReply).nonce)
     sent = 240
     for _ in range(len(u) * ts_us // 1000 + 40):
-        samples = host.of(Sample)
+        samples = host.of(wire.Sample)
         while sent < len(u) and sent + 24 <= len(samples) + 256:
-            host.say(Setpoints, sent, 24, 0, tuple(u[sent : sent + 24]))
+            host.say(wire.Setpoints, sent, 24, 0, tuple(u[sent : sent + 24]))
             sent += 24
         while host.uno.rx_backlog_ns(host.now) < 2 * MS:
-            host.say(Keepalive)
+            host.say(wire.Keepalive)
         host.wait(1)
-    return host.of(Sample)
+    return host.of(wire.Sample)
 
 
 @pytest.mark.parametrize("baud", BAUDS)
@@ -124,18 +110,18 @@ def test_each_gap_in_the_received_bytes_is_counted(baud: int) -> None:
     """The byte that found the ring full, and the overrun after it."""
     with powered(baud=baud) as host:
         host.hello()
-        flood = b"".join(encode(Stop(0, seq)) for seq in range(100, 400))
+        flood = b"".join(encode(wire.Stop(0, seq)) for seq in range(100, 400))
 
         host.put(flood)
         host.wait(150)
-        host.say(Ping, 1)
+        host.say(wire.Ping, 1)
         host.wait(1000)
 
         lost = [v.cycle for v in host.uno.violations if v.what is Violation.RX_OVERRUN]
         byte = 160_000_000 // baud
         gaps = 1 + sum(later - earlier > 1.5 * byte for earlier, later in pairwise(lost))
         assert gaps > 3
-        assert host.last(Status).rx_lost == 2 * gaps
+        assert host.last(wire.Status).rx_lost == 2 * gaps
 
 
 def _noise(host: Host, rng: random.Random) -> None:
@@ -157,9 +143,9 @@ def test_a_flood_does_not_delay_the_watchdog(
         ts_us = host.hello().ts_min_us
         host.arm(mode=int(Mode.SCHEDULED), ts_us=ts_us, watchdog_ms=100)
         for k0 in range(0, 240, SETPOINTS_PER_FRAME):
-            host.say(Setpoints, k0, SETPOINTS_PER_FRAME, 0, (HALF,) * SETPOINTS_PER_FRAME)
+            host.say(wire.Setpoints, k0, SETPOINTS_PER_FRAME, 0, (HALF,) * SETPOINTS_PER_FRAME)
             host.wait(2)
-        fed_ns = host.say(Start, 0, host.last(ConfigReply).nonce)
+        fed_ns = host.say(wire.Start, 0, host.last(wire.ConfigReply).nonce)
 
         for _ in range(150):
             while host.uno.rx_backlog_ns(host.now) < 2 * MS:
@@ -169,6 +155,6 @@ def test_a_flood_does_not_delay_the_watchdog(
 
         low_ns = host.uno.ns(host.uno.harness.figures().last_high)
         assert 99.9 * MS <= low_ns - fed_ns <= 101 * MS
-        assert host.last(Event).cause == Cause.WATCHDOG
+        assert host.last(wire.Event).cause == Cause.WATCHDOG
         assert host.uno.state is State.FAULT
         assert host.uno.harness.figures().boots == 1

@@ -5,19 +5,8 @@ from __future__ import annotations
 import pytest
 from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Arm,
-    Config,
-    Exchange,
-    Hello,
-    Mode,
-    Sample,
-    Setpoints,
-    Start,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Mode, State
 
 from tests.daemon.emulator.emulated_host import CONFIG
 from tests.firmware.both_devices import MS, US, BothDevices, S
@@ -32,14 +21,14 @@ def in_run(*, after_ns: int = 1 * MS, **config: int) -> BothDevices:
     """Return both devices in RUN; in scheduled mode with the first setpoints."""
     both = BothDevices(INSTANT)
     both.wait(10 * MS)
-    both.put(Hello, version=VERSION, schema=SCHEMA_HASH)
-    both.put(Config, **{**CONFIG, **config})
+    both.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)
+    both.put(wire.Config, **{**CONFIG, **config})
     both.wait(5 * MS)
-    both.put(Arm, boot_id=both.boot_id, config_crc=both.config_crc, nonce=both.nonce)
+    both.put(wire.Arm, boot_id=both.boot_id, config_crc=both.config_crc, nonce=both.nonce)
     both.wait(1 * MS)
     if config.get("mode"):
-        both.put(Setpoints, k0=0, n=24, zero=0, u=(1000,) * 24)
-    both.put(Start, k_stop=0, nonce=both.nonce)
+        both.put(wire.Setpoints, k0=0, n=24, zero=0, u=(1000,) * 24)
+    both.put(wire.Start, k_stop=0, nonce=both.nonce)
     both.wait(after_ns)
     assert both.devices[1].state is State.RUN
     return both
@@ -51,10 +40,10 @@ def test_the_k_of_an_exchange_wraps() -> None:
     half = 1 << 31
 
     for k in (half - 1, half, 2**32 - 2, 2**32 - 1, 0, 1, 2**32 - 1, 1 + half, 2, half):
-        both.put(Exchange, k=k, u=k & 0xFF)
+        both.put(wire.Exchange, k=k, u=k & 0xFF)
         both.wait(1 * MS)
 
-    taken = [m.k for m in both.heard if isinstance(m, Sample)]
+    taken = [m.k for m in both.heard if isinstance(m, wire.Sample)]
     assert taken == [half - 1, half, 2**32 - 2, 2**32 - 1, 0, 1, 2, half]
 
 
@@ -66,24 +55,24 @@ def test_the_device_clock_wraps(mode: Mode, ahead_us: int) -> None:
     for device in both.devices:
         device._fw.clock = Clock(-((1 << 32) - ahead_us) * US)
     both.wait(10 * MS)
-    both.put(Hello, version=VERSION, schema=SCHEMA_HASH)
-    both.put(Config, **{**CONFIG, "mode": mode, "watchdog_ms": 20})
+    both.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)
+    both.put(wire.Config, **{**CONFIG, "mode": mode, "watchdog_ms": 20})
     both.wait(3 * MS)
-    both.put(Arm, boot_id=both.boot_id, config_crc=both.config_crc, nonce=both.nonce)
+    both.put(wire.Arm, boot_id=both.boot_id, config_crc=both.config_crc, nonce=both.nonce)
     both.wait(1 * MS)
-    both.put(Start, k_stop=0, nonce=both.nonce)
+    both.put(wire.Start, k_stop=0, nonce=both.nonce)
     for k in range(30):
         if mode == Mode.EXCHANGE:
-            both.put(Exchange, k=k, u=k)
+            both.put(wire.Exchange, k=k, u=k)
         else:
-            both.put(Setpoints, k0=k, n=1, zero=0, u=(k, *(0,) * 23))
+            both.put(wire.Setpoints, k0=k, n=1, zero=0, u=(k, *(0,) * 23))
         both.wait(1 * MS)
     assert both.devices[1].state is State.RUN
 
     both.wait(3 * S)
 
     assert both.devices[1].state is State.FAULT
-    times = [m.t_us for m in both.heard if isinstance(m, Sample)]
+    times = [m.t_us for m in both.heard if isinstance(m, wire.Sample)]
     assert max(times) - min(times) > 1 << 31
 
 
@@ -100,7 +89,7 @@ def test_a_run_may_be_longer_than_32_bits_of_its_index() -> None:
     both.wait(100 * US)
     for _ in range(6):
         # u_rest is 0: were index 0 the first again, 3000 would be too far from it.
-        both.put(Setpoints, k0=both.held % 2**32, n=8, zero=0, u=(*[3000] * 8, *[0] * 16))
+        both.put(wire.Setpoints, k0=both.held % 2**32, n=8, zero=0, u=(*[3000] * 8, *[0] * 16))
         both.held += 8
         both.wait(8 * MS)
 

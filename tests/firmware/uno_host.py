@@ -17,21 +17,9 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import wire_ns
 from armrig_daemon.emulator.uno import Uno
 from armrig_protocol import decoder
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import Spoilt, Unknown, encode
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Arm,
-    Config,
-    ConfigReply,
-    Exchange,
-    Hello,
-    HelloReply,
-    Message,
-    Mode,
-    Start,
-    State,
-)
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Mode, State
 
 ROOT = Path(__file__).parents[2]
 FIL = ROOT / "firmware_protocol" / "simavr"
@@ -107,7 +95,7 @@ class Host:
         self.uno = uno
         self.now = 0
         self.seq = 0
-        self.heard: list[tuple[int, Message]] = []
+        self.heard: list[tuple[int, wire.Message]] = []
         """Messages that came, each with the time of its last byte."""
         self.spoilt = 0
         self.starts: list[int] = []
@@ -125,10 +113,10 @@ class Host:
                 else:
                     self.heard.append((t_ns, one))
 
-    def say(self, kind: type[Message], *fields: Any) -> int:
+    def say(self, kind: type[wire.Message], *fields: Any) -> int:
         """Send a frame; return when it will have arrived."""
         self.seq = (self.seq + 1) & 0xFFFF
-        return self.put(encode(kind(0, self.seq, *fields)), starts=kind is Start)
+        return self.put(encode(kind(0, self.seq, *fields)), starts=kind is wire.Start)
 
     def put(self, data: bytes, *, starts: bool = False) -> int:
         """Put bytes on the line; return when they will have arrived."""
@@ -138,52 +126,52 @@ class Host:
             self.starts.append(arrived_ns)
         return arrived_ns
 
-    def last(self, kind: type[Message]) -> Any:
+    def last(self, kind: type[wire.Message]) -> Any:
         """Return the newest message of a kind."""
         return next(m for _, m in reversed(self.heard) if isinstance(m, kind))
 
-    def of(self, kind: type[Message]) -> list[Any]:
+    def of(self, kind: type[wire.Message]) -> list[Any]:
         """Return all messages of a kind."""
         return [m for _, m in self.heard if isinstance(m, kind)]
 
-    def hello(self) -> HelloReply:
+    def hello(self) -> wire.HelloReply:
         """Shake hands, with a 00 first."""
         self.put(b"\0")
-        self.say(Hello, VERSION, SCHEMA_HASH)
+        self.say(wire.Hello, VERSION, SCHEMA_HASH)
         self.wait(5)
-        reply: HelloReply = self.last(HelloReply)
+        reply: wire.HelloReply = self.last(wire.HelloReply)
         return reply
 
     def arm(self, **config: int) -> None:
         """Advance to ARMED, in exchange mode by default."""
         hello = self.hello()
         reply = self.configure(**config)
-        self.say(Arm, hello.boot_id, reply.config_crc, reply.nonce)
+        self.say(wire.Arm, hello.boot_id, reply.config_crc, reply.nonce)
         self.wait(4)
 
-    def configure(self, **config: int) -> ConfigReply:
+    def configure(self, **config: int) -> wire.ConfigReply:
         """Send CONFIG and return its answer."""
         fields = {
             **{"ts_us": 2000, "u_min": 0, "u_max": 65535, "u_rest": 0, "slew": 0},
             **{"watchdog_ms": 100, "mode": int(Mode.EXCHANGE), "underrun": 0, "hold": 0},
             **{"oversampling": 1, "rail_ticks": 0, "turns": 0},
         } | config
-        self.say(Config, *fields.values())
+        self.say(wire.Config, *fields.values())
         self.wait(5)
-        reply: ConfigReply = self.last(ConfigReply)
+        reply: wire.ConfigReply = self.last(wire.ConfigReply)
         return reply
 
     def start(self, k_stop: int = 0, **config: int) -> None:
         """Come as far as RUN."""
         self.arm(**config)
-        self.say(Start, k_stop, self.last(ConfigReply).nonce)
+        self.say(wire.Start, k_stop, self.last(wire.ConfigReply).nonce)
         self.wait(4)
 
     def drive(self, u: int, n: int, k: int = 1) -> int:
         """Exchange n samples with u; return when the last frame had arrived."""
         arrived_ns = 0
         for i in range(n):
-            arrived_ns = self.say(Exchange, k + i, u)
+            arrived_ns = self.say(wire.Exchange, k + i, u)
             self.wait(2)
         return arrived_ns
 

@@ -19,20 +19,10 @@ from armrig_daemon.emulator.harness import Violation as Violated
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import arrivals, wire_ns
 from armrig_daemon.emulator.uno import PERIOD, THETA_1, Uno
+from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import decode
-from armrig_protocol.messages import (
-    TYPES,
-    Ack,
-    Cause,
-    Code,
-    Event,
-    Exchange,
-    Sample,
-    Setpoints,
-    Start,
-    State,
-)
+from armrig_protocol.messages import TYPES, Cause, Code, State
 
 from tests.firmware.uno_host import HEX, harness
 from tests.simulator.checks import Checks
@@ -43,7 +33,7 @@ _PWM_BITS = 10
 _ACTS_NS = 64_000 + 16_000
 """A code acts in the next period of the PWM, and an interrupt may wait for another."""
 _SAME_NS = 3_000
-_START = TYPES[Start]
+_START = TYPES[wire.Start]
 
 
 class WatchedUno(Uno):
@@ -144,14 +134,14 @@ class WatchedUno(Uno):
             self._judge(t_ns, message)
 
     def _judge(self, t_ns: int, m: object) -> None:
-        if isinstance(m, Ack) and m.code == Code.OK:
+        if isinstance(m, wire.Ack) and m.code == Code.OK:
             self._acked = self.checks.taken_in(m.of_seq)
-        elif isinstance(m, Event):
+        elif isinstance(m, wire.Event):
             self._left(t_ns, m)
-        elif isinstance(m, Sample) and m.state == State.RUN:
+        elif isinstance(m, wire.Sample) and m.state == State.RUN:
             self._latched(t_ns, m)
 
-    def _left(self, t_ns: int, m: Event) -> None:
+    def _left(self, t_ns: int, m: wire.Event) -> None:
         """Judge a reported transition."""
         if m.was != State.BOOT:
             self.checks.changed(t_ns, m.was, m.state, self._acked)
@@ -163,12 +153,12 @@ class WatchedUno(Uno):
         if m.was == State.RUN:
             self.checks.stopped(self._low_ns, m.cause)
 
-    def _latched(self, t_ns: int, m: Sample) -> None:
+    def _latched(self, t_ns: int, m: wire.Sample) -> None:
         """Judge a reported latch, and the pin at that time (S5)."""
         hold_ns = self._hold_of(t_ns, m)
         frame = self.checks.taken_in(m.u_seq) if m.u_seq else None
         said = decode(frame.data[:-1]) if frame is not None else None
-        scheduled = isinstance(said, Setpoints)
+        scheduled = isinstance(said, wire.Setpoints)
         code = _code_of(said, m)
         if applied_code(code, _PWM_BITS) != m.u_k:
             raise Violation("S5", t_ns, f"{m} where {said} was taken in")
@@ -179,7 +169,7 @@ class WatchedUno(Uno):
             raise Violation("S5", t_ns, f"the pin is high for {high} of 1024 cycles, where {m}")
         self.checks.seen["S5: the pin had the code that was told"] += bool(high)
 
-    def _hold_of(self, t_ns: int, m: Sample) -> int:
+    def _hold_of(self, t_ns: int, m: wire.Sample) -> int:
         """Return when theta_1 was held for a sample; the first of a boot was held just now."""
         t_device_ns = m.t_us * 1000
         if self._behind_ns is None:
@@ -192,10 +182,10 @@ class WatchedUno(Uno):
         raise Violation("S5", t_ns, f"{m}: nothing was held at its time")
 
 
-def _code_of(said: object, m: Sample) -> int:
+def _code_of(said: object, m: wire.Sample) -> int:
     """Return the code of a frame for a sample; START means u_rest."""
-    if isinstance(said, Exchange):
+    if isinstance(said, wire.Exchange):
         return said.u
-    if isinstance(said, Setpoints) and 0 <= m.k - said.k0 < said.n:
+    if isinstance(said, wire.Setpoints) and 0 <= m.k - said.k0 < said.n:
         return said.u[m.k - said.k0]
     return 0

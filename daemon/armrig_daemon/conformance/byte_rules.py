@@ -5,7 +5,8 @@ from __future__ import annotations
 from zlib import crc32
 
 from armrig_protocol import cobs, frame
-from armrig_protocol.messages import TYPES, Hello, Keepalive, Message, Ping, Pong, Status
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import TYPES
 
 from armrig_daemon.conformance.conversation import Broken
 from armrig_daemon.conformance.host import Host
@@ -27,15 +28,15 @@ def header(number: int, seq: int) -> bytes:
 
 def spoilt_frames(host: Host) -> list[bytes]:
     """Return frames that a device must drop: wrong CRCs, wrong lengths, wrong stuffing."""
-    keepalive = header(TYPES[Keepalive], host.seq + 1)
-    sound = frame.encode(Ping(0, (host.seq + 1) & 0xFFFF, 7))
+    keepalive = header(TYPES[wire.Keepalive], host.seq + 1)
+    sound = frame.encode(wire.Ping(0, (host.seq + 1) & 0xFFFF, 7))
     return [
         *(
-            framed(header(TYPES[Ping], host.seq + 1) + bytes(8), wrong=1 << bit)
+            framed(header(TYPES[wire.Ping], host.seq + 1) + bytes(8), wrong=1 << bit)
             for bit in (0, 11, 22, 31)
         ),
         framed(keepalive + b"\1"),
-        framed(header(TYPES[Ping], host.seq + 1) + bytes(7)),
+        framed(header(TYPES[wire.Ping], host.seq + 1) + bytes(7)),
         b"\x7f" + sound[1:],
     ]
 
@@ -70,19 +71,19 @@ def _empty(host: Host) -> None:
 @rule(1, "A frame may arrive in any pieces")
 def _cut(host: Host) -> None:
     host.seq = (host.seq + 1) & 0xFFFF
-    came: list[Message] = []
-    for byte in frame.encode(Ping(0, host.seq, 2**63)):
+    came: list[wire.Message] = []
+    for byte in frame.encode(wire.Ping(0, host.seq, 2**63)):
         host.write(bytes((byte,)))
         came += host.listen(1)
     came += host.fence()
-    answered = [m for m in came if isinstance(m, Pong) and m.host_ns == 2**63]
+    answered = [m for m in came if isinstance(m, wire.Pong) and m.host_ns == 2**63]
     expect(len(answered) == len(came) == 1, came)
 
 
 @rule(1, "A lost 00 costs two frames, but not the third")
 def _lost_end(host: Host) -> None:
-    first = frame.encode(Ping(0, (host.seq + 1) & 0xFFFF, 1))
-    second = frame.encode(Ping(0, (host.seq + 2) & 0xFFFF, 2))
+    first = frame.encode(wire.Ping(0, (host.seq + 1) & 0xFFFF, 1))
+    second = frame.encode(wire.Ping(0, (host.seq + 2) & 0xFFFF, 2))
     host.write(first[:-1] + second)
     came = host.fence()
     expect(not came, came)
@@ -110,17 +111,17 @@ def _sender(host: Host) -> None:
 
 @rule(1, "Each type has one length: HELLO without its last byte is dropped")
 def _stale_hello_length(host: Host) -> None:
-    host.write(framed(header(TYPES[Hello], host.seq + 1) + bytes(5)))
+    host.write(framed(header(TYPES[wire.Hello], host.seq + 1) + bytes(5)))
     came = host.fence()
     expect(not came, came)
 
 
-def next_status(host: Host) -> Status:
+def next_status(host: Host) -> wire.Status:
     """Return the next STATUS, which the device sends once a second; the host stays silent."""
     host.status = None
     for _ in range(_STATUS_MS // 20):
         host.listen(20)
-        status: Status | None = host.status  # listening has set it
+        status: wire.Status | None = host.status  # listening has set it
         if status is not None:
             return status
     raise Broken(f"no STATUS in {_STATUS_MS / 1000:g} s")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import (
     FULL_SCALE_MV,
@@ -13,10 +14,8 @@ from armrig_protocol.messages import (
     WATCHDOG_MIN_MS,
     Capability,
     Code,
-    Config,
     Mode,
     State,
-    Stop,
 )
 
 from armrig_daemon.conformance.host import CONFIG, Host
@@ -63,7 +62,7 @@ def _accepted(host: Host) -> None:
     reply = host.configure(**given)
     accepted = {name: getattr(reply, name) for name in given}
     expect(reply.code == Code.OK and accepted == given, f"{accepted}")
-    crc = config_crc(Config(0, 0, **given))
+    crc = config_crc(wire.Config(0, 0, **given))
     expect(reply.config_crc == crc, f"config_crc {reply.config_crc:08x}, not {crc:08x}")
 
 
@@ -125,7 +124,7 @@ def _nonce(host: Host) -> None:
             seen.add(nonce)
             refused = host.configure(oversampling=0)
             expect(refused.nonce == nonce, f"nonce {refused.nonce} after a refusal")
-        host.ask(Stop)
+        host.ask(wire.Stop)
     expect(host.configure(oversampling=0).nonce == 0, "a nonce in IDLE")
 
 

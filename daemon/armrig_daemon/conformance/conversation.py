@@ -11,23 +11,15 @@ from math import inf
 from typing import Any, TypeVar
 
 from armrig_protocol import decoder, frame
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import Spoilt, Unknown
-from armrig_protocol.messages import (
-    ConfigReply,
-    Event,
-    HelloReply,
-    Message,
-    Ping,
-    Pong,
-    State,
-    Status,
-)
+from armrig_protocol.messages import State
 
 from armrig_daemon.conformance.line import Line
 
 PATIENCE_MS = 2_000
 """Longest wait for an answer, in ms of the host's clock; devices answer in less than 20 ms."""
-M = TypeVar("M", bound=Message)
+M = TypeVar("M", bound=wire.Message)
 
 
 class Broken(Exception):  # noqa: N818 - the device's error
@@ -45,11 +37,11 @@ class Conversation:
         """Set the next seq to 0; send nothing."""
         self.line = line
         self.seq = 0
-        self.facts: HelloReply | None = None
+        self.facts: wire.HelloReply | None = None
         """Last HELLO_R of the device."""
-        self.pong: Pong | None = None
+        self.pong: wire.Pong | None = None
         """Answer to the last PING."""
-        self.status: Status | None = None
+        self.status: wire.Status | None = None
         """Last STATUS of the device."""
         self.state = 0
         """State in the last frame of the device."""
@@ -65,7 +57,7 @@ class Conversation:
         self._sent_ns = line.now_ns()
         self._pending = b""
         self._fresh = True
-        self._heard: list[Message] = []
+        self._heard: list[wire.Message] = []
         self._pings = 0
         self._received = 0  # B
         self._limits = inf, inf
@@ -88,14 +80,14 @@ class Conversation:
         silence_ms = (self.line.now_ns() - self._sent_ns) / 1e6
         self.silence_ms = max(self.silence_ms, silence_ms)
 
-    def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
+    def put(self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any) -> int:
         """Send a frame; return its seq, which is by default the last seq plus one."""
         self.seq = (self.seq + 1) & 0xFFFF if seq is None else seq
         message: Any = kind  # each type has its own fields
         self.write(frame.encode(message(0, self.seq, **fields)))
         return self.seq
 
-    def put_together(self, messages: Sequence[Message]) -> None:
+    def put_together(self, messages: Sequence[wire.Message]) -> None:
         """Send several frames, with consecutive seq, as one piece."""
         data = b""
         for message in messages:
@@ -103,7 +95,7 @@ class Conversation:
             data += frame.encode(message._replace(seq=self.seq))
         self.write(data)
 
-    def listen(self, ms: float) -> list[Message]:
+    def listen(self, ms: float) -> list[wire.Message]:
         """Return the messages that arrive within `ms`, except STATUS."""
         end_ns = self.line.now_ns() + round(ms * 1e6)
         while (left_ms := (end_ns - self.line.now_ns()) / 1e6) > 0:
@@ -111,8 +103,8 @@ class Conversation:
         return self._taken()
 
     def until(
-        self, found: Callable[[Message], bool], what: str, within_ms: float = PATIENCE_MS
-    ) -> list[Message]:
+        self, found: Callable[[wire.Message], bool], what: str, within_ms: float = PATIENCE_MS
+    ) -> list[wire.Message]:
         """Return the messages, except STATUS, up to the first message for which `found` is true.
 
         Raises Broken if `found` is false for every message that arrives in time.
@@ -131,21 +123,23 @@ class Conversation:
                 raise Broken(f"no {what}; received: {names or 'nothing'}")
             self._read(left_ms)
 
-    def fence(self) -> list[Message]:
+    def fence(self) -> list[wire.Message]:
         """Send a PING and return the messages before its PONG."""
         self._pings += 1
-        self.put(Ping, host_ns=self._pings)
+        self.put(wire.Ping, host_ns=self._pings)
         came = self.until(
-            lambda m: isinstance(m, Pong) and m.host_ns == self._pings, "PONG of a PING"
+            lambda m: isinstance(m, wire.Pong) and m.host_ns == self._pings, "PONG of a PING"
         )
         return came[:-1]
 
-    def ask(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> list[Message]:
+    def ask(
+        self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any
+    ) -> list[wire.Message]:
         """Send a frame that requests no conversion, and return its answers."""
         self.put(kind, seq=seq, **fields)
         return self.fence()
 
-    def _taken(self) -> list[Message]:
+    def _taken(self) -> list[wire.Message]:
         came, self._heard = self._heard, []
         return came
 
@@ -166,17 +160,17 @@ class Conversation:
                 continue
             self._fresh = False
             expected = self._device_seq is None or item.seq == (self._device_seq + 1) & 0xFFFF
-            booted = isinstance(item, Event) and item.was == State.BOOT
+            booted = isinstance(item, wire.Event) and item.was == State.BOOT
             self.breaks += not (expected or booted)
             self._device_seq, self.state = item.seq, item.state
-            if isinstance(item, Status):
+            if isinstance(item, wire.Status):
                 self.status = item
                 continue
-            if isinstance(item, Pong):
+            if isinstance(item, wire.Pong):
                 self.pong = item
-            if isinstance(item, ConfigReply):
+            if isinstance(item, wire.ConfigReply):
                 self.nonce, self.config_crc = item.nonce, item.config_crc
-            if isinstance(item, HelloReply):
+            if isinstance(item, wire.HelloReply):
                 self.facts = item
             self._heard.append(item)
 
@@ -187,7 +181,7 @@ class Conversation:
         self._heard.clear()
 
 
-def only(kind: type[M], came: list[Message]) -> M:
+def only(kind: type[M], came: list[wire.Message]) -> M:
     """Return the only message of this kind.
 
     Raises Broken if there is no message of this kind, or more than one message.

@@ -3,19 +3,8 @@
 from __future__ import annotations
 
 from armrig_core.rig.volts import applied_code
-from armrig_protocol.messages import (
-    Ack,
-    Capability,
-    Cause,
-    Code,
-    Event,
-    Exchange,
-    Flag,
-    Ping,
-    Pong,
-    Sample,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Capability, Cause, Code, Flag, State
 
 from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.host import Host
@@ -33,7 +22,7 @@ def elapsed(from_us: int, to_us: int) -> int:
     return (to_us - from_us + (1 << 31)) % (1 << 32) - (1 << 31)
 
 
-def expect_watchdog(event: Event, fed_us: int, watchdog_ms: int) -> None:
+def expect_watchdog(event: wire.Event, fed_us: int, watchdog_ms: int) -> None:
     """Expect FAULT(WATCHDOG) `watchdog_ms` after the last frame that fed the watchdog."""
     expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
     ms = elapsed(fed_us, event.t_us) / 1000
@@ -47,15 +36,19 @@ def trigger(host: Host, m: int) -> tuple[int, int]:
     Both times are relative to a PING before the EXCHANGE. The three frames are sent as one piece.
     """
     host.k = k = host.sample().k + 1
-    first, exchange, last = Ping(0, 0, 1 << 62), Exchange(0, 0, k, 0), Ping(0, 0, (1 << 62) + 1)
+    first, exchange, last = (
+        wire.Ping(0, 0, 1 << 62),
+        wire.Exchange(0, 0, k, 0),
+        wire.Ping(0, 0, (1 << 62) + 1),
+    )
     host.put_together([first, exchange, last])
-    came = host.until(lambda x: isinstance(x, Sample) and x.k == k, "SAMPLE")
+    came = host.until(lambda x: isinstance(x, wire.Sample) and x.k == k, "SAMPLE")
     came += host.fence()
-    rx_us = {x.host_ns: x.rx_us for x in came if isinstance(x, Pong)}
+    rx_us = {x.host_ns: x.rx_us for x in came if isinstance(x, wire.Pong)}
     if rx_us.keys() != {first.host_ns, last.host_ns}:
         raise Broken(shown(came))
     before = rx_us[first.host_ns]
-    t_us = only(Sample, came).t_us - (2 * m - 1) * host.known.skew_us
+    t_us = only(wire.Sample, came).t_us - (2 * m - 1) * host.known.skew_us
     return elapsed(before, t_us), elapsed(before, rx_us[last.host_ns])
 
 
@@ -72,7 +65,7 @@ def _k(host: Host) -> None:
     host.sample(k=100)
     for k in (100, 99, 100 + 2**31):
         stale = host.exchange(0, k=k)
-        expect(isinstance(stale, Ack) and stale.code == Code.STALE, [stale])
+        expect(isinstance(stale, wire.Ack) and stale.code == Code.STALE, [stale])
     host.sample(k=100 + 2**31 - 1)
     host.sample(k=1)  # modulo 2^32 it is newer
     host.hello()

@@ -2,19 +2,8 @@
 
 from __future__ import annotations
 
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Cause,
-    Event,
-    Flag,
-    Hello,
-    HelloReply,
-    Keepalive,
-    Message,
-    Sample,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Cause, Flag, State
 
 from armrig_daemon.conformance.byte_rules import (
     UNKNOWN_TYPE,
@@ -32,18 +21,18 @@ _RAIL_CODES = 64
 _SUPPLY_LOW_MV = 4_000
 
 
-def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") -> list[Message]:
+def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") -> list[wire.Message]:
     """Wait for FAULT(WATCHDOG) and check its time; return the messages up to this fault."""
-    came: list[Message] = []
+    came: list[wire.Message] = []
     for _ in range(40 + watchdog_ms // 2):
         if meanwhile:
             host.write(meanwhile)
         came += host.listen(8 if meanwhile else 50)
-        if any(isinstance(m, Event) for m in came):
+        if any(isinstance(m, wire.Event) for m in came):
             break
     else:
         raise Broken(f"no FAULT(WATCHDOG) after a silence of more than {watchdog_ms} ms")
-    expect_watchdog(only(Event, came), fed_us, watchdog_ms)
+    expect_watchdog(only(wire.Event, came), fed_us, watchdog_ms)
     sample = host.sample(0)
     is_flagged = bool(sample.flags & Flag.WATCHDOG)
     expect(sample.u_k == 0 and is_flagged, [sample])
@@ -82,14 +71,14 @@ def _unfed(host: Host) -> None:
 
 def _hellos(host: Host, fed_us: int) -> None:
     """Send HELLO repeatedly until the watchdog trips."""
-    came: list[Message] = []
+    came: list[wire.Message] = []
     for _ in range(60):
-        host.put(Hello, version=VERSION, schema=SCHEMA_HASH)
+        host.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)
         came += host.listen(8)
-        if any(isinstance(m, Event) for m in came):
+        if any(isinstance(m, wire.Event) for m in came):
             break
-    expect_watchdog(only(Event, came), fed_us, 60)
-    expect(any(isinstance(m, HelloReply) for m in came), "no HELLO_R")
+    expect_watchdog(only(wire.Event, came), fed_us, 60)
+    expect(any(isinstance(m, wire.HelloReply) for m in came), "no HELLO_R")
 
 
 @rule(7, "KEEPALIVE and any other accepted frame feeds the watchdog")
@@ -98,7 +87,7 @@ def _fed(host: Host) -> None:
     came = host.alive(500)
     expect(not came and host.state == State.RUN, came)
     for _ in range(8):
-        came = [*host.listen(40), *host.ask(Keepalive)]
+        came = [*host.listen(40), *host.ask(wire.Keepalive)]
         expect(not came and host.state == State.RUN, came)
 
 
@@ -138,7 +127,7 @@ def _rails(host: Host) -> None:
         expect(list(flags) == rails, f"y0 {sample.y0}, y1 {sample.y1}, flags 0x{sample.flags:04x}")
         in_a_row = [n + 1 if at_rail else 0 for n, at_rail in zip(in_a_row, rails, strict=True)]
         came = host.fence()
-        tripped = [m for m in came if isinstance(m, Event)]
+        tripped = [m for m in came if isinstance(m, wire.Event)]
         expect(bool(tripped) == (max(in_a_row) == 4), came)
         if tripped:
             expect(tripped[0].cause == Cause.ADC_RAIL and sample.state == State.FAULT, came)
@@ -175,7 +164,7 @@ def _supply(host: Host) -> None:
     apart = second.uptime_ms - first.uptime_ms
     expect(990 <= apart <= 1_010, f"{apart} ms between two STATUS")
     low = 0 < second.vcc_mv < _SUPPLY_LOW_MV
-    sample: Sample = host.sample()
+    sample: wire.Sample = host.sample()
     expect(bool(sample.flags & Flag.VCC_LOW) == low, f"{second.vcc_mv} mV, [{sample.flags:04x}]")
     expect(second.stack_free >= 128, f"{second.stack_free} B of stack left")
 

@@ -5,27 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Ack,
-    Arm,
-    ClearFault,
-    Config,
-    ConfigReply,
-    Estop,
-    Event,
-    Exchange,
-    Hello,
-    HelloReply,
-    Keepalive,
-    Message,
-    Mode,
-    Sample,
-    Start,
-    State,
-    Stop,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Mode, State
 
 from armrig_daemon.conformance.conversation import PATIENCE_MS, Broken, Conversation, only
 from armrig_daemon.conformance.line import Line
@@ -61,21 +42,21 @@ class Host(Conversation):
         self.k = 0
         """Index of the last EXCHANGE."""
 
-    def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
+    def put(self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any) -> int:
         """Send a frame and return its seq.
 
         ARM and START contain the values of the last CONFIG_R, unless `fields` contains other
         values.
         """
-        if kind is Arm:
+        if kind is wire.Arm:
             known = {"boot_id": self.known.boot_id, "config_crc": self.config_crc}
             fields = {**known, "nonce": self.nonce, **fields}
-        if kind is Start:
+        if kind is wire.Start:
             fields = {"k_stop": 0, "nonce": self.nonce, **fields}
         return super().put(kind, seq=seq, **fields)
 
     @property
-    def known(self) -> HelloReply:
+    def known(self) -> wire.HelloReply:
         """Last HELLO_R of the device."""
         if self.facts is None:
             raise Broken("no HELLO_R yet")
@@ -88,66 +69,68 @@ class Host(Conversation):
             raise Broken("no PONG yet")
         return self.pong.rx_us
 
-    def hello(self, within_ms: float = PATIENCE_MS) -> HelloReply:
+    def hello(self, within_ms: float = PATIENCE_MS) -> wire.HelloReply:
         """Return the answer to HELLO; repeat HELLO, because a booting device receives nothing."""
         end_ns = self.line.now_ns() + round(within_ms * 1e6)
         while True:
-            self.put(Hello, version=VERSION, schema=SCHEMA_HASH)
+            self.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)
             try:
-                self.until(lambda m: isinstance(m, HelloReply), "HELLO_R", _HELLO_MS)
+                self.until(lambda m: isinstance(m, wire.HelloReply), "HELLO_R", _HELLO_MS)
             except Broken:
                 if self.line.now_ns() > end_ns:
                     raise
             else:
                 return self.known
 
-    def configure(self, **fields: int) -> ConfigReply:
+    def configure(self, **fields: int) -> wire.ConfigReply:
         """Return the answer to CONFIG."""
-        self.put(Config, **{**CONFIG, **fields})
-        return only(ConfigReply, self.fence())
+        self.put(wire.Config, **{**CONFIG, **fields})
+        return only(wire.ConfigReply, self.fence())
 
-    def exchange(self, u: int, *, k: int | None = None) -> Message:
+    def exchange(self, u: int, *, k: int | None = None) -> wire.Message:
         """Return the answer to an EXCHANGE, normally SAMPLE; k is the next index by default."""
         self.k = self.k + 1 if k is None else k
-        seq = self.put(Exchange, k=self.k & 0xFFFF_FFFF, u=u)
+        seq = self.put(wire.Exchange, k=self.k & 0xFFFF_FFFF, u=u)
 
-        def answers(m: Message) -> bool:
-            mine = isinstance(m, Ack) and m.of_seq == seq
-            return mine or isinstance(m, Event) or (isinstance(m, Sample) and m.k == self.k)
+        def answers(m: wire.Message) -> bool:
+            mine = isinstance(m, wire.Ack) and m.of_seq == seq
+            return (
+                mine or isinstance(m, wire.Event) or (isinstance(m, wire.Sample) and m.k == self.k)
+            )
 
         return self.until(answers, "answer to EXCHANGE")[-1]
 
-    def sample(self, u: int = 0, *, k: int | None = None) -> Sample:
+    def sample(self, u: int = 0, *, k: int | None = None) -> wire.Sample:
         """Return the SAMPLE of an EXCHANGE."""
         came = self.exchange(u, k=k)
-        if not isinstance(came, Sample):
+        if not isinstance(came, wire.Sample):
             raise Broken(f"{type(came).__name__} as answer to EXCHANGE")
         return came
 
     def to_idle(self) -> None:
         """Go to IDLE from any state."""
-        self.put(Stop)  # takes effect with any seq, and ends RUN
+        self.put(wire.Stop)  # takes effect with any seq, and ends RUN
         self.hello()
         self.k = 0
         self.fence()
         if self.state in (State.FAULT, State.ESTOP):
-            self.ask(ClearFault, token=self.known.token)
+            self.ask(wire.ClearFault, token=self.known.token)
         if self.state != State.IDLE:
             raise Broken(f"state {self.state} after STOP and CLEAR_FAULT, not IDLE")
 
     def reach(self, state: State, **config: int) -> None:
         """Go from IDLE to `state` by the shortest way; `config` overrides values of `CONFIG`."""
         if state is State.ESTOP:
-            self.ask(Estop)
+            self.ask(wire.Estop)
         elif state is State.FAULT:
             self.reach(State.RUN, u_max=1_000)
             self.exchange(1_001)
         elif state is not State.IDLE:
             self.configure(**config)
             if state is not State.READY:
-                self.ask(Arm)
+                self.ask(wire.Arm)
             if state is State.RUN:
-                self.ask(Start)
+                self.ask(wire.Start)
         self.fence()
         if self.state != state:
             raise Broken(f"state {self.state} on the way to {state.name}")
@@ -157,12 +140,14 @@ class Host(Conversation):
         self.to_idle()
         self.reach(state, **config)
 
-    def alive(self, ms: float, until: Callable[[Message], bool] | None = None) -> list[Message]:
+    def alive(
+        self, ms: float, until: Callable[[wire.Message], bool] | None = None
+    ) -> list[wire.Message]:
         """Send KEEPALIVEs for `ms`, or until a message matches; return the messages."""
         end_ns = self.line.now_ns() + round(ms * 1e6)
-        came: list[Message] = []
+        came: list[wire.Message] = []
         while self.line.now_ns() < end_ns:
-            self.put(Keepalive)
+            self.put(wire.Keepalive)
             came += self.listen(ALIVE_MS)
             if until is not None and any(map(until, came)):
                 break

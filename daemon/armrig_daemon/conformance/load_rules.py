@@ -6,17 +6,8 @@ from zlib import crc32
 
 from armrig_core.rig.volts import applied_code
 from armrig_protocol import frame
-from armrig_protocol.messages import (
-    SETPOINTS_PER_FRAME,
-    Event,
-    Flag,
-    Keepalive,
-    Ping,
-    Pong,
-    Sample,
-    Start,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import SETPOINTS_PER_FRAME, Flag, State
 
 from armrig_daemon.conformance.byte_rules import next_status
 from armrig_daemon.conformance.host import Host
@@ -56,19 +47,21 @@ def _full_line(host: Host) -> None:
     armed(host, ts_us=ts_us)
     sent = _refill(host, u, 0, 0)
     host.fence()
-    host.put(Start, k_stop=n)
-    samples: list[Sample] = []
+    host.put(wire.Start, k_stop=n)
+    samples: list[wire.Sample] = []
     pings = pongs = 0
     while True:
-        came = host.until(lambda m: isinstance(m, Sample | Event | Pong), "SAMPLE of a run")[-1]
-        if isinstance(came, Event) and came.was == State.RUN:
+        came = host.until(
+            lambda m: isinstance(m, wire.Sample | wire.Event | wire.Pong), "SAMPLE of a run"
+        )[-1]
+        if isinstance(came, wire.Event) and came.was == State.RUN:
             break
-        pongs += isinstance(came, Pong)
-        if isinstance(came, Sample):
+        pongs += isinstance(came, wire.Pong)
+        if isinstance(came, wire.Sample):
             samples.append(came)
             sent = _refill(host, u, sent, came.k + 1)
             if came.k % _PING_TICKS == 0:
-                host.put(Ping, host_ns=came.k)
+                host.put(wire.Ping, host_ns=came.k)
                 pings += 1
     ks = [m.k for m in samples]
     expect(ks == list(range(n)), f"{len(ks)} of {n} samples at Ts {ts_us} us")
@@ -85,9 +78,9 @@ def _full_line(host: Host) -> None:
 def _flood(host: Host) -> None:
     before, seq = next_status(host), host.seq
     armed(host, ts_us=_shortest_us(host))
-    host.ask(Start)
-    host.put_together([Keepalive(0, 0)] * _FLOOD_FRAMES)
-    flood_ms = _FLOOD_FRAMES * frame.wire_length(Keepalive) * 10_000 / host.baud
+    host.ask(wire.Start)
+    host.put_together([wire.Keepalive(0, 0)] * _FLOOD_FRAMES)
+    flood_ms = _FLOOD_FRAMES * frame.wire_length(wire.Keepalive) * 10_000 / host.baud
     came = host.listen(flood_ms + _SETTLING_MS)
     host.write(b"\0")
     came += host.alive(_SETTLING_MS)
@@ -97,7 +90,7 @@ def _flood(host: Host) -> None:
     spoilt = after.spoilt - before.spoilt
     found = f"{lost} bytes lost, {frames} of {sent} frames received, {spoilt} spoilt"
     expect(lost > 0 or (frames == sent and spoilt == 0), found)
-    flagged = any(isinstance(m, Sample) and m.flags & Flag.RX_OVERFLOW for m in came)
+    flagged = any(isinstance(m, wire.Sample) and m.flags & Flag.RX_OVERFLOW for m in came)
     expect(flagged == (lost > 0), f"{found}, RX_OVERFLOW {'' if flagged else 'not '}set")
 
 

@@ -2,21 +2,8 @@
 
 from __future__ import annotations
 
-from armrig_protocol.messages import (
-    TYPES,
-    Ack,
-    Arm,
-    Cal,
-    CalReply,
-    Capability,
-    Code,
-    Exchange,
-    Flag,
-    Message,
-    Sample,
-    State,
-    Stop,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import TYPES, Capability, Code, Flag, State
 
 from armrig_daemon.conformance.configuration_rules import ts_min_us
 from armrig_daemon.conformance.conversation import PATIENCE_MS, Broken, only
@@ -54,19 +41,19 @@ def _mean_time(host: Host) -> None:
 @rule(5, "A second EXCHANGE waits, and its SAMPLE has the flag TICK_LATE; a third one is lost")
 def _waiting(host: Host) -> None:
     m = _oversample(host)
-    came: list[Message] = []
+    came: list[wire.Message] = []
     for _ in range(5):
         host.fence()
         k = host.sample().k
         host.k += 3
-        host.put_together([Exchange(0, 0, k + i, 0) for i in (1, 2, 3)])
+        host.put_together([wire.Exchange(0, 0, k + i, 0) for i in (1, 2, 3)])
         came = [*host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
-        got = [x for x in came if isinstance(x, Sample)]
+        got = [x for x in came if isinstance(x, wire.Sample)]
         if [bool(x.flags & Flag.TICK_LATE) for x in got] == [False, True]:
             apart = elapsed(got[0].t_us, got[1].t_us)
             expect(apart >= 2 * m * (host.known.skew_us - 1), f"{apart} us apart with m={m}")
             again = host.exchange(0, k=k + 3)  # the third was not accepted, so its k is still new
-            expect(isinstance(again, Sample), [again])
+            expect(isinstance(again, wire.Sample), [again])
             return
     expect(False, came)  # five attempts failed: the line cannot be the reason
 
@@ -75,13 +62,13 @@ def _waiting(host: Host) -> None:
 def _overtaken(host: Host) -> None:
     m = _oversample(host)
     config = {"oversampling": m, "ts_us": ts_min_us(host, m) + 10_000}
-    came: list[Message] = []
+    came: list[wire.Message] = []
     for _ in range(5):
         host.enter(State.RUN, **config)
         host.k += 1
-        host.put_together([Exchange(0, 0, host.k, 30_000), Stop(0, 0)])
+        host.put_together([wire.Exchange(0, 0, host.k, 30_000), wire.Stop(0, 0)])
         came = [*host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
-        sample = only(Sample, came)
+        sample = only(wire.Sample, came)
         if sample.state == State.RUN:
             continue  # the line separated the frames
         reported = (sample.state, sample.u_k, sample.u_seq)
@@ -97,14 +84,16 @@ def _need_cal(host: Host) -> None:
     if not host.known.capabilities & Capability.CAL:
         for state in (State.IDLE, State.READY, State.ARMED):
             host.enter(state)
-            came = host.ask(Cal, channel=0, zero=0, n=1)
+            came = host.ask(wire.Cal, channel=0, zero=0, n=1)
             expect(codes(came) == [Code.UNSUPPORTED], came)
         raise NotTried("the device offers no CAL")
 
 
-def _cal_reply(host: Host, channel: int, n: int) -> CalReply:
-    host.put(Cal, channel=channel, zero=0, n=n)
-    return only(CalReply, host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS))
+def _cal_reply(host: Host, channel: int, n: int) -> wire.CalReply:
+    host.put(wire.Cal, channel=channel, zero=0, n=n)
+    return only(
+        wire.CalReply, host.until(lambda m: isinstance(m, wire.CalReply), "CAL_R", 4 * PATIENCE_MS)
+    )
 
 
 @rule(5, "CAL_R reports n readings of one channel, with statistics that are possible")
@@ -126,7 +115,7 @@ def _cal(host: Host) -> None:
 def _cal_bounds(host: Host) -> None:
     _need_cal(host)
     for channel, zero, n in ((0, 0, 0), (0, 0, 1025), (2, 0, 1), (0, 1, 1)):
-        came = host.ask(Cal, channel=channel, zero=zero, n=n)
+        came = host.ask(wire.Cal, channel=channel, zero=zero, n=n)
         expect(codes(came) == [Code.BAD_VALUE], came)
 
 
@@ -134,16 +123,16 @@ def _cal_bounds(host: Host) -> None:
 def _cal_meanwhile(host: Host) -> None:
     _need_cal(host)
     host.reach(State.READY)
-    host.put(Cal, channel=0, zero=0, n=1024)
-    busy: list[Message] = host.ask(Cal, channel=1, zero=0, n=1)
-    busy += host.ask(Exchange, k=1, u=0) + host.ask(Arm)
-    if any(isinstance(m, CalReply) for m in busy):
+    host.put(wire.Cal, channel=0, zero=0, n=1024)
+    busy: list[wire.Message] = host.ask(wire.Cal, channel=1, zero=0, n=1)
+    busy += host.ask(wire.Exchange, k=1, u=0) + host.ask(wire.Arm)
+    if any(isinstance(m, wire.CalReply) for m in busy):
         raise Broken("the host was held up: its next requests arrived after CAL_R")
     expect(codes(busy) == [Code.WRONG_STATE] * 3 and len(busy) == 3, busy)
     host.reach(State.ESTOP)
-    came = host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS)
+    came = host.until(lambda m: isinstance(m, wire.CalReply), "CAL_R", 4 * PATIENCE_MS)
     expect(came[-1].state == State.ESTOP, f"state {came[-1].state} in CAL_R")
-    expect(TYPES[Cal] not in [m.of_type for m in came if isinstance(m, Ack)], came)
+    expect(TYPES[wire.Cal] not in [m.of_type for m in came if isinstance(m, wire.Ack)], came)
 
 
 RULES = (_mean_time, _waiting, _overtaken, _cal, _cal_bounds, _cal_meanwhile)

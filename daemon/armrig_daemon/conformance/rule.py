@@ -6,17 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from armrig_protocol.messages import (
-    Ack,
-    Cause,
-    Code,
-    ConfigReply,
-    Event,
-    Message,
-    Pong,
-    Sample,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Cause, Code, State
 
 from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.host import Host
@@ -68,10 +59,10 @@ def expect(holds: bool, came: object) -> None:
         raise Broken(shown(came))
 
 
-def expect_trip(came: list[Message], was: State, cause: Cause, detail: int) -> None:
+def expect_trip(came: list[wire.Message], was: State, cause: Cause, detail: int) -> None:
     """Expect one message, the EVENT of a transition from `was` to FAULT."""
-    expect(kinds(came) == [Event], came)
-    event = only(Event, came)
+    expect(kinds(came) == [wire.Event], came)
+    event = only(wire.Event, came)
     reported = (event.was, event.state, event.cause, event.detail)
     expect(reported == (was, State.FAULT, cause, detail), f"{reported}")
 
@@ -83,16 +74,16 @@ def shown(came: object) -> str:
     if isinstance(came, list):
         return ", ".join(map(shown, came)) or "nothing"
     match came:
-        case Ack():
+        case wire.Ack():
             return f"ACK({_name(Code, came.code)})"
-        case Event():
+        case wire.Event():
             states = f"{_name(State, came.was)} to {_name(State, came.state)}"
             return f"EVENT({states}, {_name(Cause, came.cause)})"
-        case ConfigReply():
+        case wire.ConfigReply():
             return f"CONFIG_R({_name(Code, came.code)})"
-        case Sample():
+        case wire.Sample():
             return f"SAMPLE(k={came.k}, u_k={came.u_k}, flags=0x{came.flags:04x})"
-        case Pong():
+        case wire.Pong():
             return f"PONG in {_name(State, came.state)}"
     return repr(came) if not isinstance(came, tuple) else type(came).__name__
 
@@ -101,11 +92,11 @@ def _name(kind: type[Code | State | Cause], number: int) -> str:
     return kind(number).name if number in set(kind) else str(number)
 
 
-def codes(came: Sequence[Message]) -> list[int]:
+def codes(came: Sequence[wire.Message]) -> list[int]:
     """Return the codes of the ACKs."""
-    return [m.code for m in came if isinstance(m, Ack)]
+    return [m.code for m in came if isinstance(m, wire.Ack)]
 
 
-def kinds(came: Sequence[Message]) -> list[type[Message]]:
+def kinds(came: Sequence[wire.Message]) -> list[type[wire.Message]]:
     """Return the types of the messages."""
     return [type(m) for m in came]

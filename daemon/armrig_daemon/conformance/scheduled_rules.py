@@ -6,21 +6,15 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from armrig_core.rig.volts import applied_code
+from armrig_protocol import messages as wire
 from armrig_protocol.messages import (
     SETPOINTS_PER_FRAME,
-    Ack,
     Capability,
     Cause,
     Code,
-    Event,
     Flag,
-    Message,
     Mode,
-    Sample,
-    Setpoints,
-    Start,
     State,
-    Stop,
     Underrun,
 )
 
@@ -39,8 +33,8 @@ _MAX_END_LATE_US = 1_000
 class Took(NamedTuple):
     """Messages of a run, from START to its end."""
 
-    samples: list[Sample]
-    end: Event
+    samples: list[wire.Sample]
+    end: wire.Event
     started: tuple[int, int]
     """Device times of the PINGs before and after START, in µs."""
 
@@ -56,7 +50,7 @@ def put_setpoints(host: Host, k0: int, u: list[int], **fields: int) -> int:
     """Send one frame of setpoints; return its seq."""
     padded = (*u, *(0,) * (_PLACES - len(u)))
     given = {"k0": k0, "n": len(u), "zero": 0, **fields}
-    return host.put(Setpoints, u=padded, **given)
+    return host.put(wire.Setpoints, u=padded, **given)
 
 
 def fill(host: Host, u: list[int]) -> list[int]:
@@ -74,19 +68,19 @@ def run_to_end(host: Host, k_stop: int, ts_us: int = TS_US) -> Took:
     """Start a run, and return its messages up to its end."""
     host.fence()
     before = host.rx_us
-    host.put(Start, k_stop=k_stop)
+    host.put(wire.Start, k_stop=k_stop)
     came = host.fence()
     started = (before, host.rx_us)
     limit_ms = 2 * k_stop * ts_us / 1000 + 3_000
 
-    def ends(m: Message) -> bool:
-        return isinstance(m, Event) and m.was == State.RUN
+    def ends(m: wire.Message) -> bool:
+        return isinstance(m, wire.Event) and m.was == State.RUN
 
     came += host.alive(limit_ms, ends)
-    events = [m for m in came if isinstance(m, Event) and m.was == State.RUN]
+    events = [m for m in came if isinstance(m, wire.Event) and m.was == State.RUN]
     if not events:
         raise Broken(f"the run did not end; {len(came)} frames came")
-    return Took([m for m in came if isinstance(m, Sample)], events[0], started)
+    return Took([m for m in came if isinstance(m, wire.Sample)], events[0], started)
 
 
 def queued(host: Host) -> int:
@@ -165,7 +159,7 @@ def _range(host: Host) -> None:
     armed(host, u_max=30_000)
     put_setpoints(host, 0, [1, 2])
     padded = (1, 2, 3, *(65_535,) * (_PLACES - 3))
-    host.put(Setpoints, k0=0, n=3, zero=0, u=padded)
+    host.put(wire.Setpoints, k0=0, n=3, zero=0, u=padded)
     came = host.fence()
     expect(not came and queued(host) == 3, came)
     _trips(host, 3, [4, 30_001], Cause.RANGE, 30_001)
@@ -262,12 +256,12 @@ def _underrun(host: Host) -> None:
 @rule(6, "Setpoints before `next` are dropped, and `next` advances during an underrun")
 def _late(host: Host) -> None:
     armed(host)
-    host.put(Start, k_stop=0)
-    first = host.until(lambda m: isinstance(m, Sample) and m.k >= 3, "SAMPLE 3")[-1]
+    host.put(wire.Start, k_stop=0)
+    first = host.until(lambda m: isinstance(m, wire.Sample) and m.k >= 3, "SAMPLE 3")[-1]
     k0 = getattr(first, "k", 0) - 2
     put_setpoints(host, k0, [9_000] * _PLACES)
     came = host.alive(_PLACES * TS_US / 1000 + 100)
-    got = {m.k: m for m in came if isinstance(m, Sample)}
+    got = {m.k: m for m in came if isinstance(m, wire.Sample)}
     wanted = applied_code(9_000, host.known.pwm_bits)
     driven = [k for k, m in got.items() if m.u_k == wanted]
     expect(bool(driven), "no sample had a setpoint that was in time")
@@ -280,23 +274,23 @@ def _late_repeat(host: Host) -> None:
     ramp = [1_000, 2_000, 3_000]  # steps of `slew`; a step to the padding, 0, would be too large
     armed(host, slew=1_000, underrun=Underrun.HOLD, hold=255)
     fill(host, ramp)
-    came: list[Message] = host.ask(Start)
+    came: list[wire.Message] = host.ask(wire.Start)
     for _ in range(12):
-        came += host.until(lambda m: isinstance(m, Sample), "SAMPLE")
+        came += host.until(lambda m: isinstance(m, wire.Sample), "SAMPLE")
         put_setpoints(host, max(0, getattr(came[-1], "k", 0) + 1 - len(ramp)), ramp)
     came += host.fence()
-    others = [m for m in came if not isinstance(m, Sample)]
-    expect(kinds(others) == [Ack, Event] and host.state == State.RUN, others)
+    others = [m for m in came if not isinstance(m, wire.Sample)]
+    expect(kinds(others) == [wire.Ack, wire.Event] and host.state == State.RUN, others)
 
 
 @rule(6, "EXCHANGE in RUN is answered WRONG_STATE; after a run, the queue is empty")
 def _exchange(host: Host) -> None:
     armed(host)
     fill(host, [500] * 48)
-    host.ask(Start)
+    host.ask(wire.Start)
     refused = host.exchange(0)
     expect(codes([refused]) == [Code.WRONG_STATE], [refused])
-    host.ask(Stop)
+    host.ask(wire.Stop)
     expect(host.state == State.IDLE, f"state {host.state} after STOP")
     host.listen(30)
     armed(host)
@@ -307,11 +301,11 @@ def _exchange(host: Host) -> None:
 def _unfed(host: Host) -> None:
     armed(host, watchdog_ms=100)
     fill(host, [1_000] * 96)
-    host.ask(Start)
+    host.ask(wire.Start)
     host.fence()
     fed = host.rx_us
-    came = host.until(lambda m: isinstance(m, Event), "FAULT(WATCHDOG)")
-    expect_watchdog(only(Event, came[-1:]), fed, 100)
+    came = host.until(lambda m: isinstance(m, wire.Event), "FAULT(WATCHDOG)")
+    expect_watchdog(only(wire.Event, came[-1:]), fed, 100)
 
 
 RULES = (

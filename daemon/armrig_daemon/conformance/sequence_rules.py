@@ -2,22 +2,8 @@
 
 from __future__ import annotations
 
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    TYPES,
-    VERSION,
-    Ack,
-    Code,
-    Estop,
-    Event,
-    Hello,
-    HelloReply,
-    Keepalive,
-    Message,
-    Sample,
-    State,
-    Stop,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import SCHEMA_HASH, TYPES, VERSION, Code, State
 
 from armrig_daemon.conformance.byte_rules import UNKNOWN_TYPE, framed, header, next_status
 from armrig_daemon.conformance.conversation import only
@@ -35,10 +21,10 @@ def _stale(host: Host) -> None:
         expect(codes(came) == [Code.STALE], came)
 
 
-def _answers_to_old(host: Host, lag: int) -> list[Message]:
+def _answers_to_old(host: Host, lag: int) -> list[wire.Message]:
     """Return the answers to a KEEPALIVE whose seq is the newest seq minus `lag`."""
     newest = host.seq
-    host.put(Keepalive, seq=(newest - lag) & _U16)
+    host.put(wire.Keepalive, seq=(newest - lag) & _U16)
     host.seq = newest
     return host.fence()
 
@@ -46,19 +32,19 @@ def _answers_to_old(host: Host, lag: int) -> list[Message]:
 @rule(2, "A seq 32767 ahead is newer, and seq wraps at 2^16")
 def _ahead(host: Host) -> None:
     for _ in range(3):
-        came = host.ask(Keepalive, seq=(host.seq + 32_767) & _U16)
+        came = host.ask(wire.Keepalive, seq=(host.seq + 32_767) & _U16)
         expect(not came, came)
 
 
 @rule(2, "A frame of unknown type is answered by ACK(UNKNOWN_TYPE), and is not taken in")
 def _unknown(host: Host) -> None:
-    for number in (UNKNOWN_TYPE, TYPES[Ack]):
+    for number in (UNKNOWN_TYPE, TYPES[wire.Ack]):
         seq = (host.seq + 1) & _U16
-        body = bytes(4) if number == TYPES[Ack] else b""
+        body = bytes(4) if number == TYPES[wire.Ack] else b""
         host.write(framed(header(number, seq) + body))
-        came = host.ask(Keepalive)  # with the same seq, which is still unused
+        came = host.ask(wire.Keepalive)  # with the same seq, which is still unused
         expect(codes(came) == [Code.UNKNOWN_TYPE], came)
-        ack = only(Ack, came)
+        ack = only(wire.Ack, came)
         expect((ack.of_type, ack.of_seq) == (number, seq), f"ACK of {ack.of_type}, {ack.of_seq}")
 
 
@@ -66,8 +52,8 @@ def _unknown(host: Host) -> None:
 def _hello(host: Host) -> None:
     for state in (State.IDLE, State.READY, State.ESTOP):
         host.enter(state)
-        came = host.ask(Hello, seq=(host.seq - 1_000) & _U16, **_HELLO)
-        expect(kinds(came) == [HelloReply], came)
+        came = host.ask(wire.Hello, seq=(host.seq - 1_000) & _U16, **_HELLO)
+        expect(kinds(came) == [wire.HelloReply], came)
 
 
 @rule(2, "In ARMED and RUN, an old HELLO is answered ACK(STALE)")
@@ -75,7 +61,7 @@ def _hello_armed(host: Host) -> None:
     for state in (State.ARMED, State.RUN):
         host.enter(state)
         newest = host.seq
-        host.put(Hello, seq=(newest - 5) & _U16, **_HELLO)
+        host.put(wire.Hello, seq=(newest - 5) & _U16, **_HELLO)
         host.seq = newest
         came = host.fence()
         expect(codes(came) == [Code.STALE] and len(came) == 1, came)
@@ -83,11 +69,11 @@ def _hello_armed(host: Host) -> None:
 
 @rule(2, "STOP takes effect with any seq, and moves the newest seq only forward")
 def _stop_always(host: Host) -> None:
-    for kind, state in ((Stop, State.IDLE), (Estop, State.ESTOP)):
+    for kind, state in ((wire.Stop, State.IDLE), (wire.Estop, State.ESTOP)):
         host.enter(State.RUN)
         newest = host.seq
         host.put(kind, seq=(newest - 5) & _U16)
-        host.put(Keepalive, seq=(newest - 3) & _U16)  # newer than the STOP, but still stale
+        host.put(wire.Keepalive, seq=(newest - 3) & _U16)  # newer than the STOP, but still stale
         host.seq = newest
         came = host.fence()
         expect(codes(came) == [Code.OK, Code.STALE] and host.state == state, came)
@@ -106,7 +92,7 @@ def _boot(host: Host) -> None:
     low = host.known.boot_id & _U16
     sample = host.sample()
     expect(sample.boot == low, f"SAMPLE of boot {sample.boot:04x}, not {low:04x}")
-    event = only(Event, host.ask(Estop))
+    event = only(wire.Event, host.ask(wire.Estop))
     expect(event.boot == low, f"EVENT of boot {event.boot:04x}, not {low:04x}")
     status = next_status(host)
     expect(status.boot == low, f"STATUS of boot {status.boot:04x}, not {low:04x}")
@@ -130,7 +116,7 @@ def _reset(host: Host) -> None:
     halves = before & _U16, after.boot_id & _U16
     expect(halves[0] != halves[1], f"boot_id {before:08x} and then {after.boot_id:08x}")
     expect(host.configure(ts_us=0).config_crc == 0, "a configuration from before the boot")
-    expect(not any(isinstance(m, Sample) for m in came), came)
+    expect(not any(isinstance(m, wire.Sample) for m in came), came)
 
 
 RULES = (_stale, _ahead, _unknown, _hello, _hello_armed, _stop_always, _echo, _boot, _reset)

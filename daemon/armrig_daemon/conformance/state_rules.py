@@ -6,51 +6,29 @@ from functools import partial
 from re import sub
 from typing import Any
 
-from armrig_protocol.messages import (
-    Ack,
-    Arm,
-    Cal,
-    Capability,
-    Cause,
-    ClearFault,
-    Code,
-    Config,
-    ConfigReply,
-    Estop,
-    Event,
-    Flag,
-    HelloReply,
-    Keepalive,
-    Message,
-    Mode,
-    Pong,
-    Sample,
-    Setpoints,
-    Start,
-    State,
-    Stop,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Capability, Cause, Code, Flag, Mode, State
 
 from armrig_daemon.conformance.conversation import only
 from armrig_daemon.conformance.host import CONFIG, Host
 from armrig_daemon.conformance.rule import Rule, codes, expect, kinds, rule
 
 STATES = (State.IDLE, State.READY, State.ARMED, State.RUN, State.FAULT, State.ESTOP)
-_FIELDS: dict[type[Message], dict[str, Any]] = {
-    ClearFault: {"token": 1},
-    Config: dict(CONFIG),
-    Cal: {"channel": 0, "zero": 0, "n": 1},
-    Setpoints: {"k0": 0, "n": 1, "zero": 0, "u": (0,) * 24},
+_FIELDS: dict[type[wire.Message], dict[str, Any]] = {
+    wire.ClearFault: {"token": 1},
+    wire.Config: dict(CONFIG),
+    wire.Cal: {"channel": 0, "zero": 0, "n": 1},
+    wire.Setpoints: {"k0": 0, "n": 1, "zero": 0, "u": (0,) * 24},
 }
-_REFUSED_KINDS: dict[State, tuple[type[Message], ...]] = {
-    State.IDLE: (Arm, Start, ClearFault, Setpoints),
-    State.READY: (Start, ClearFault, Setpoints),
-    State.ARMED: (Config, Arm, ClearFault, Setpoints, Cal),
-    State.RUN: (Config, Arm, Start, ClearFault, Setpoints, Cal),
-    State.FAULT: (Config, Arm, Start, Stop, Setpoints, Cal),
-    State.ESTOP: (Config, Arm, Start, Stop, Setpoints, Cal),
+_REFUSED_KINDS: dict[State, tuple[type[wire.Message], ...]] = {
+    State.IDLE: (wire.Arm, wire.Start, wire.ClearFault, wire.Setpoints),
+    State.READY: (wire.Start, wire.ClearFault, wire.Setpoints),
+    State.ARMED: (wire.Config, wire.Arm, wire.ClearFault, wire.Setpoints, wire.Cal),
+    State.RUN: (wire.Config, wire.Arm, wire.Start, wire.ClearFault, wire.Setpoints, wire.Cal),
+    State.FAULT: (wire.Config, wire.Arm, wire.Start, wire.Stop, wire.Setpoints, wire.Cal),
+    State.ESTOP: (wire.Config, wire.Arm, wire.Start, wire.Stop, wire.Setpoints, wire.Cal),
 }
-_NEEDED_CAPABILITY = {Setpoints: Capability.SCHEDULED, Cal: Capability.CAL}
+_NEEDED_CAPABILITY = {wire.Setpoints: Capability.SCHEDULED, wire.Cal: Capability.CAL}
 
 
 def _refuses(state: State, host: Host) -> None:
@@ -60,12 +38,12 @@ def _refuses(state: State, host: Host) -> None:
         needed = _NEEDED_CAPABILITY.get(kind)
         offered = needed is None or host.known.capabilities & needed
         code = Code.WRONG_STATE if offered else Code.UNSUPPORTED
-        answers = [m.code for m in came if isinstance(m, Ack | ConfigReply)]
+        answers = [m.code for m in came if isinstance(m, wire.Ack | wire.ConfigReply)]
         expect(answers == [code] and len(came) == 1, came)
         expect(host.state == state, f"state {host.state} after {kind.__name__}")
 
 
-def _wire_name(kind: type[Message]) -> str:
+def _wire_name(kind: type[wire.Message]) -> str:
     """Return a type's name on the wire: CLEAR_FAULT for ClearFault."""
     return sub(r"(?<=[a-z])([A-Z])", r"_\1", kind.__name__).upper()
 
@@ -86,26 +64,26 @@ def _everywhere(host: Host) -> None:
     for state in STATES:
         host.enter(state)
         host.hello()
-        came = host.ask(Keepalive)
-        expect(not [m for m in came if not isinstance(m, HelloReply)], came)
+        came = host.ask(wire.Keepalive)
+        expect(not [m for m in came if not isinstance(m, wire.HelloReply)], came)
         taken = host.exchange(0)
-        expect(isinstance(taken, Sample) and taken.state == state, [taken])
+        expect(isinstance(taken, wire.Sample) and taken.state == state, [taken])
         expect(host.pong is not None and host.pong.state == state, [host.pong])
 
 
 @rule(3, "CONFIG leads to READY, ARM to ARMED, START to RUN: the answer first, then the EVENT")
 def _way(host: Host) -> None:
-    steps: tuple[tuple[type[Message], type[Message], State], ...] = (
-        (Config, ConfigReply, State.READY),
-        (Arm, Ack, State.ARMED),
-        (Start, Ack, State.RUN),
-        (Stop, Ack, State.IDLE),
+    steps: tuple[tuple[type[wire.Message], type[wire.Message], State], ...] = (
+        (wire.Config, wire.ConfigReply, State.READY),
+        (wire.Arm, wire.Ack, State.ARMED),
+        (wire.Start, wire.Ack, State.RUN),
+        (wire.Stop, wire.Ack, State.IDLE),
     )
     was = State.IDLE
     for kind, answer, state in steps:
-        came = host.ask(kind, **(CONFIG if kind is Config else {}))
-        expect(kinds(came) == [answer, Event], came)
-        event = only(Event, came)
+        came = host.ask(kind, **(CONFIG if kind is wire.Config else {}))
+        expect(kinds(came) == [answer, wire.Event], came)
+        event = only(wire.Event, came)
         reported = (event.was, event.state, event.cause)
         expect(reported == (was, state, Cause.REQUEST), came)
         expect(all(m.state == state for m in came) and host.state == state, came)
@@ -117,11 +95,11 @@ def _way(host: Host) -> None:
 def _stop(host: Host) -> None:
     for state in (State.READY, State.ARMED, State.RUN):
         host.enter(state)
-        came = host.ask(Stop)
+        came = host.ask(wire.Stop)
         expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
         left = host.configure(ts_us=0)
         expect((left.config_crc, left.nonce, left.ts_us) == (0, 0, 0), [left])
-    came = host.ask(Stop)
+    came = host.ask(wire.Stop)
     expect(codes(came) == [Code.OK] and len(came) == 1, came)
 
 
@@ -144,7 +122,7 @@ def _zero_volts(host: Host) -> None:
             expect(sample.flags & state_flags == of_state.get(state, 0), [sample])
         if state is State.RUN:
             expect(sample.u_k != 0, [sample])
-            host.ask(Stop)
+            host.ask(wire.Stop)
             sample = host.sample(40_000)
             expect((sample.u_k, sample.u_km1, sample.u_seq) == (0, 0, 0), [sample])
 
@@ -161,7 +139,7 @@ def _rest(host: Host) -> None:
 def _event_time(host: Host) -> None:
     host.fence()
     before = host.rx_us
-    event = only(Event, host.ask(Estop))
+    event = only(wire.Event, host.ask(wire.Estop))
     span = (host.rx_us - before) & 0xFFFF_FFFF
     is_between = (event.t_us - before) & 0xFFFF_FFFF <= span
     expect(is_between, f"t_us {event.t_us}, not from {before} to {host.rx_us}")
@@ -176,13 +154,13 @@ def _pong(host: Host) -> None:
         expect(pong is not None and (pong.tx_us - pong.rx_us) & 0xFFFF_FFFF < 1 << 31, [pong])
         expect((host.rx_us - last) & 0xFFFF_FFFF < 1 << 31, [pong])
         last = host.rx_us
-    expect(isinstance(pong, Pong) and pong.host_ns > 0, [pong])
+    expect(isinstance(pong, wire.Pong) and pong.host_ns > 0, [pong])
 
 
 @rule(3, "SETPOINTS in ARMED of exchange mode is answered WRONG_STATE")
 def _setpoints_mode(host: Host) -> None:
     host.reach(State.ARMED, mode=Mode.EXCHANGE)
-    came = host.ask(Setpoints, **_FIELDS[Setpoints])
+    came = host.ask(wire.Setpoints, **_FIELDS[wire.Setpoints])
     offered = host.known.capabilities & Capability.SCHEDULED
     expect(codes(came) == [Code.WRONG_STATE if offered else Code.UNSUPPORTED], came)
 
@@ -198,7 +176,7 @@ def _arm(host: Host) -> None:
         ({"nonce": nonce ^ 1}, Code.WRONG_NONCE),
         ({"nonce": 0}, Code.WRONG_NONCE),
     ):
-        came = host.ask(Arm, **fields)
+        came = host.ask(wire.Arm, **fields)
         expect(codes(came) == [code] and len(came) == 1, came)
         expect(host.state == State.READY, f"state {host.state} after a wrong ARM")
 
@@ -210,7 +188,7 @@ def _start(host: Host) -> None:
         ({"nonce": host.nonce ^ 1}, Code.WRONG_NONCE),
         ({"k_stop": 10}, Code.BAD_VALUE),
     ):
-        came = host.ask(Start, **fields)
+        came = host.ask(wire.Start, **fields)
         expect(codes(came) == [code] and host.state == State.ARMED, came)
 
 
@@ -218,12 +196,12 @@ def _start(host: Host) -> None:
 def _old_arming(host: Host) -> None:
     host.reach(State.ARMED)
     old = host.nonce
-    host.ask(Stop)
+    host.ask(wire.Stop)
     host.configure()
-    came = host.ask(Arm, nonce=old)
+    came = host.ask(wire.Arm, nonce=old)
     expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.READY, came)
-    host.ask(Arm)
-    came = host.ask(Start, nonce=old)
+    host.ask(wire.Arm)
+    came = host.ask(wire.Start, nonce=old)
     expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.ARMED, came)
 
 
@@ -232,7 +210,7 @@ def _estop(host: Host) -> None:
     for state in STATES[:-1]:
         host.enter(state)
         before = host.hello().token
-        event = only(Event, host.ask(Estop))
+        event = only(wire.Event, host.ask(wire.Estop))
         expect(
             (event.was, event.state, event.cause) == (state, State.ESTOP, Cause.REQUEST), [event]
         )
@@ -242,8 +220,8 @@ def _estop(host: Host) -> None:
 
 @rule(3, "ESTOP in ESTOP is answered OK, and changes nothing")
 def _estop_again(host: Host) -> None:
-    token = only(Event, host.ask(Estop)).token
-    came = host.ask(Estop)
+    token = only(wire.Event, host.ask(wire.Estop)).token
+    came = host.ask(wire.Estop)
     expect(codes(came) == [Code.OK] and len(came) == 1, came)
     expect(host.hello().token == token, "another token")
 
@@ -254,9 +232,9 @@ def _clear(host: Host) -> None:
         host.enter(state)
         token = host.hello().token
         for wrong in (0, token ^ 1, token ^ 0x8000_0000):
-            came = host.ask(ClearFault, token=wrong)
+            came = host.ask(wire.ClearFault, token=wrong)
             expect(codes(came) == [Code.WRONG_TOKEN] and host.state == state, came)
-        came = host.ask(ClearFault, token=token)
+        came = host.ask(wire.ClearFault, token=token)
         expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
         expect(host.hello().token == 0, f"token {host.known.token} in IDLE")
 

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from textwrap import fill
 
-from armrig_protocol.messages import Estop, HelloReply, State, Stop
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import State
 
 from armrig_daemon.conformance import (
     byte_rules,
@@ -109,7 +110,7 @@ def _tried(host: Host, rule: Rule) -> Result:
 
 def leave(host: Host) -> None:
     """Leave the device at 0 V: send STOP, and ESTOP if STOP is not confirmed."""
-    for kind in (Stop, Estop):
+    for kind in (wire.Stop, wire.Estop):
         with suppress(
             Broken, OSError
         ):  # if the port is gone, the device's watchdog stops the motor
@@ -141,7 +142,7 @@ def sum_of(results: Sequence[Result]) -> str:
     return f"{verdict}; {n[NOT_TRIED]} not tried"
 
 
-def json_of(facts: HelloReply | None, results: Sequence[Result]) -> dict[str, object]:
+def json_of(facts: wire.HelloReply | None, results: Sequence[Result]) -> dict[str, object]:
     """Return all results as JSON for a program: the device's HELLO_R and each rule."""
     device = {} if facts is None else {k: v for k, v in facts._asdict().items() if k != "seq"}
     for name in ("uid", "boot_id", "schema", "firmware"):

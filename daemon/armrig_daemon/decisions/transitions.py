@@ -4,16 +4,9 @@ from __future__ import annotations
 
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.rig.volts import volts_of
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
-from armrig_protocol.messages import (
-    FULL_SCALE_MV,
-    SCHEMA_HASH,
-    VERSION,
-    Capability,
-    Code,
-    ConfigReply,
-    HelloReply,
-)
+from armrig_protocol.messages import FULL_SCALE_MV, SCHEMA_HASH, VERSION, Capability, Code
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
@@ -200,7 +193,7 @@ def rest(state: State, order: Order | None, end: outcomes.EndRun) -> Step:
     return state, [end, outcomes.Ask(RequestKind.CONFIGURE, order, state.rules.ts_us)]
 
 
-def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
+def handle_hello(state: State, now_ns: int, reply: wire.HelloReply) -> Step:
     """Handle the answer to HELLO: a device that fits is configured, then sampled at 0 V."""
     asked = state.asked
     if asked is None or asked.want is not RequestKind.HELLO:
@@ -240,7 +233,7 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     return state, [outcomes.Ask(RequestKind.CONFIGURE, asked.order, state.rules.ts_us)]
 
 
-def _unfit(device: HelloReply) -> Fault | None:
+def _unfit(device: wire.HelloReply) -> Fault | None:
     """Return the fault of a device that has this protocol, but must not be driven; else None."""
     if device.state not in _KNOWN:
         text = f"the device reports state {device.state}, which the protocol does not define"
@@ -267,7 +260,7 @@ def _latch(state: State, now_ns: int, asked: PendingRequest, fault: Fault) -> St
     return state, [*done, Then.REPORT]
 
 
-def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
+def handle_config(state: State, now_ns: int, reply: wire.ConfigReply) -> Step:
     """Handle the answer to CONFIG, which contains the CRC of the accepted configuration."""
     asked = state.asked
     in_force = state.configuration
@@ -335,7 +328,7 @@ def _refused_at_rest(state: State, now_ns: int, asked: PendingRequest, error: st
     return state, [*done, *follow]
 
 
-def _is_renewed(in_force: Configuration, reply: ConfigReply) -> bool:
+def _is_renewed(in_force: Configuration, reply: wire.ConfigReply) -> bool:
     """Return whether the configuration in force was accepted again, under another nonce."""
     same = reply.code == Code.OK and reply.config_crc == in_force.config_crc
     return same and reply.nonce != in_force.nonce

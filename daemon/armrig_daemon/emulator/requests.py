@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from armrig_core.rig.emulated import EMULATOR_UID
+from armrig_protocol import messages as wire
 from armrig_protocol.decoder import Received
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
@@ -14,27 +15,11 @@ from armrig_protocol.messages import (
     SETPOINTS_PER_FRAME,
     TYPES,
     VERSION,
-    Arm,
-    Cal,
-    CalReply,
     Capability,
     Cause,
-    ClearFault,
     Code,
-    Config,
-    Estop,
-    Exchange,
     Flag,
-    Hello,
-    HelloReply,
-    Keepalive,
-    Message,
-    Ping,
-    Pong,
-    Setpoints,
-    Start,
     State,
-    Stop,
 )
 
 from armrig_daemon.emulator import transitions
@@ -56,7 +41,7 @@ CAPABILITIES = int(
 MOST_READINGS = 1024
 
 
-def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
+def handle(fw: Firmware, now_ns: int, received: Received) -> list[wire.Message]:
     """Return the answers to a received item; for an EXCHANGE, add a sample to `fw.pending`."""
     if isinstance(received, Spoilt):
         fw.counters.spoilt += 1
@@ -70,12 +55,12 @@ def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
     if handler is None:  # a type that only devices send
         return [fw.answer(TYPES[kind], received.seq, Code.UNKNOWN_TYPE)]
     # While the motor may turn, a replayed HELLO must not make old frames valid.
-    resynchronises = kind is Hello and fw.state not in MOTOR_MAY_TURN
+    resynchronises = kind is wire.Hello and fw.state not in MOTOR_MAY_TURN
     if resynchronises or is_newer(received.seq, fw.newest, U16):
         fw.newest = received.seq
-        if kind is not Hello:  # HELLO asks for the identity and commands nothing
+        if kind is not wire.Hello:  # HELLO asks for the identity and commands nothing
             fw.feed(now_ns)
-    elif kind is not Stop and kind is not Estop:
+    elif kind is not wire.Stop and kind is not wire.Estop:
         return [fw.answer(TYPES[kind], received.seq, Code.STALE)]
     return handler(fw, now_ns, received)
 
@@ -85,14 +70,14 @@ def is_newer(number: int, last: int | None, mask: int) -> bool:
     return last is None or 1 <= (number - last) & mask <= mask // 2
 
 
-def makes_sample(fw: Firmware, m: Exchange) -> bool:
+def makes_sample(fw: Firmware, m: wire.Exchange) -> bool:
     """Return True if the device, in its present state, answers `m` with a sample."""
     fresh = is_newer(m.seq, fw.newest, U16) and is_newer(m.k, fw.k, U32)
     free = fw.timer is None and fw.cal is None
     return free and fresh and _trip(fw, m) is _NONE
 
 
-def _trip(fw: Firmware, m: Exchange) -> Cause:
+def _trip(fw: Firmware, m: wire.Exchange) -> Cause:
     """Return the fault that the u of `m` causes in RUN; NONE if it causes none."""
     config = fw.config
     if fw.state is not _RUN or config is None:
@@ -106,11 +91,11 @@ def _trip(fw: Firmware, m: Exchange) -> Cause:
     return _NONE
 
 
-def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
+def _exchange(fw: Firmware, now_ns: int, m: wire.Exchange) -> list[wire.Message]:
     if fw.timer is not None or fw.cal is not None:
-        return [fw.answer(TYPES[Exchange], m.seq, Code.WRONG_STATE)]
+        return [fw.answer(TYPES[wire.Exchange], m.seq, Code.WRONG_STATE)]
     if not is_newer(m.k, fw.k, U32):
-        return [fw.answer(TYPES[Exchange], m.seq, Code.STALE)]
+        return [fw.answer(TYPES[wire.Exchange], m.seq, Code.STALE)]
     cause = _trip(fw, m)
     if cause is not _NONE:
         return [fw.enter(now_ns, State.FAULT, cause, detail=m.u)]
@@ -122,11 +107,11 @@ def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
     return []
 
 
-def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
+def _hello(fw: Firmware, now_ns: int, m: wire.Hello) -> list[wire.Message]:
     if fw.state not in MOTOR_MAY_TURN:
         fw.k = None
     hardware = fw.hardware
-    reply = HelloReply(
+    reply = wire.HelloReply(
         fw.state,
         UNNUMBERED,
         version=VERSION,
@@ -149,26 +134,26 @@ def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
     return [reply]
 
 
-def _ping(fw: Firmware, now_ns: int, m: Ping) -> list[Message]:
+def _ping(fw: Firmware, now_ns: int, m: wire.Ping) -> list[wire.Message]:
     # `device` sets tx_us, because only it knows when the wire is free.
-    return [Pong(fw.state, UNNUMBERED, host_ns=m.host_ns, rx_us=fw.device_us(now_ns), tx_us=0)]
+    return [wire.Pong(fw.state, UNNUMBERED, host_ns=m.host_ns, rx_us=fw.device_us(now_ns), tx_us=0)]
 
 
-def _keepalive(fw: Firmware, now_ns: int, m: Keepalive) -> list[Message]:
+def _keepalive(fw: Firmware, now_ns: int, m: wire.Keepalive) -> list[wire.Message]:
     return []
 
 
-def setpoints(fw: Firmware, now_ns: int, m: Setpoints) -> list[Message]:
+def setpoints(fw: Firmware, now_ns: int, m: wire.Setpoints) -> list[wire.Message]:
     """Put the setpoints into the queue; do not answer valid setpoints, even if they are dropped."""
     if fw.queue is None:
-        return [fw.answer(TYPES[Setpoints], m.seq, Code.WRONG_STATE)]
+        return [fw.answer(TYPES[wire.Setpoints], m.seq, Code.WRONG_STATE)]
     if not 1 <= m.n <= SETPOINTS_PER_FRAME or m.zero:
-        return [fw.answer(TYPES[Setpoints], m.seq, Code.BAD_VALUE)]
+        return [fw.answer(TYPES[wire.Setpoints], m.seq, Code.BAD_VALUE)]
     cause, code = fw.queue.violation(m)
     if cause is not Cause.NONE:
         return [fw.enter(now_ns, State.FAULT, cause, detail=code)]
     if not fw.queue.add(m):
-        return [fw.answer(TYPES[Setpoints], m.seq, Code.BAD_VALUE)]
+        return [fw.answer(TYPES[wire.Setpoints], m.seq, Code.BAD_VALUE)]
     return []
 
 
@@ -194,36 +179,36 @@ def statistics(codes: list[int]) -> Statistics:
     )
 
 
-def cal(fw: Firmware, now_ns: int, m: Cal) -> list[Message]:
+def cal(fw: Firmware, now_ns: int, m: wire.Cal) -> list[wire.Message]:
     """Request the conversions of CAL; the answer follows after the last conversion."""
     taken = fw.cal is not None or fw.pending
     if fw.state not in (State.IDLE, State.READY) or taken:
-        return [fw.answer(TYPES[Cal], m.seq, Code.WRONG_STATE)]
+        return [fw.answer(TYPES[wire.Cal], m.seq, Code.WRONG_STATE)]
     if m.channel > 1 or m.zero or not 1 <= m.n <= MOST_READINGS:
-        return [fw.answer(TYPES[Cal], m.seq, Code.BAD_VALUE)]
+        return [fw.answer(TYPES[wire.Cal], m.seq, Code.BAD_VALUE)]
     fw.cal = PendingCal(fw.clock.device_ns(now_ns), m.channel, m.n)
     return []
 
 
-def cal_answer(fw: Firmware, codes: list[int]) -> Message:
+def cal_answer(fw: Firmware, codes: list[int]) -> wire.Message:
     """Return CAL_R, and release the converter for samples."""
     if fw.cal is None:
         raise RuntimeError("no CAL is in progress")
     channel, fw.cal = fw.cal.channel, None
-    return CalReply(fw.state, UNNUMBERED, channel, 0, len(codes), *statistics(codes))
+    return wire.CalReply(fw.state, UNNUMBERED, channel, 0, len(codes), *statistics(codes))
 
 
-_HANDLERS: dict[type[Message], Callable[[Firmware, int, Any], list[Message]]] = {
-    Exchange: _exchange,
-    Keepalive: _keepalive,
-    Ping: _ping,
-    Stop: transitions.stop,
-    Estop: transitions.estop,
-    Hello: _hello,
-    Config: transitions.config,
-    Arm: transitions.arm,
-    Start: transitions.start,
-    ClearFault: transitions.clear_fault,
-    Setpoints: setpoints,
-    Cal: cal,
+_HANDLERS: dict[type[wire.Message], Callable[[Firmware, int, Any], list[wire.Message]]] = {
+    wire.Exchange: _exchange,
+    wire.Keepalive: _keepalive,
+    wire.Ping: _ping,
+    wire.Stop: transitions.stop,
+    wire.Estop: transitions.estop,
+    wire.Hello: _hello,
+    wire.Config: transitions.config,
+    wire.Arm: transitions.arm,
+    wire.Start: transitions.start,
+    wire.ClearFault: transitions.clear_fault,
+    wire.Setpoints: setpoints,
+    wire.Cal: cal,
 }

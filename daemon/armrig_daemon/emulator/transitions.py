@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
+from armrig_protocol import messages as wire
 from armrig_protocol.messages import (
     TYPES,
     WATCHDOG_MAX_MS,
     WATCHDOG_MIN_MS,
-    Arm,
     Cause,
-    ClearFault,
     Code,
-    Config,
-    ConfigReply,
-    Estop,
-    Message,
     Mode,
-    Start,
     State,
-    Stop,
     Underrun,
 )
 
@@ -27,15 +20,15 @@ from armrig_daemon.emulator.guards import NOTHING_SEEN
 from armrig_daemon.emulator.queue import SetpointQueue
 
 HEADER_FIELDS = 2
-NONE_IN_FORCE = (0,) * (len(Config._fields) - HEADER_FIELDS)
+NONE_IN_FORCE = (0,) * (len(wire.Config._fields) - HEADER_FIELDS)
 
 
-def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
+def config(fw: Firmware, now_ns: int, m: wire.Config) -> list[wire.Message]:
     """Accept a configuration, or refuse it with a code."""
     code = Code.WRONG_STATE
     if fw.state is State.IDLE or fw.state is State.READY:
         code = check_config(m, ts_min_us=fw.hardware.ts_min_us, skew_us=fw.hardware.skew_us)
-    events: list[Message] = []
+    events: list[wire.Message] = []
     if code is Code.OK:
         if fw.state is State.IDLE:
             events = [fw.enter(now_ns, State.READY, Cause.REQUEST)]
@@ -43,11 +36,11 @@ def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
     else:
         fw.counters.refused += 1
     body = fw.config[HEADER_FIELDS:] if fw.config else NONE_IN_FORCE
-    reply = ConfigReply._make((fw.state, UNNUMBERED, code, 0, fw.config_crc, *body, fw.nonce))
+    reply = wire.ConfigReply._make((fw.state, UNNUMBERED, code, 0, fw.config_crc, *body, fw.nonce))
     return [reply, *events]
 
 
-def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
+def arm(fw: Firmware, now_ns: int, m: wire.Arm) -> list[wire.Message]:
     """Arm the device if the host sends the current boot id, configuration CRC and nonce."""
     if fw.state is not State.READY or fw.cal is not None:
         code = Code.WRONG_STATE
@@ -61,18 +54,18 @@ def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
         if fw.config is not None and fw.config.mode == Mode.SCHEDULED:
             fw.queue = SetpointQueue(fw.config, fw.hardware.queue)
         return _transition(fw, now_ns, m, State.ARMED)
-    return [fw.answer(TYPES[Arm], m.seq, code)]
+    return [fw.answer(TYPES[wire.Arm], m.seq, code)]
 
 
-def start(fw: Firmware, now_ns: int, m: Start) -> list[Message]:
+def start(fw: Firmware, now_ns: int, m: wire.Start) -> list[wire.Message]:
     """Apply u_rest to the motor; in scheduled mode start the timer."""
     if fw.state is not State.ARMED or fw.config is None:
-        return [fw.answer(TYPES[Start], m.seq, Code.WRONG_STATE)]
+        return [fw.answer(TYPES[wire.Start], m.seq, Code.WRONG_STATE)]
     if m.nonce != fw.nonce:
-        return [fw.answer(TYPES[Start], m.seq, Code.WRONG_NONCE)]
+        return [fw.answer(TYPES[wire.Start], m.seq, Code.WRONG_NONCE)]
     scheduled = fw.config.mode == Mode.SCHEDULED
     if m.k_stop != 0 and not scheduled:
-        return [fw.answer(TYPES[Start], m.seq, Code.BAD_VALUE)]
+        return [fw.answer(TYPES[wire.Start], m.seq, Code.BAD_VALUE)]
     fw.u, fw.u_seq = fw.config.u_rest, 0 if scheduled else m.seq
     fw.guards = NOTHING_SEEN
     answers = _transition(fw, now_ns, m, State.RUN)
@@ -92,38 +85,38 @@ def _timer(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Timer:
     )
 
 
-def stop(fw: Firmware, now_ns: int, m: Stop) -> list[Message]:
+def stop(fw: Firmware, now_ns: int, m: wire.Stop) -> list[wire.Message]:
     """Return to IDLE from every state except FAULT and ESTOP."""
     if fw.state in (State.FAULT, State.ESTOP):
-        return [fw.answer(TYPES[Stop], m.seq, Code.WRONG_STATE)]
+        return [fw.answer(TYPES[wire.Stop], m.seq, Code.WRONG_STATE)]
     if fw.state is State.IDLE:
-        return [fw.answer(TYPES[Stop], m.seq, Code.OK)]
+        return [fw.answer(TYPES[wire.Stop], m.seq, Code.OK)]
     return _transition(fw, now_ns, m, State.IDLE)
 
 
-def clear_fault(fw: Firmware, now_ns: int, m: ClearFault) -> list[Message]:
+def clear_fault(fw: Firmware, now_ns: int, m: wire.ClearFault) -> list[wire.Message]:
     """Leave FAULT or ESTOP if the host sends the token."""
     if fw.state not in (State.FAULT, State.ESTOP):
-        return [fw.answer(TYPES[ClearFault], m.seq, Code.WRONG_STATE)]
+        return [fw.answer(TYPES[wire.ClearFault], m.seq, Code.WRONG_STATE)]
     if m.token != fw.token:
-        return [fw.answer(TYPES[ClearFault], m.seq, Code.WRONG_TOKEN)]
+        return [fw.answer(TYPES[wire.ClearFault], m.seq, Code.WRONG_TOKEN)]
     return _transition(fw, now_ns, m, State.IDLE)
 
 
-def estop(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
+def estop(fw: Firmware, now_ns: int, m: wire.Estop) -> list[wire.Message]:
     """Enter ESTOP, which latches 0 V."""
     if fw.state is State.ESTOP:
-        return [fw.answer(TYPES[Estop], m.seq, Code.OK)]
+        return [fw.answer(TYPES[wire.Estop], m.seq, Code.OK)]
     return _transition(fw, now_ns, m, State.ESTOP)
 
 
-def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Message]:
+def _transition(fw: Firmware, now_ns: int, m: wire.Message, state: State) -> list[wire.Message]:
     """Return ACK(OK) and the EVENT, in the order in which they are sent."""
     event = fw.enter(now_ns, state, Cause.REQUEST)
     return [fw.answer(TYPES[type(m)], m.seq, Code.OK), event]
 
 
-def check_config(config: Config, *, ts_min_us: int, skew_us: int) -> Code:
+def check_config(config: wire.Config, *, ts_min_us: int, skew_us: int) -> Code:
     """Return OK, or the code with which this device refuses `config`.
 
     `ts_min_us` and `skew_us` are values of HELLO_R.

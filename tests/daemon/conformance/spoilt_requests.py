@@ -8,18 +8,9 @@ from typing import Any
 from armrig_daemon.emulator import device, requests, transitions, uart
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_protocol import decoder
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import Spoilt
-from armrig_protocol.messages import (
-    TYPES,
-    Cal,
-    Code,
-    Estop,
-    HelloReply,
-    Keepalive,
-    Message,
-    Start,
-    State,
-)
+from armrig_protocol.messages import TYPES, Code, State
 
 from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, any_value, other_handler
 
@@ -35,10 +26,10 @@ def _accepts(patch: Patch, **fields: int) -> None:
 
 
 def _takes_cal(patch: Patch, **fields: int) -> None:
-    other_handler(patch, Cal, lambda old: lambda fw, t, m: old(fw, t, m._replace(**fields)))
+    other_handler(patch, wire.Cal, lambda old: lambda fw, t, m: old(fw, t, m._replace(**fields)))
 
 
-def _answers(patch: Patch, kind: type[Message]) -> None:
+def _answers(patch: Patch, kind: type[wire.Message]) -> None:
     """Answer frames of a kind that need no answer."""
     other_handler(
         patch,
@@ -49,15 +40,15 @@ def _answers(patch: Patch, kind: type[Message]) -> None:
 
 def _estop_in_estop(patch: Patch, *, code: Code, token: int) -> None:
     def other(old: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
+        def handler(fw: Firmware, now_ns: int, m: wire.Estop) -> list[wire.Message]:
             if fw.state is not State.ESTOP:
                 return old(fw, now_ns, m)
             fw.token ^= token
-            return [fw.answer(TYPES[Estop], m.seq, code)]
+            return [fw.answer(TYPES[wire.Estop], m.seq, code)]
 
         return handler
 
-    other_handler(patch, Estop, other)
+    other_handler(patch, wire.Estop, other)
 
 
 def _keepalive_feeds_nothing(patch: Patch) -> None:
@@ -65,12 +56,12 @@ def _keepalive_feeds_nothing(patch: Patch) -> None:
     handle = requests.handle
     fed_by: list[Any] = [None]
 
-    def handling(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+    def handling(fw: Firmware, now_ns: int, received: Any) -> list[wire.Message]:
         fed_by[0] = received
         return handle(fw, now_ns, received)
 
     def feeding(self: Firmware, now_ns: int) -> None:
-        if not isinstance(fed_by[0], Keepalive):
+        if not isinstance(fed_by[0], wire.Keepalive):
             feed(self, now_ns)
 
     patch.setattr(device, "handle", handling)
@@ -87,11 +78,11 @@ def _narrow_newer(patch: Patch) -> None:
 def _hello_needs_a_new_number(patch: Patch) -> None:
     handle = requests.handle
 
-    def handling(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+    def handling(fw: Firmware, now_ns: int, received: Any) -> list[wire.Message]:
         with patch.context() as inner:
             inner.setattr(requests, "MOTOR_MAY_TURN", tuple(State))
             made = handle(fw, now_ns, received)
-        if any(isinstance(m, HelloReply) for m in made):
+        if any(isinstance(m, wire.HelloReply) for m in made):
             fw.k = None
         return made
 
@@ -115,10 +106,12 @@ SPOILT: dict[str, SpoiltDevice] = {
     "any watchdog is taken": SpoiltDevice(partial(_accepts, watchdog_ms=100), _VALUES),
     "any range is taken": SpoiltDevice(partial(_accepts, u_min=0, u_max=65_535), _VALUES),
     "any nonce starts": SpoiltDevice(
-        partial(any_value, of=(Start,), name="nonce"), "START needs the nonce"
+        partial(any_value, of=(wire.Start,), name="nonce"), "START needs the nonce"
     ),
     "CAL of any channel is taken": SpoiltDevice(partial(_takes_cal, channel=0), _BOUNDS),
-    "KEEPALIVE is answered": SpoiltDevice(partial(_answers, kind=Keepalive), "in any state but"),
+    "KEEPALIVE is answered": SpoiltDevice(
+        partial(_answers, kind=wire.Keepalive), "in any state but"
+    ),
     "ESTOP in ESTOP draws a token": SpoiltDevice(
         partial(_estop_in_estop, code=Code.OK, token=1), "ESTOP in ESTOP"
     ),

@@ -7,21 +7,8 @@ from typing import Any
 
 from armrig_daemon.emulator import firmware, requests, transitions
 from armrig_daemon.emulator.firmware import Firmware
-from armrig_protocol.messages import (
-    TYPES,
-    Arm,
-    Cause,
-    ClearFault,
-    Code,
-    Config,
-    ConfigReply,
-    Exchange,
-    Hello,
-    Message,
-    Start,
-    State,
-    Stop,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import TYPES, Cause, Code, State
 
 from tests.daemon.conformance.spoiling import (
     Patch,
@@ -34,13 +21,13 @@ from tests.daemon.conformance.spoiling import (
 
 def _hello_feeds(patch: Patch) -> None:
     def feeding(hello: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
+        def handler(fw: Firmware, now_ns: int, m: wire.Hello) -> list[wire.Message]:
             fw.feed(now_ns)
             return hello(fw, now_ns, m)
 
         return handler
 
-    other_handler(patch, Hello, feeding)
+    other_handler(patch, wire.Hello, feeding)
 
 
 def _ready_runs_out(patch: Patch) -> None:
@@ -79,7 +66,7 @@ def _watchdog_in_run_only(patch: Patch) -> None:
 def _one_nonce(patch: Patch) -> None:
     accept = Firmware.accept
 
-    def same(self: Firmware, config: Config) -> None:
+    def same(self: Firmware, config: wire.Config) -> None:
         accept(self, config)
         self.nonce = 77
 
@@ -110,39 +97,41 @@ def _config_stays(patch: Patch) -> None:
 
 
 def _wrong_config_crc(patch: Patch) -> None:
-    changed_answers(patch, lambda m: m._replace(config_crc=1) if isinstance(m, ConfigReply) else m)
+    changed_answers(
+        patch, lambda m: m._replace(config_crc=1) if isinstance(m, wire.ConfigReply) else m
+    )
 
 
 def _stop_in_fault(patch: Patch) -> None:
-    def quiet(fw: Firmware, now_ns: int, m: Stop) -> list[Message]:
+    def quiet(fw: Firmware, now_ns: int, m: wire.Stop) -> list[wire.Message]:
         if fw.state in (State.FAULT, State.ESTOP):
-            return [fw.answer(TYPES[Stop], m.seq, Code.OK)]
+            return [fw.answer(TYPES[wire.Stop], m.seq, Code.OK)]
         return transitions.stop(fw, now_ns, m)
 
-    patch.setitem(requests._HANDLERS, Stop, quiet)
+    patch.setitem(requests._HANDLERS, wire.Stop, quiet)
 
 
 def _clamps(patch: Patch) -> None:
     def clamped(old: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
+        def handler(fw: Firmware, now_ns: int, m: wire.Exchange) -> list[wire.Message]:
             if fw.config is not None:
                 m = m._replace(u=min(max(m.u, fw.config.u_min), fw.config.u_max))
             return old(fw, now_ns, m)
 
         return handler
 
-    other_handler(patch, Exchange, clamped)
+    other_handler(patch, wire.Exchange, clamped)
 
 
 def _slew_by_duty(patch: Patch) -> None:
     def rounded(old: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
+        def handler(fw: Firmware, now_ns: int, m: wire.Exchange) -> list[wire.Message]:
             fw.u = fw.board.code
             return old(fw, now_ns, m)
 
         return handler
 
-    other_handler(patch, Exchange, rounded)
+    other_handler(patch, wire.Exchange, rounded)
 
 
 SPOILT: dict[str, SpoiltDevice] = {
@@ -156,14 +145,14 @@ SPOILT: dict[str, SpoiltDevice] = {
     "READY goes to IDLE in a silence": SpoiltDevice(_ready_runs_out, "the watchdog is off"),
     "no watchdog in ARMED": SpoiltDevice(_watchdog_in_run_only, "silence of the host"),
     "ARM of another boot arms": SpoiltDevice(
-        partial(any_value, of=(Arm,), name="boot_id"), "ARM with a wrong boot_id"
+        partial(any_value, of=(wire.Arm,), name="boot_id"), "ARM with a wrong boot_id"
     ),
     "any nonce arms": SpoiltDevice(
-        partial(any_value, of=(Arm, Start), name="nonce"), "do not arm again"
+        partial(any_value, of=(wire.Arm, wire.Start), name="nonce"), "do not arm again"
     ),
     "one nonce for all": SpoiltDevice(_one_nonce, "has a new nonce"),
     "any token clears": SpoiltDevice(
-        partial(any_value, of=(ClearFault,), name="token"), "Only CLEAR_FAULT"
+        partial(any_value, of=(wire.ClearFault,), name="token"), "Only CLEAR_FAULT"
     ),
     "one token for all": SpoiltDevice(_one_token, "with a token"),
     "a code is clamped": SpoiltDevice(_clamps, "leads to FAULT(RANGE); only an EVENT"),

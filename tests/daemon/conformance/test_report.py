@@ -7,19 +7,8 @@ import json
 import pytest
 from armrig_daemon.conformance.rule import Result, shown
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, json_of, line_of, sum_of
-from armrig_protocol.messages import (
-    Ack,
-    Cause,
-    Code,
-    ConfigReply,
-    Event,
-    HelloReply,
-    Keepalive,
-    Message,
-    Pong,
-    Sample,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Cause, Code, State
 
 HELD = Result(1, "A frame may arrive in any pieces", PASS, "")
 BROKEN = Result(3, "Only CLEAR_FAULT leads out", FAIL, "ACK(OK), and " + "more " * 12)
@@ -55,7 +44,7 @@ def test_the_summary_counts_each_outcome_separately() -> None:
 
 
 def test_a_program_gets_the_identity_in_hexadecimal_and_every_rule() -> None:
-    facts = HelloReply(State.IDLE, 77, *range(20, 20 + len(HelloReply._fields) - 2))
+    facts = wire.HelloReply(State.IDLE, 77, *range(20, 20 + len(wire.HelloReply._fields) - 2))
 
     told = json.loads(json.dumps(json_of(facts, [HELD, BROKEN, LEFT_OUT, BROKEN])))
 
@@ -72,19 +61,19 @@ def test_a_program_gets_the_identity_in_hexadecimal_and_every_rule() -> None:
 
 
 def test_messages_are_shown_by_their_protocol_names() -> None:
-    def of(kind: type[Message], **fields: int) -> Message:
+    def of(kind: type[wire.Message], **fields: int) -> wire.Message:
         return kind._make([0] * len(kind._fields))._replace(**fields)
 
     event = {"was": State.RUN, "state": State.FAULT, "cause": Cause.SLEW}
     said = {
-        of(Ack, code=Code.STALE): "ACK(STALE)",
-        of(Ack, code=250): "ACK(250)",
-        of(Event, **event): "EVENT(RUN to FAULT, SLEW)",
-        of(Event, was=99, state=98, cause=97): "EVENT(99 to 98, 97)",
-        of(ConfigReply, code=Code.BAD_VALUE): "CONFIG_R(BAD_VALUE)",
-        of(Sample, k=3, u_k=500, u_km1=9, flags=0x43): "SAMPLE(k=3, u_k=500, flags=0x0043)",
-        of(Pong, state=State.ARMED): "PONG in ARMED",
-        of(Keepalive): "Keepalive",
+        of(wire.Ack, code=Code.STALE): "ACK(STALE)",
+        of(wire.Ack, code=250): "ACK(250)",
+        of(wire.Event, **event): "EVENT(RUN to FAULT, SLEW)",
+        of(wire.Event, was=99, state=98, cause=97): "EVENT(99 to 98, 97)",
+        of(wire.ConfigReply, code=Code.BAD_VALUE): "CONFIG_R(BAD_VALUE)",
+        of(wire.Sample, k=3, u_k=500, u_km1=9, flags=0x43): "SAMPLE(k=3, u_k=500, flags=0x0043)",
+        of(wire.Pong, state=State.ARMED): "PONG in ARMED",
+        of(wire.Keepalive): "Keepalive",
     }
     assert {message: shown(message) for message in said} == said
     assert shown([*said][:2]) == "ACK(STALE), ACK(250)"

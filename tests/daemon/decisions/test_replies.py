@@ -9,20 +9,8 @@ from armrig_daemon.decisions.outcomes import device_facts
 from armrig_daemon.decisions.state import Phase, RequestKind, RoundTrip, State, Wakeup
 from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
-from armrig_protocol.messages import (
-    TYPES,
-    Ack,
-    Arm,
-    Cause,
-    Code,
-    Event,
-    Hello,
-    HelloReply,
-    Pong,
-    Start,
-    Status,
-    Stop,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import TYPES, Cause, Code
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import (
@@ -39,9 +27,9 @@ from tests.daemon.decision_states import (
 from tests.daemon.virtual_bench import MS
 
 
-def _event(state: State, **fields: int) -> Event:
+def _event(state: State, **fields: int) -> wire.Event:
     """Return an EVENT of the device that is met, into the state that it is in."""
-    zero = Event._make([0] * len(Event._fields))
+    zero = wire.Event._make([0] * len(wire.Event._fields))
     known = {"state": state.link.device_state, "boot": state.device.boot_id & 0xFFFF}
     return zero._replace(**{**known, **fields})
 
@@ -49,9 +37,9 @@ def _event(state: State, **fields: int) -> Event:
 # -- round trips ---------------------------------------------------------------------------------
 
 
-def _pong(state: State, **fields: int) -> Pong:
+def _pong(state: State, **fields: int) -> wire.Pong:
     known = {"state": state.link.device_state, "seq": 0, "host_ns": state.link.ping_ns}
-    return Pong(**{**known, "rx_us": 100, "tx_us": 150, **fields})
+    return wire.Pong(**{**known, "rx_us": 100, "tx_us": 150, **fields})
 
 
 def test_ack_of_the_awaited_request_proves_a_round_trip() -> None:
@@ -61,14 +49,14 @@ def test_ack_of_the_awaited_request_proves_a_round_trip() -> None:
     fresh = changed(bench.loop.state, last_round_trip_ns=now - 40 * MS)
     state = awaiting(fresh, RequestKind.ARM, sent_ns=now - 3 * MS)
     seq = state.asked.seq
-    ack = Ack(int(DeviceState.READY), 0, TYPES[Arm], int(Code.OK), seq)
+    ack = wire.Ack(int(DeviceState.READY), 0, TYPES[wire.Arm], int(Code.OK), seq)
 
     assert heard(bench, ack, state).state.link.last_round_trip_ns == now - 3 * MS
     younger = changed(state, last_round_trip_ns=now - 1 * MS)
     assert heard(bench, ack, younger).state.link.last_round_trip_ns == now - 1 * MS
     for other in (
         ack._replace(of_seq=seq + 1),
-        ack._replace(of_type=TYPES[Stop]),
+        ack._replace(of_type=TYPES[wire.Stop]),
         ack._replace(code=int(Code.STALE)),
     ):
         assert heard(bench, other, state).state.link.last_round_trip_ns == now - 40 * MS
@@ -102,7 +90,7 @@ def test_answer_to_an_older_ping_proves_no_round_trip() -> None:
 
 def test_status_frame_causes_no_action() -> None:
     bench = rested()
-    decided = heard(bench, Status._make([int(DeviceState.READY)] + [0] * 13))
+    decided = heard(bench, wire.Status._make([int(DeviceState.READY)] + [0] * 13))
 
     assert decided.actions == []
 
@@ -111,7 +99,7 @@ def test_status_frame_causes_no_action() -> None:
 
 
 def test_the_identity_of_a_device_is_hexadecimal_and_constant() -> None:
-    device = HelloReply(DeviceState.IDLE, 9, *range(40, 40 + len(HelloReply._fields) - 2))
+    device = wire.HelloReply(DeviceState.IDLE, 9, *range(40, 40 + len(wire.HelloReply._fields) - 2))
 
     facts = device_facts(device)
 
@@ -135,7 +123,7 @@ def test_a_device_restart_before_its_configuration_causes_a_new_hello() -> None:
     decided = heard(bench, _event(state, boot=(state.device.boot_id + 1) & 0xFFFF), state)
 
     assert (decided.state.phase, decided.state.device) == (Phase.INIT, None)
-    assert [type(m) for m in decided.sent] == [Hello]
+    assert [type(m) for m in decided.sent] == [wire.Hello]
     assert [log.message for log in decided.told(Log)] == ["the device was reset"]
     assert [s.phase for s in decided.told(StateRecord)] == ["init"]
 
@@ -179,7 +167,7 @@ def test_a_refused_stop_of_a_latched_device_does_not_cause_a_fault(
     bench = driven()
     latched = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
     state = awaiting(latched, RequestKind.STOP)
-    refusal = Ack(int(at), 0, TYPES[Stop], int(Code.WRONG_STATE), OURS)
+    refusal = wire.Ack(int(at), 0, TYPES[wire.Stop], int(Code.WRONG_STATE), OURS)
 
     decided = heard(bench, refusal, state)
 
@@ -231,7 +219,7 @@ def test_a_start_carries_the_length_of_the_run() -> None:
 
     assert started.asked is not None
     (start,) = Decided(started, now + 50 * MS, Wakeup()).sent
-    assert isinstance(start, Start)
+    assert isinstance(start, wire.Start)
     assert start.k_stop == 2
 
 

@@ -25,19 +25,10 @@ from armrig_daemon.decisions.state import (
     Unechoed,
 )
 from armrig_daemon.pipe import Answer, Gap, RunEnded, RunStarted
+from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    SETPOINTS_PER_FRAME,
-    TYPES,
-    Ack,
-    Flag,
-    Message,
-    Ping,
-    Setpoints,
-    Start,
-    Stop,
-)
+from armrig_protocol.messages import SETPOINTS_PER_FRAME, TYPES, Flag
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import (
@@ -90,18 +81,18 @@ def _frames(actions: list) -> list[tuple[int, int]]:
     for action in actions:
         assert isinstance(action, Send)
         for m in feed(b"", action.data)[1]:
-            assert isinstance(m, Setpoints)
+            assert isinstance(m, wire.Setpoints)
             assert m.u == (*CODES[m.k0 : m.k0 + m.n], *[0] * (N - m.n))
             assert m.zero == 0
             found.append((m.k0, m.n))
     return found
 
 
-def _received(message: Message) -> Received:
+def _received(message: wire.Message) -> Received:
     return Received(b"\0" + encode(message))
 
 
-IS_IDLE = _received(Ack(int(DeviceState.IDLE), 0, 0, 0, 1))
+IS_IDLE = _received(wire.Ack(int(DeviceState.IDLE), 0, 0, 0, 1))
 """Any frame of a device that has stopped."""
 
 
@@ -180,8 +171,8 @@ def test_a_frame_outside_the_limits_is_not_sent(volts: list[float], trips: bool)
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert (after.fault is not None) == trips
-    assert any(isinstance(m, Stop) for m in sent) == trips
-    whole = [m.n for m in sent if isinstance(m, Setpoints)]
+    assert any(isinstance(m, wire.Stop) for m in sent) == trips
+    whole = [m.n for m in sent if isinstance(m, wire.Setpoints)]
     assert whole == ([len(volts)] if not trips else [24] if len(volts) > 24 else [])
     if after.fault is not None:
         at = 24 if len(volts) > 24 else 0
@@ -281,7 +272,7 @@ def test_ping_interval_of_a_scheduled_run(since_ns: int, pings: int) -> None:
     after, actions = step.carry_out(NOW, setpoints.tick(state, NOW))
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
-    assert [m.host_ns for m in sent if isinstance(m, Ping)] == [NOW] * pings
+    assert [m.host_ns for m in sent if isinstance(m, wire.Ping)] == [NOW] * pings
     assert after.link.ping_ns == (NOW if pings else NOW - since_ns)
 
 
@@ -293,7 +284,7 @@ def test_stop_is_repeated_while_the_device_drives_after_a_trip() -> None:
     waiting = step.carry_out(NOW, setpoints.tick(after, NOW))
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
-    assert [type(m) for m in sent] == [Stop]
+    assert [type(m) for m in sent] == [wire.Stop]
     assert waiting == (after, [])
 
 
@@ -302,7 +293,7 @@ def test_tick_of_a_scheduled_run_sends_ping() -> None:
 
     decided = Decided(state, NOW + 30 * MS, Tick(state.k + 3, NOW + 30 * MS))
 
-    assert {type(m) for m in decided.sent} == {Ping}
+    assert {type(m) for m in decided.sent} == {wire.Ping}
     assert decided.state.absent == ()
 
 
@@ -493,7 +484,7 @@ def test_a_run_ends_only_by_the_transition_from_run_to_idle() -> None:
 
     for before, now in ((5, 3), (3, 2)):
         state = changed(over, device_state=before)
-        decided = Decided(state, NOW, _received(Ack(now, 0, 0, 0, 1)))
+        decided = Decided(state, NOW, _received(wire.Ack(now, 0, 0, 0, 1)))
         assert decided.state.fault.id is Id.STATE
 
 
@@ -506,7 +497,7 @@ def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
     state = changed(state, code=9, outcome="of the run before", beats=(Unechoed(1, 2),))
     asked = awaiting(state, RequestKind.START, ORDER, sent_ns=NOW)
 
-    ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], 0, asked.asked.seq)
+    ack = wire.Ack(int(DeviceState.RUN), 0, TYPES[wire.Start], 0, asked.asked.seq)
     decided = Decided(asked, NOW + 2 * MS, _received(ack))
 
     (started,) = decided.told(RunStarted)
@@ -546,4 +537,4 @@ def test_a_scheduled_run_is_prepared_by_a_stop_and_its_configuration() -> None:
     assert (asked.ts_us, asked.scheduled) == (900, True)
     assert configure.state.lease is not None
     assert not [a for a in configure.actions if isinstance(a, Emit)]
-    assert not [m for m in configure.sent if isinstance(m, Start)]
+    assert not [m for m in configure.sent if isinstance(m, wire.Start)]

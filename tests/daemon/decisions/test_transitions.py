@@ -10,22 +10,9 @@ from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import Phase, RequestKind, SetPeriod, State, Tick, Wakeup
 from armrig_daemon.pipe import Answer, Log, Reset
 from armrig_daemon.pipe import State as StateRecord
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
-from armrig_protocol.messages import (
-    TYPES,
-    Ack,
-    Arm,
-    ClearFault,
-    Code,
-    Config,
-    ConfigReply,
-    Hello,
-    HelloReply,
-    Mode,
-    Start,
-    Stop,
-    Underrun,
-)
+from armrig_protocol.messages import TYPES, Code, Mode, Underrun
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import (
@@ -61,7 +48,13 @@ def test_a_request_is_repeated_exactly_at_its_retry_time(want: RequestKind) -> N
 
     assert early.actions == []
     assert early.state == state
-    kinds = dict(zip(RequestKind, [Hello, Config, Arm, Start, Stop, ClearFault], strict=True))
+    kinds = dict(
+        zip(
+            RequestKind,
+            [wire.Hello, wire.Config, wire.Arm, wire.Start, wire.Stop, wire.ClearFault],
+            strict=True,
+        )
+    )
     (sent,) = late.sent
     assert type(sent) is kinds[want]
     asked = late.state.asked
@@ -98,7 +91,7 @@ def test_the_lease_counts_from_the_command_and_not_from_the_start_of_the_run() -
     given = changed(
         state, lease=changed(state.lease, renewed_ns=now - 90 * MS), last_round_trip_ns=now
     )
-    ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], int(Code.OK), OURS)
+    ack = wire.Ack(int(DeviceState.RUN), 0, TYPES[wire.Start], int(Code.OK), OURS)
 
     started = heard(bench, ack, awaiting(given, RequestKind.START, SET, sent_ns=now))
     fresh = changed(
@@ -109,7 +102,7 @@ def test_the_lease_counts_from_the_command_and_not_from_the_start_of_the_run() -
 
     assert started.state.phase is Phase.ACTIVE
     assert [(m.u, m.state) for m in held.sent] == [(SET.code, 0)]
-    assert [type(m) for m in over.sent][:1] == [Stop]
+    assert [type(m) for m in over.sent][:1] == [wire.Stop]
     assert over.state.fault == Fault(Id.LEASE, "the lease ran out: no command from its holder")
 
 
@@ -184,7 +177,7 @@ def test_round_trip_of_hello_counts_from_the_request() -> None:
     assert met.state.link.sent == ()
     assert met.state.link.token == 99
     assert met.state.link.device_state == DeviceState.READY
-    assert [type(m) for m in met.sent] == [Config]
+    assert [type(m) for m in met.sent] == [wire.Config]
 
 
 def test_a_restarted_device_has_a_new_clock() -> None:
@@ -236,12 +229,12 @@ def test_a_device_that_cannot_be_driven_is_latched_and_reported_once(
 # -- CONFIG --------------------------------------------------------------------------------------
 
 
-def _reply(state: State, **fields: int) -> ConfigReply:
+def _reply(state: State, **fields: int) -> wire.ConfigReply:
     """Return the answer to the CONFIG that the state waits for."""
     (sent,) = Decided(state, state.asked.sent_ns + 50 * MS, Wakeup()).sent
-    assert isinstance(sent, Config)
+    assert isinstance(sent, wire.Config)
     body = sent[2:]
-    reply = ConfigReply._make((3, 0, int(Code.OK), 0, config_crc(sent), *body, 77))
+    reply = wire.ConfigReply._make((3, 0, int(Code.OK), 0, config_crc(sent), *body, 77))
     return reply._replace(**fields)
 
 
@@ -253,7 +246,7 @@ def test_config_frame_contains_the_rules(scheduled: bool) -> None:
     )
     rules = changed(rules, rail_ticks=8, oversampling=4)
 
-    assert rules.config(2_000, 33, scheduled=scheduled) == Config(
+    assert rules.config(2_000, 33, scheduled=scheduled) == wire.Config(
         state=0,
         seq=33,
         ts_us=2_000,
@@ -327,7 +320,7 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Re
         assert (after.fault, after.lease) == (None, None)
     else:
         (arm,) = decided.sent
-        assert isinstance(arm, Arm)
+        assert isinstance(arm, wire.Arm)
         assert (arm.config_crc, arm.nonce) == (reply.config_crc, 77)
         assert arm.boot_id == state.clock.boot_id
 
@@ -378,7 +371,7 @@ def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
     )
 
     assert (passed_over.actions, passed_over.state) == ([], waiting)
-    assert isinstance(armed.sent[0], Arm)
+    assert isinstance(armed.sent[0], wire.Arm)
     assert given_up.state.phase is Phase.FAULT
 
 
@@ -393,7 +386,7 @@ def test_an_arm_with_a_newer_nonce_is_tried_five_times() -> None:
     sixth = heard(bench, again, awaiting(bench.loop.state, RequestKind.ARM, ARM, tries=5))
 
     (arm,) = fifth.sent
-    assert isinstance(arm, Arm)
+    assert isinstance(arm, wire.Arm)
     assert arm.nonce == again.nonce
     assert (fifth.state.asked.tries, fifth.state.asked.order) == (5, ARM)
     assert sixth.actions == []
@@ -427,7 +420,7 @@ def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
     allowed = ordered(bench, changed(ARM, ts_us=15_000), slow)
 
     assert refusal.error == "Ts=0.014999 s is too short for the device: at least 0.015 s"
-    assert [type(m) for m in allowed.sent] == [Config]
+    assert [type(m) for m in allowed.sent] == [wire.Config]
 
 
 def test_a_sampling_time_that_holds_no_oversampled_reading_is_refused() -> None:
@@ -442,7 +435,7 @@ def test_a_sampling_time_that_holds_no_oversampled_reading_is_refused() -> None:
     (by_host,) = ordered(bench, changed(ARM, ts_us=1871), changed(state, rules=rules)).sent
 
     assert refusal.error == "Ts=0.015623 s is too short for the device: at least 0.015624 s"
-    assert [type(m) for m in allowed.sent] == [Config]
+    assert [type(m) for m in allowed.sent] == [wire.Config]
     assert "scheduled mode with [device] oversampling = 4: at least 0.000832 s" in unpaced.error
     assert by_host.ts_us == rules.ts_us  # until the run, exchange mode: 1872 us
 
@@ -454,7 +447,7 @@ def test_the_owner_is_granted_the_limits() -> None:
 
     assert body == {"lease": LEASE, "period_s": 0.2, "Ts": 0.04, "u_min": 0.0, "u_max": 5.0}
     assert (bench.loop.state.lease.n, bench.loop.state.lease.owner) == (-1, "a student")
-    assert isinstance(bench.loop.state.device, HelloReply)
+    assert isinstance(bench.loop.state.device, wire.HelloReply)
 
 
 def test_nothing_is_armed_without_a_device() -> None:

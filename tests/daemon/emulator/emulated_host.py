@@ -10,25 +10,9 @@ from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import decoder, frame
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import Spoilt, Unknown
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Ack,
-    Arm,
-    Config,
-    ConfigReply,
-    Estop,
-    Event,
-    Exchange,
-    Hello,
-    HelloReply,
-    Message,
-    Mode,
-    Setpoints,
-    Start,
-    State,
-)
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Mode, State
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
 BAUD = 1_000_000
@@ -50,7 +34,7 @@ CONFIG: dict[str, int] = {
     "turns": 0,
 }
 STATES = [s for s in State if s not in (State.HOST, State.BOOT)]
-M = TypeVar("M", bound=Message)
+M = TypeVar("M", bound=wire.Message)
 
 
 @dataclass
@@ -58,7 +42,7 @@ class Heard:
     """A message, and when its last byte had come."""
 
     t_ns: int
-    message: Message
+    message: wire.Message
 
 
 class Host:
@@ -78,51 +62,53 @@ class Host:
         self.device = (kind or Device)(settings, 0, self.changes.append)
         self.wait(round(settings.boot_ms * MS) + 1 * MS)
 
-    def wait(self, dt_ns: int) -> list[Message]:
+    def wait(self, dt_ns: int) -> list[wire.Message]:
         """Let time pass and return what came meanwhile."""
         self.now_ns += dt_ns
-        came: list[Message] = []
+        came: list[wire.Message] = []
         for t_ns, data in self.device.advance(self.now_ns):
             self.pending, received = decoder.feed(self.pending, data)
             for item in received:
                 assert not isinstance(item, (Spoilt, Unknown))
                 came.append(item)
-                if isinstance(item, ConfigReply):
+                if isinstance(item, wire.ConfigReply):
                     self.nonce = item.nonce
                 self.heard.append(Heard(t_ns, item))
         return came
 
-    def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
+    def put(self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any) -> int:
         """Send without waiting; return the time at which the frame will have arrived.
 
         ARM and START carry the nonce that was last heard, unless another is given.
         """
         if seq is None:
             self.seq = seq = (self.seq + 1) & 0xFFFF
-        if kind in (Arm, Start):
+        if kind in (wire.Arm, wire.Start):
             fields.setdefault("nonce", self.nonce)
         data = frame.encode(kind(0, seq, **fields))
         self.sent.append((self.now_ns, data))
         self.device.receive(self.now_ns, data)
         return self.now_ns + self.device.rx_backlog_ns(self.now_ns)
 
-    def ask(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> list[Message]:
+    def ask(
+        self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any
+    ) -> list[wire.Message]:
         """Send, and return all messages within 3 ms."""
         self.put(kind, seq=seq, **fields)
         return self.wait(3 * MS)
 
-    def hello(self) -> HelloReply:
+    def hello(self) -> wire.HelloReply:
         """Return the answer to HELLO."""
-        return only(HelloReply, self.ask(Hello, version=VERSION, schema=SCHEMA_HASH))
+        return only(wire.HelloReply, self.ask(wire.Hello, version=VERSION, schema=SCHEMA_HASH))
 
-    def configure(self, **fields: int) -> ConfigReply:
+    def configure(self, **fields: int) -> wire.ConfigReply:
         """Return the answer to CONFIG."""
-        return only(ConfigReply, self.ask(Config, **{**CONFIG, **fields}))
+        return only(wire.ConfigReply, self.ask(wire.Config, **{**CONFIG, **fields}))
 
     def supply(self, k0: int, u: Sequence[int], **more: Any) -> int:
         """Put SETPOINTS on the wire; return when they will have arrived."""
         fields = {"n": len(u), "zero": 0, **more}
-        return self.put(Setpoints, k0=k0, u=(*u, *(0,) * (24 - len(u))), **fields)
+        return self.put(wire.Setpoints, k0=k0, u=(*u, *(0,) * (24 - len(u))), **fields)
 
     def reach(self, state: State, **config: int) -> Host:
         """Go to `state` by the shortest way."""
@@ -130,49 +116,49 @@ class Host:
         if state in (State.READY, State.ARMED, State.RUN):
             config_crc = self.configure(**config).config_crc
         if state in (State.ARMED, State.RUN):
-            self.ask(Arm, boot_id=boot_id, config_crc=config_crc)
+            self.ask(wire.Arm, boot_id=boot_id, config_crc=config_crc)
         if state is State.RUN:
-            self.ask(Start, k_stop=0)
+            self.ask(wire.Start, k_stop=0)
         if state is State.FAULT:
             self.reach(State.RUN, u_max=100)
-            self.ask(Exchange, k=1, u=101)
+            self.ask(wire.Exchange, k=1, u=101)
         if state is State.ESTOP:
-            self.ask(Estop)
+            self.ask(wire.Estop)
         assert self.device.state is state
         return self
 
 
-def only(kind: type[M], messages: list[Message]) -> M:
+def only(kind: type[M], messages: list[wire.Message]) -> M:
     (found,) = [m for m in messages if isinstance(m, kind)]
     return found
 
 
-def codes(messages: list[Message]) -> list[int]:
-    return [m.code for m in messages if isinstance(m, Ack)]
+def codes(messages: list[wire.Message]) -> list[int]:
+    return [m.code for m in messages if isinstance(m, wire.Ack)]
 
 
-def events(messages: list[Message]) -> list[tuple[int, int, int]]:
-    return [(m.was, m.state, m.cause) for m in messages if isinstance(m, Event)]
+def events(messages: list[wire.Message]) -> list[tuple[int, int, int]]:
+    return [(m.was, m.state, m.cause) for m in messages if isinstance(m, wire.Event)]
 
 
 def bytes_of(
-    emulated: EmulatorSettings, script: Sequence[tuple[int, bytes | Message]]
+    emulated: EmulatorSettings, script: Sequence[tuple[int, bytes | wire.Message]]
 ) -> list[tuple[int, bytes]]:
     """Return a script's bytes with their times; frames get the seq, k and nonces they need."""
     boot_id, config_crc = Host(emulated).hello().boot_id, 0
     host, sent = Host(emulated), []  # hears what the device will answer to the same bytes
     for seq, (dt_ns, item) in enumerate(script, 1):
         for heard in host.wait(dt_ns):
-            if isinstance(heard, ConfigReply):
+            if isinstance(heard, wire.ConfigReply):
                 config_crc = heard.config_crc
         data = item
         if not isinstance(data, bytes):
             message = item._replace(seq=seq)
-            if isinstance(message, Exchange):
+            if isinstance(message, wire.Exchange):
                 message = message._replace(k=seq)
-            if isinstance(message, Arm):
+            if isinstance(message, wire.Arm):
                 message = message._replace(boot_id=boot_id, config_crc=config_crc)
-            if isinstance(message, Arm | Start):
+            if isinstance(message, wire.Arm | wire.Start):
                 message = message._replace(nonce=host.nonce)
             data = frame.encode(message)
         host.device.receive(host.now_ns, data)

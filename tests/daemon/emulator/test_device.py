@@ -12,30 +12,8 @@ from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import decoder, frame
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Arm,
-    Cause,
-    Code,
-    Config,
-    ConfigReply,
-    Estop,
-    Event,
-    Exchange,
-    Flag,
-    Hello,
-    HelloReply,
-    Keepalive,
-    Message,
-    Ping,
-    Pong,
-    Sample,
-    Start,
-    State,
-    Status,
-    Stop,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Cause, Code, Flag, State
 
 from tests.daemon.emulator.emulated_host import (
     BAUD,
@@ -69,7 +47,7 @@ def test_the_end_of_boot_is_reported_with_the_state_idle() -> None:
 
 
 def test_the_first_received_byte_is_the_byte_in_progress_at_the_end_of_boot() -> None:
-    ping = frame.encode(Ping(0, 1, 7))
+    ping = frame.encode(wire.Ping(0, 1, 7))
     for gone, answers, spoilt in (
         (0, 1, 0),
         (1, 0, 1),
@@ -81,13 +59,13 @@ def test_the_first_received_byte_is_the_byte_in_progress_at_the_end_of_boot() ->
 
         assert len(device.advance(50 * MS)) == 2 + answers, gone
         later = b"".join(data for _, data in device.advance(1500 * MS))
-        assert only(Status, decoder.feed(b"", later)[1]).spoilt == spoilt, gone
+        assert only(wire.Status, decoder.feed(b"", later)[1]).spoilt == spoilt, gone
 
 
 def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
     host = Host().reach(State.RUN)
     before = host.hello()
-    host.ask(Exchange, k=1, u=65535)
+    host.ask(wire.Exchange, k=1, u=65535)
     speed = host.device.board.motion(host.now_ns)[2]
 
     host.device.reset(host.now_ns)
@@ -130,11 +108,11 @@ def test_an_exchange_has_the_documented_timing() -> None:
     """Alpha at t_r, theta_1 one conversion later, latch 12 µs on, SAMPLE at the end."""
     host = Host().reach(State.RUN)
 
-    t_r = host.put(Exchange, k=1, u=65535)
+    t_r = host.put(wire.Exchange, k=1, u=65535)
     host.wait(3 * MS)
 
     sample = host.heard[-1]
-    assert isinstance(sample.message, Sample)
+    assert isinstance(sample.message, wire.Sample)
     assert t_r == host.now_ns - 3 * MS + EXCHANGE_NS
     assert sample.message.t_us * US == (t_r + CONVERSION_NS) // US * US
     assert host.changes[-1] == Change(t_r + CONVERSION_NS + HOLD_NS, 5.0, State.RUN, Cause.REQUEST)
@@ -147,9 +125,9 @@ def test_a_reading_precedes_the_effect_of_the_u_of_its_exchange() -> None:
     for u in (0, 65535):
         host = Host().reach(State.RUN)
         for k in (1, 2):
-            host.ask(Exchange, k=k, u=30_000)
-        first = only(Sample, host.ask(Exchange, k=3, u=u))
-        second = only(Sample, host.ask(Exchange, k=4, u=u))
+            host.ask(wire.Exchange, k=k, u=30_000)
+        first = only(wire.Sample, host.ask(wire.Exchange, k=3, u=u))
+        second = only(wire.Sample, host.ask(wire.Exchange, k=4, u=u))
         samples.append((first, second))
 
     (zero, zero_next), (full, full_next) = samples
@@ -162,12 +140,12 @@ def test_an_exchange_of_an_old_run_does_not_drive_the_next() -> None:
     boot_id, config_crc = host.hello().boot_id, 0
     host.changes.clear()
 
-    host.put(Exchange, k=1, u=65535)
-    host.put(Stop)
-    host.put(Config, **CONFIG)
-    config_crc = only(ConfigReply, host.wait(0)).config_crc
-    host.put(Arm, boot_id=boot_id, config_crc=config_crc)
-    host.put(Start, k_stop=0)
+    host.put(wire.Exchange, k=1, u=65535)
+    host.put(wire.Stop)
+    host.put(wire.Config, **CONFIG)
+    config_crc = only(wire.ConfigReply, host.wait(0)).config_crc
+    host.put(wire.Arm, boot_id=boot_id, config_crc=config_crc)
+    host.put(wire.Start, k_stop=0)
     host.wait(3 * MS)
 
     assert host.device.state is State.RUN
@@ -180,15 +158,15 @@ def test_rails_and_turns_trip_in_run() -> None:
         ({"turns": 25}, Cause.REV_LIMIT),
     ):
         host = Host().reach(State.RUN, **config)
-        answers: list[Message] = []
+        answers: list[wire.Message] = []
         k = 0
         while host.device.state is State.RUN and k < 500:
-            answers = host.ask(Exchange, k=k, u=65535)
+            answers = host.ask(wire.Exchange, k=k, u=65535)
             k += 1
 
         sample, event = answers
-        assert isinstance(sample, Sample)
-        assert isinstance(event, Event)
+        assert isinstance(sample, wire.Sample)
+        assert isinstance(event, wire.Event)
         assert (event.cause, sample.state, sample.u_k) == (cause, State.FAULT, 0)
         assert bool(sample.flags & Flag.ADC0_RAIL) == (cause is Cause.ADC_RAIL)
         assert bool(sample.flags & Flag.REV_LIMIT) == (cause is Cause.REV_LIMIT)
@@ -204,7 +182,7 @@ def test_rails_and_turns_trip_in_run() -> None:
 def test_the_watchdog_trips_exactly_at_its_tick(state: State, watchdog_ms: int) -> None:
     """S3: exactly watchdog_ms after the last accepted frame, not a nanosecond before."""
     host = Host().reach(state, watchdog_ms=watchdog_ms)
-    last = host.put(Exchange, k=1, u=65535)
+    last = host.put(wire.Exchange, k=1, u=65535)
 
     host.wait(last + watchdog_ms * MS - 1 - host.now_ns)
     assert host.device.state is state
@@ -216,27 +194,29 @@ def test_the_watchdog_trips_exactly_at_its_tick(state: State, watchdog_ms: int) 
     if state is State.RUN:
         assert host.changes[-1] == Change(last + watchdog_ms * MS, 0.0, State.FAULT, Cause.WATCHDOG)
     host.wait(1 * MS)
-    assert only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.WATCHDOG
+    assert only(wire.Sample, host.ask(wire.Exchange, k=2, u=0)).flags & Flag.WATCHDOG
 
 
-@pytest.mark.parametrize("kind", [Keepalive, Stop, Estop])
-def test_an_accepted_frame_makes_frames_with_earlier_numbers_stale(kind: type[Message]) -> None:
+@pytest.mark.parametrize("kind", [wire.Keepalive, wire.Stop, wire.Estop])
+def test_an_accepted_frame_makes_frames_with_earlier_numbers_stale(
+    kind: type[wire.Message],
+) -> None:
     host = Host().reach(State.RUN)
     newest = (host.seq + 10) & 0xFFFF
 
     host.ask(kind, seq=newest)
 
     for behind, answer in ((5, [Code.STALE]), (0, [Code.STALE]), (-1, [])):
-        assert codes(host.ask(Keepalive, seq=(newest - behind) & 0xFFFF)) == answer, behind
+        assert codes(host.ask(wire.Keepalive, seq=(newest - behind) & 0xFFFF)) == answer, behind
 
 
 def test_a_frame_exactly_at_the_deadline_is_in_time() -> None:
     """The bytes and the watchdog are due in the same nanosecond."""
     host = Host().reach(State.RUN)
-    last = host.put(Keepalive)
+    last = host.put(wire.Keepalive)
     host.wait(last - host.now_ns + 100 * MS - 100 * US)
 
-    assert host.put(Keepalive) == last + 100 * MS
+    assert host.put(wire.Keepalive) == last + 100 * MS
     host.wait(50 * MS)
 
     assert host.device.state is State.RUN
@@ -248,11 +228,11 @@ def test_a_frame_exactly_at_the_deadline_is_in_time() -> None:
 def test_a_delayed_pong_contains_the_time_of_its_transmission() -> None:
     host = Host()
     for n in range(3):
-        host.put(Ping, host_ns=n)
+        host.put(wire.Ping, host_ns=n)
     host.wait(3 * MS)
 
-    pongs = [heard for heard in host.heard if isinstance(heard.message, Pong)]
-    length_ns = frame.wire_length(Pong) * 10 * US
+    pongs = [heard for heard in host.heard if isinstance(heard.message, wire.Pong)]
+    length_ns = frame.wire_length(wire.Pong) * 10 * US
     assert [h.message.tx_us for h in pongs] == [(h.t_ns - length_ns) // US for h in pongs]
     assert pongs[2].message.tx_us > pongs[2].message.rx_us
 
@@ -262,22 +242,22 @@ def test_a_frame_without_room_is_dropped_whole_and_reported() -> None:
     host = Host()
 
     for _ in range(20):
-        host.put(Hello, version=VERSION, schema=SCHEMA_HASH)
-    replies = [m for m in host.wait(20 * MS) if isinstance(m, HelloReply)]
-    sample = only(Sample, host.ask(Exchange, k=0, u=0))
+        host.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)
+    replies = [m for m in host.wait(20 * MS) if isinstance(m, wire.HelloReply)]
+    sample = only(wire.Sample, host.ask(wire.Exchange, k=0, u=0))
 
     assert len(replies) < 20
     assert sample.flags & Flag.TX_DROP
-    assert only(Status, host.wait(1 * S)).tx_dropped == 20 - len(replies)
+    assert only(wire.Status, host.wait(1 * S)).tx_dropped == 20 - len(replies)
 
 
 def test_the_clocks_wrap() -> None:
     """t_us after 71.6 min, seq after 65536 frames."""
     host = Host()
     host.wait(2**32 * US - 10 * MS)
-    before = only(Sample, host.ask(Exchange, k=2**32 - 1, u=0))
+    before = only(wire.Sample, host.ask(wire.Exchange, k=2**32 - 1, u=0))
     host.wait(20 * MS)
-    after = only(Sample, host.ask(Exchange, k=0, u=0))
+    after = only(wire.Sample, host.ask(wire.Exchange, k=0, u=0))
 
     assert before.t_us > 2**32 - 10_000
     assert after.t_us < 30_000
@@ -288,7 +268,7 @@ def test_seed_changes_noise_and_boot_id() -> None:
     replies = []
     for seed in (1, 2):
         host = Host(EmulatorSettings(baud=BAUD, seed=seed))
-        readings = [only(Sample, host.ask(Exchange, k=k, u=0)).y0 for k in range(20)]
+        readings = [only(wire.Sample, host.ask(wire.Exchange, k=k, u=0)).y0 for k in range(20)]
         replies.append((readings, host.hello().boot_id))
 
     (noise_1, boot_1), (noise_2, boot_2) = replies

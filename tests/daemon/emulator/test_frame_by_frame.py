@@ -12,27 +12,9 @@ from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSa
 from armrig_daemon.emulator.requests import cal_answer
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import Reception
+from armrig_protocol import messages as wire
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Arm,
-    Cause,
-    Config,
-    Event,
-    Exchange,
-    Flag,
-    Hello,
-    Keepalive,
-    Message,
-    Mode,
-    Ping,
-    Sample,
-    Setpoints,
-    Start,
-    State,
-    Status,
-)
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Cause, Flag, Mode, State
 
 from tests.daemon.emulator.emulated_host import (
     CONFIG,
@@ -50,15 +32,15 @@ from tests.daemon.emulator.emulated_host import (
 )
 
 SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500}
-SESSION: list[tuple[int, bytes | Message]] = [
-    (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
-    (1 * MS, Config(0, 0, **CONFIG)),
-    (1 * MS, Arm(0, 0, 0, 0, 0)),
-    (1 * MS, Start(0, 0, 0, 0)),
-    *[(700 * US, Exchange(0, 0, 0, 30_000 + i)) for i in range(20)],
-    (0, Ping(0, 0, 5)),
+SESSION: list[tuple[int, bytes | wire.Message]] = [
+    (1 * MS, wire.Hello(0, 0, VERSION, SCHEMA_HASH)),
+    (1 * MS, wire.Config(0, 0, **CONFIG)),
+    (1 * MS, wire.Arm(0, 0, 0, 0, 0)),
+    (1 * MS, wire.Start(0, 0, 0, 0)),
+    *[(700 * US, wire.Exchange(0, 0, 0, 30_000 + i)) for i in range(20)],
+    (0, wire.Ping(0, 0, 5)),
     (0, b"noise\0"),
-    (1100 * MS, Keepalive(0, 0)),
+    (1100 * MS, wire.Keepalive(0, 0)),
     (1 * MS, b""),  # nothing leaves meanwhile
 ]
 
@@ -86,9 +68,9 @@ def test_status_reports_the_counters_of_a_new_device() -> None:
     host = Host()
     host.hello()
 
-    status = only(Status, host.wait(1 * S))
+    status = only(wire.Status, host.wait(1 * S))
 
-    assert status._replace(boot=0, seq=0, uptime_ms=0) == Status(
+    assert status._replace(boot=0, seq=0, uptime_ms=0) == wire.Status(
         state=State.IDLE,
         seq=0,
         boot=0,
@@ -115,9 +97,9 @@ def test_visible_time_skips_the_conversions_of_a_sample(
     u: int, k: int, seq: int | None, samples: bool
 ) -> None:
     host = Host().reach(State.RUN, u_max=100)
-    host.ask(Exchange, k=1, u=50)
+    host.ask(wire.Exchange, k=1, u=50)
 
-    arrival_ns = host.put(Exchange, k=k, u=u, seq=seq)
+    arrival_ns = host.put(wire.Exchange, k=k, u=u, seq=seq)
     visible_ns = host.device.visible_ns()
     (left_ns, _), *_ = host.device.advance(arrival_ns + 2 * MS)
 
@@ -128,30 +110,30 @@ def test_visible_time_skips_the_conversions_of_a_sample(
 
 
 def test_the_wire_predicts_the_arrival_of_the_second_piece() -> None:
-    wire = Reception(0, 1_000_000)
+    reception = Reception(0, 1_000_000)
     times = []
     for data in (b"", b"ab\0", b"c\0", b"defg\0", b"h\0"):
-        wire.put(0, data)
-        times.append((wire.first_ns, wire.second_ns()))
+        reception.put(0, data)
+        times.append((reception.first_ns, reception.second_ns()))
 
     assert times == [(NEVER, NEVER), (30_000, NEVER), *[(30_000, 50_000)] * 3]
 
 
 def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
-    wire = Reception(0, 1_000_000)
-    frame = encode(Keepalive(0, 7))
-    wire.put(0, frame + encode(Setpoints(0, 8, 0, 1, 0, (5,) + (0,) * 23)))
+    reception = Reception(0, 1_000_000)
+    frame = encode(wire.Keepalive(0, 7))
+    reception.put(0, frame + encode(wire.Setpoints(0, 8, 0, 1, 0, (5,) + (0,) * 23)))
 
-    assert wire.first() == frame
-    assert wire.first_ns == len(frame) * 10 * US
-    assert wire.peek() == wire.pop() == [Keepalive(0, 7)]
-    assert wire.first() != frame
+    assert reception.first() == frame
+    assert reception.first_ns == len(frame) * 10 * US
+    assert reception.peek() == reception.pop() == [wire.Keepalive(0, 7)]
+    assert reception.first() != frame
 
 
 def test_visible_time_includes_frames_during_conversions() -> None:
     host = Host().reach(State.RUN)
-    host.put(Exchange, k=1, u=50)
-    host.put(Ping, host_ns=7)
+    host.put(wire.Exchange, k=1, u=50)
+    host.put(wire.Ping, host_ns=7)
 
     visible_ns = host.device.visible_ns()
     (left_ns, _), *_ = host.device.advance(host.now_ns + 2 * MS)
@@ -202,7 +184,7 @@ def test_the_end_of_a_run_is_visible_at_its_due_time() -> None:
     host = Host().reach(State.ARMED, **SCHEDULED)
     host.supply(0, [10, 20, 30])
     host.wait(1 * MS)
-    host.put(Start, k_stop=3)
+    host.put(wire.Start, k_stop=3)
     frames: list[tuple[int, bytes]] = []
 
     while host.device.state is not State.IDLE:
@@ -222,12 +204,12 @@ def test_an_alpha_at_its_rail_is_reported_in_each_sample(state: State) -> None:
     )
     host = Host(railed).reach(state, rail_ticks=2)
 
-    first = host.ask(Exchange, k=1, u=0)
-    second = host.ask(Exchange, k=2, u=0)
+    first = host.ask(wire.Exchange, k=1, u=0)
+    second = host.ask(wire.Exchange, k=2, u=0)
 
     for answers in (first, second):
-        sample = only(Sample, answers)
+        sample = only(wire.Sample, answers)
         assert sample.flags & Flag.ADC1_RAIL
         assert not sample.flags & Flag.ADC0_RAIL
-    tripped = [m for m in second if isinstance(m, Event)]
+    tripped = [m for m in second if isinstance(m, wire.Event)]
     assert [m.cause for m in tripped] == ([Cause.ADC_RAIL] if state is State.RUN else [])

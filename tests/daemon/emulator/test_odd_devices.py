@@ -9,20 +9,8 @@ from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_protocol.messages import (
-    Arm,
-    Cal,
-    Estop,
-    Exchange,
-    Message,
-    Mode,
-    Ping,
-    Setpoints,
-    Start,
-    State,
-    Stop,
-    Underrun,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Mode, State, Underrun
 
 from tests.clients.said import compare
 from tests.daemon.odd_bench import EMULATOR
@@ -51,7 +39,7 @@ DEVICES: dict[str, dict[str, Any]] = {
 }
 
 
-def _line(message: Message) -> str:
+def _line(message: wire.Message) -> str:
     fields: dict[str, Any] = message._asdict()
     shown = ", ".join(f"{name}={value}" for name, value in fields.items() if name != "seq")
     return f"  {type(message).__name__} {shown}"
@@ -66,7 +54,7 @@ class Heard:
         self.host = Host(VirtualLine(self.device), given.baud)
         self.lines = [_line(self.host.hello(BOOT_MS))]
 
-    def ask(self, kind: type[Message], **fields: Any) -> None:
+    def ask(self, kind: type[wire.Message], **fields: Any) -> None:
         """Note what answers a frame, and 30 ms of what comes then."""
         self.host.put(kind, **fields)
         self.listen(30)
@@ -83,21 +71,23 @@ def _told(settings: dict[str, Any]) -> list[str]:
     heard = Heard(settings)
     host = heard.host
     for channel, n in ((0, 1), (1, 50), (0, 200)):
-        heard.ask(Cal, channel=channel, zero=0, n=n)
+        heard.ask(wire.Cal, channel=channel, zero=0, n=n)
     host.reach(State.RUN, oversampling=4, rail_ticks=50, turns=40, u_max=60_000, watchdog_ms=200)
     for k, u in ((3, 0), (7, 30_001), (8, 30_001), (8, 5), (20, 59_999)):
-        heard.ask(Exchange, k=k, u=u)
-    host.put_together([Exchange(0, 0, 21, 100), Exchange(0, 0, 22, 50_000), Ping(0, 0, 1)])
+        heard.ask(wire.Exchange, k=k, u=u)
+    host.put_together(
+        [wire.Exchange(0, 0, 21, 100), wire.Exchange(0, 0, 22, 50_000), wire.Ping(0, 0, 1)]
+    )
     heard.listen(200)
-    host.put(Exchange, k=23, u=0)
-    heard.ask(Exchange, k=24, u=61_000)
+    host.put(wire.Exchange, k=23, u=0)
+    heard.ask(wire.Exchange, k=24, u=61_000)
     host.to_idle()
     config = {"mode": Mode.SCHEDULED, "ts_us": 7_000, "underrun": Underrun.HOLD, "hold": 2}
     host.configure(**config, slew=20_000, u_min=500, u_rest=500, watchdog_ms=120)
-    heard.ask(Arm)
+    heard.ask(wire.Arm)
     host.to_idle()
     host.configure(**config, slew=20_000, watchdog_ms=120)
-    heard.ask(Arm)
+    heard.ask(wire.Arm)
     for k0, u in (
         (0, [9_000, 19_000, 27_000]),
         (3, [8_000]),
@@ -105,12 +95,12 @@ def _told(settings: dict[str, Any]) -> list[str]:
         (2, [27_000, 8_000, 60]),
     ):
         padded = (*u, *(0,) * (24 - len(u)))
-        heard.ask(Setpoints, k0=k0, n=len(u), zero=0, u=padded)
-    host.put(Start, k_stop=12)
+        heard.ask(wire.Setpoints, k0=k0, n=len(u), zero=0, u=padded)
+    host.put(wire.Start, k_stop=12)
     heard.listen(150)
-    heard.ask(Stop)
+    heard.ask(wire.Stop)
     heard.listen(1_200)
-    heard.ask(Estop)
+    heard.ask(wire.Estop)
     return heard.lines
 
 

@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 from armrig_daemon.emulator.requests import statistics
 from armrig_daemon.emulator.sensors import mean
-from armrig_protocol.messages import (
-    Cal,
-    CalReply,
-    Exchange,
-    Flag,
-    Hello,
-    Mode,
-    Sample,
-    Start,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Flag, Mode, State
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -60,8 +51,8 @@ def test_conversions_alternate_and_the_last_of_theta_1_precedes_the_latch(m: int
     read = reading(host, range(1000, 1000 + m), range(2000, 2000 + m))
     host.changes.clear()
 
-    t_ns = host.put(Exchange, k=1, u=30_000)
-    sample = only(Sample, host.wait(10 * MS))
+    t_ns = host.put(wire.Exchange, k=1, u=30_000)
+    sample = only(wire.Sample, host.wait(10 * MS))
 
     held = [t_ns + i * CONVERSION_NS + HOLD_NS for i in range(2 * m)]
     assert read == [(("alpha", "theta_1")[i % 2], held[i]) for i in range(2 * m)]
@@ -76,10 +67,10 @@ def test_conversions_alternate_and_the_last_of_theta_1_precedes_the_latch(m: int
 def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
     """Sample k is at t_0 + k Ts for any m."""
     host = Host().reach(State.ARMED, mode=Mode.SCHEDULED, ts_us=1000, oversampling=m)
-    t_0 = host.put(Start, k_stop=3) + 1000 * US
+    t_0 = host.put(wire.Start, k_stop=3) + 1000 * US
     read = reading(host, [1000] * 3 * m, [2000] * 3 * m)
 
-    got = [one for one in host.wait(8 * MS) if isinstance(one, Sample)]
+    got = [one for one in host.wait(8 * MS) if isinstance(one, wire.Sample)]
 
     assert [one.t_us for one in got] == [t_0 // 1000 + k * 1000 for k in range(3)]
     assert read[0] == ("alpha", t_0 - (2 * m - 1) * CONVERSION_NS + HOLD_NS)
@@ -110,8 +101,8 @@ def test_cal_reads_one_channel_n_times(state: State, channel: int) -> None:
     host = Host().reach(state, ts_us=5000, oversampling=4)
     read = reading(host, [100, 200, 300, 401], [5, 6, 7, 8])
 
-    t_ns = host.put(Cal, channel=channel, zero=0, n=4)
-    reply = only(CalReply, host.wait(3 * MS))
+    t_ns = host.put(wire.Cal, channel=channel, zero=0, n=4)
+    reply = only(wire.CalReply, host.wait(3 * MS))
 
     name = ("theta_1", "alpha")[channel]
     assert read == [(name, t_ns + i * CONVERSION_NS + HOLD_NS) for i in range(4)]
@@ -140,23 +131,23 @@ def test_the_variance_is_bounded_and_that_of_one_reading_is_0() -> None:
 
 def test_a_reset_discards_an_unfinished_cal() -> None:
     host = Host()
-    host.put(Cal, channel=0, zero=0, n=300)
+    host.put(wire.Cal, channel=0, zero=0, n=300)
     host.wait(2 * MS)
 
     host.device.reset(host.now_ns)
 
-    assert not any(isinstance(m, CalReply) for m in host.wait(100 * MS))
-    only(Sample, host.ask(Exchange, k=1, u=0))
-    assert host.ask(Hello, version=2, schema=0)
+    assert not any(isinstance(m, wire.CalReply) for m in host.wait(100 * MS))
+    only(wire.Sample, host.ask(wire.Exchange, k=1, u=0))
+    assert host.ask(wire.Hello, version=2, schema=0)
 
 
 def test_visible_time_of_cal_is_its_end() -> None:
     host = Host()
-    host.put(Cal, channel=0, zero=0, n=300)
+    host.put(wire.Cal, channel=0, zero=0, n=300)
     host.wait(2 * MS)
 
     due_ns = host.device.visible_ns()
     host.wait(100 * MS)
 
-    (answer,) = [heard for heard in host.heard if isinstance(heard.message, CalReply)]
+    (answer,) = [heard for heard in host.heard if isinstance(heard.message, wire.CalReply)]
     assert host.now_ns - 75 * MS < due_ns <= answer.t_ns

@@ -9,31 +9,8 @@ from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import frame
-from armrig_protocol.messages import (
-    SCHEMA_HASH,
-    VERSION,
-    Ack,
-    Arm,
-    Cause,
-    ClearFault,
-    Config,
-    Estop,
-    Event,
-    Exchange,
-    Flag,
-    Hello,
-    Keepalive,
-    Message,
-    Mode,
-    Ping,
-    Sample,
-    Setpoints,
-    Start,
-    State,
-    Status,
-    Stop,
-    Underrun,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Cause, Flag, Mode, State, Underrun
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -64,22 +41,22 @@ def in_state(state: State, emulated: EmulatorSettings = QUIET, **config: int) ->
     return Host(emulated).reach(state, **{**SCHEDULED, **config})
 
 
-def samples(messages: list[Message]) -> list[Sample]:
+def samples(messages: list[wire.Message]) -> list[wire.Sample]:
     """Return the samples among them."""
-    return [m for m in messages if isinstance(m, Sample)]
+    return [m for m in messages if isinstance(m, wire.Sample)]
 
 
-def until(host: Host, t_ns: int) -> list[Message]:
+def until(host: Host, t_ns: int) -> list[wire.Message]:
     """Return what comes until `t_ns`; the host keeps quiet."""
     return host.wait(t_ns - host.now_ns)
 
 
-def fed(host: Host, dt_ns: int) -> list[Message]:
+def fed(host: Host, dt_ns: int) -> list[wire.Message]:
     """Return what comes within `dt_ns`, with a KEEPALIVE every 50 ms."""
-    came: list[Message] = []
+    came: list[wire.Message] = []
     end_ns = host.now_ns + dt_ns
     while host.now_ns < end_ns:
-        host.put(Keepalive)
+        host.put(wire.Keepalive)
         came += host.wait(min(50 * MS, end_ns - host.now_ns))
     return came
 
@@ -110,7 +87,7 @@ def test_a_step_of_more_than_slew_trips(frames: list[tuple[int, list[int]]], tri
 
     assert events(answers) == ([(State.ARMED, State.FAULT, Cause.SLEW)] if trips else [])
     if trips:
-        assert only(Event, answers).detail == frames[-1][1][-1]
+        assert only(wire.Event, answers).detail == frames[-1][1][-1]
 
 
 @pytest.mark.parametrize(
@@ -122,7 +99,7 @@ def test_after_an_underrun_the_slew_counts_from_the_voltage_of_the_motor(
 ) -> None:
     host = in_state(State.ARMED, INSTANT, slew=50)
     host.supply(0, [40, 80])
-    t_0 = host.put(Start, k_stop=0) + TS_NS
+    t_0 = host.put(wire.Start, k_stop=0) + TS_NS
     until(host, t_0 + 5 * TS_NS)
 
     host.supply(k0, u)
@@ -138,7 +115,7 @@ def test_after_an_underrun_the_slew_counts_from_the_voltage_of_the_motor(
 def test_a_setpoint_is_in_time_until_the_latch(late: bool) -> None:
     """A nanosecond after the latch it is late."""
     host = in_state(State.ARMED, INSTANT)
-    t_0 = host.put(Start, k_stop=0) + TS_NS
+    t_0 = host.put(wire.Start, k_stop=0) + TS_NS
 
     until(host, t_0 + HOLD_NS - 1)
     host.now_ns += 1 + late
@@ -152,7 +129,7 @@ def test_a_setpoint_is_in_time_until_the_latch(late: bool) -> None:
 def test_indices_wrap_with_k() -> None:
     host = in_state(State.ARMED, INSTANT)
     fw = host.device._fw
-    host.put(Start, k_stop=0)
+    host.put(wire.Start, k_stop=0)
     host.wait(300 * US)
     # As after 24.8 days.
     last = 2**32 - 3
@@ -177,14 +154,20 @@ def test_the_first_sample_comes_one_ts_after_start() -> None:
     host.supply(0, [65535, 0])
     host.wait(1 * MS)
 
-    t_r = host.put(Start, k_stop=0)
+    t_r = host.put(wire.Start, k_stop=0)
     answers = host.wait(2 * MS)
 
-    assert [type(m) for m in answers] == [Ack, Event, Sample, Sample, Sample][: len(answers)]
-    heard = [h for h in host.heard if isinstance(h.message, Sample)]
+    assert [type(m) for m in answers] == [
+        wire.Ack,
+        wire.Event,
+        wire.Sample,
+        wire.Sample,
+        wire.Sample,
+    ][: len(answers)]
+    heard = [h for h in host.heard if isinstance(h.message, wire.Sample)]
     first, second = (h.message for h in heard[:2])
-    assert isinstance(first, Sample)
-    assert isinstance(second, Sample)
+    assert isinstance(first, wire.Sample)
+    assert isinstance(second, wire.Sample)
     t_0 = t_r + TS_NS
     assert (first.k, first.t_us, first.u_k) == (0, t_0 // US, 65535)
     assert (second.k, second.t_us, second.u_k) == (1, (t_0 + TS_NS) // US, 0)
@@ -201,7 +184,7 @@ def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
     host = in_state(State.ARMED, quiet)
     host.changes.clear()
     host.supply(0, [65535 * (k % 2) for k in range(24)])
-    t_r = host.put(Start, k_stop=0)
+    t_r = host.put(wire.Start, k_stop=0)
 
     got = samples(fed(host, 2 * S))
 
@@ -222,8 +205,8 @@ def test_a_sample_during_a_busy_converter_is_late_and_the_next_is_not() -> None:
     host = in_state(State.ARMED, INSTANT)
     t_r = host.now_ns
     for k in (1, 2):
-        host.put(Exchange, k=k, u=0)
-    host.put(Start, k_stop=0)
+        host.put(wire.Exchange, k=k, u=0)
+    host.put(wire.Start, k_stop=0)
 
     *asked, first, second = samples(host.wait(2 * MS))[:4]
 
@@ -233,7 +216,7 @@ def test_a_sample_during_a_busy_converter_is_late_and_the_next_is_not() -> None:
     assert second.t_us == (t_r + 2 * TS_NS) // US
     # RUN has begun meanwhile, with u_rest, which no SETPOINTS brought.
     assert [(m.k, m.u_seq) for m in asked] == [(1, 0), (2, 0)]
-    assert only(Status, fed(host, 1 * S)).late == 2  # and the EXCHANGE that waited
+    assert only(wire.Status, fed(host, 1 * S)).late == 2  # and the EXCHANGE that waited
 
 
 # ------------------------------------------------------------------ what is latched
@@ -253,7 +236,7 @@ def test_an_empty_queue_follows_the_underrun_policy(
     host = in_state(State.ARMED, u_rest=2, underrun=policy, hold=hold)
     host.supply(0, [5, 6])
     seq = host.seq
-    host.put(Start, k_stop=6)
+    host.put(wire.Start, k_stop=6)
 
     got = samples(host.wait(10 * MS))
 
@@ -261,13 +244,13 @@ def test_an_empty_queue_follows_the_underrun_policy(
     assert [bool(m.flags & Flag.UNDERRUN) for m in got] == [False] * 2 + [True] * 4
     assert [m.u_seq for m in got] == [0 if u == 2 else seq for u in latched]
     assert [m.queued for m in got] == [1, 0, 0, 0, 0, 0]
-    assert only(Status, host.wait(1 * S)).underruns == 4
+    assert only(wire.Status, host.wait(1 * S)).underruns == 4
 
 
 def test_hold_counts_again_after_each_setpoint() -> None:
     host = in_state(State.ARMED, INSTANT, underrun=Underrun.HOLD, hold=2)
-    t_0 = host.put(Start, k_stop=9) + TS_NS
-    got: list[Sample] = []
+    t_0 = host.put(wire.Start, k_stop=9) + TS_NS
+    got: list[wire.Sample] = []
     for k in range(0, 9, 3):
         host.supply(k, [100 + k])
         got += samples(until(host, t_0 + (k + 2) * TS_NS + 300 * US))
@@ -279,7 +262,7 @@ def test_hold_counts_again_after_each_setpoint() -> None:
 def test_run_begins_with_the_rest_voltage() -> None:
     host = in_state(State.ARMED, u_rest=1000)
     host.supply(0, [2000])
-    t_r = host.put(Start, k_stop=0)
+    t_r = host.put(wire.Start, k_stop=0)
 
     first, second = samples(host.wait(2 * MS))[:2]
 
@@ -296,11 +279,11 @@ def test_a_sample_under_way_when_the_run_ends_reports_its_end() -> None:
     for at_ns, u_km1 in ((HOLD_NS - 1, 500), (HOLD_NS + 1, 500)):
         host = in_state(State.ARMED, INSTANT)
         host.supply(0, [500, 60_000, 60_000])
-        t_1 = host.put(Start, k_stop=0) + 2 * TS_NS
+        t_1 = host.put(wire.Start, k_stop=0) + 2 * TS_NS
         until(host, t_1 + at_ns)
         host.changes.clear()
 
-        host.put(Stop)
+        host.put(wire.Stop)
         answers = host.wait(5 * MS)
 
         (sample,) = samples(answers)
@@ -312,11 +295,11 @@ def test_a_sample_under_way_when_the_run_ends_reports_its_end() -> None:
 
 def test_a_scheduled_sample_does_not_use_up_the_place_of_a_later_exchange() -> None:
     host = in_state(State.ARMED, INSTANT)
-    until(host, host.put(Start, k_stop=0) + TS_NS + HOLD_NS)
+    until(host, host.put(wire.Start, k_stop=0) + TS_NS + HOLD_NS)
 
-    host.put(Stop)
-    host.put(Exchange, k=7, u=0)
-    host.put(Exchange, k=8, u=0)
+    host.put(wire.Stop)
+    host.put(wire.Exchange, k=7, u=0)
+    host.put(wire.Exchange, k=8, u=0)
 
     assert [m.k for m in samples(host.wait(5 * MS))] == [0, 7, 8]
 
@@ -329,7 +312,7 @@ def test_the_counts_of_turns_and_rails_start_at_0_in_each_run() -> None:
     for _ in range(3):
         host.reach(State.ARMED, **{**SCHEDULED, "turns": 25, "ts_us": 3000})
         host.supply(0, [65535] * 20)
-        host.put(Start, k_stop=40)
+        host.put(wire.Start, k_stop=40)
         assert events(fed(host, 150 * MS))[-1] == (State.RUN, State.IDLE, Cause.END)
 
 
@@ -356,7 +339,7 @@ def test_each_u_k_is_correct_or_flagged_under_any_fault_of_the_frames(
     brought: dict[int, range] = {}
     sent: list[bytes] = []
     k0 = 0
-    host.put(Start, k_stop=150)
+    host.put(wire.Start, k_stop=150)
     for what, n, dt_ns in frames:
         start = max(0, k0 - 30) if what == "again" else k0 + 5 if what == "skip" else k0
         u = U[start : start + n]
@@ -365,7 +348,7 @@ def test_each_u_k_is_correct_or_flagged_under_any_fault_of_the_frames(
         elif u:
             host.seq += 1
             data = frame.encode(
-                Setpoints(0, host.seq, start, len(u), 0, (*u, *(0,) * (24 - len(u))))
+                wire.Setpoints(0, host.seq, start, len(u), 0, (*u, *(0,) * (24 - len(u))))
             )
             brought[host.seq] = range(start, start + len(u))
             sent.append(data)
@@ -398,22 +381,22 @@ COMMANDS = st.one_of(
     st.binary(min_size=1, max_size=20),
     st.sampled_from(
         [
-            Keepalive(0, 0),
-            Stop(0, 0),
-            Estop(0, 0),
-            Start(0, 0, 0, 0),
-            Start(0, 0, 5, 0),
-            Ping(0, 0, 5),
-            Hello(0, 0, VERSION, SCHEMA_HASH),
-            Config(0, 0, **SCHEDULED),
-            Config(0, 0, **CONFIG),
-            Arm(0, 0, 0, 0, 0),
-            ClearFault(0, 0, 0),
+            wire.Keepalive(0, 0),
+            wire.Stop(0, 0),
+            wire.Estop(0, 0),
+            wire.Start(0, 0, 0, 0),
+            wire.Start(0, 0, 5, 0),
+            wire.Ping(0, 0, 5),
+            wire.Hello(0, 0, VERSION, SCHEMA_HASH),
+            wire.Config(0, 0, **SCHEDULED),
+            wire.Config(0, 0, **CONFIG),
+            wire.Arm(0, 0, 0, 0, 0),
+            wire.ClearFault(0, 0, 0),
         ]
     ),
-    st.builds(lambda u: Exchange(0, 0, 0, u), st.integers(0, 65535)),
+    st.builds(lambda u: wire.Exchange(0, 0, 0, u), st.integers(0, 65535)),
     st.builds(
-        lambda k0, n: Setpoints(0, 0, k0, n, 0, (*U[k0 : k0 + n], *(0,) * (24 - n))),
+        lambda k0, n: wire.Setpoints(0, 0, k0, n, 0, (*U[k0 : k0 + n], *(0,) * (24 - n))),
         st.integers(0, 40),
         st.integers(0, 24),
     ),
@@ -421,14 +404,14 @@ COMMANDS = st.one_of(
 SCRIPT = st.lists(st.tuples(st.integers(0, 20 * MS), COMMANDS), max_size=40)
 
 
-def opening(mode: Mode) -> list[tuple[int, bytes | Message]]:
+def opening(mode: Mode) -> list[tuple[int, bytes | wire.Message]]:
     """Return the way to RUN; in exchange mode SETPOINTS are refused."""
     return [
-        (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
-        (1 * MS, Config(0, 0, **{**SCHEDULED, "mode": mode})),
-        (1 * MS, Arm(0, 0, 0, 0, 0)),
-        (1 * MS, Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
-        (1 * MS, Start(0, 0, 0, 0)),
+        (1 * MS, wire.Hello(0, 0, VERSION, SCHEMA_HASH)),
+        (1 * MS, wire.Config(0, 0, **{**SCHEDULED, "mode": mode})),
+        (1 * MS, wire.Arm(0, 0, 0, 0, 0)),
+        (1 * MS, wire.Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
+        (1 * MS, wire.Start(0, 0, 0, 0)),
     ]
 
 
@@ -440,7 +423,7 @@ def opening(mode: Mode) -> list[tuple[int, bytes | Message]]:
     st.sampled_from(list(Mode)),
 )
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
-    script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float, mode: Mode
+    script: list[tuple[int, bytes | wire.Message]], looks: list[int], ppm: float, mode: Mode
 ) -> None:
     """S1, S3: 0 to 5 V, in RUN only, and 0 V a watchdog after the last bytes."""
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, seed=3, clock_ppm=ppm)
@@ -466,7 +449,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
 @settings(max_examples=30)
 @given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans(), st.sampled_from(list(Mode)))
 def test_visible_time_is_early_enough_for_every_frame(
-    script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool, mode: Mode
+    script: list[tuple[int, bytes | wire.Message]], ppm: float, model_baud: bool, mode: Mode
 ) -> None:
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, clock_ppm=ppm, model_baud=model_baud)
     device = Device(emulated, 0)

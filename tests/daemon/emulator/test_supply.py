@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from armrig_protocol.messages import (
-    Cause,
-    Event,
-    Exchange,
-    Flag,
-    Keepalive,
-    Message,
-    Sample,
-    Start,
-    State,
-)
+from armrig_protocol import messages as wire
+from armrig_protocol.messages import Cause, Flag, State
 from msgspec.structs import replace
 
 from tests.daemon.emulator.emulated_host import MS, QUIET, US, Host, events, only
@@ -22,11 +13,11 @@ LOW = replace(QUIET, supply_v=3.999)
 SAGS = replace(QUIET, brown_out_s=0.33)  # BOOT ends at 5 ms: measured at 305 ms, and at 405 ms
 
 
-def alive(host: Host, until_ns: int) -> list[Message]:
+def alive(host: Host, until_ns: int) -> list[wire.Message]:
     """Return what comes until then, with a KEEPALIVE every 20 ms."""
-    came: list[Message] = []
+    came: list[wire.Message] = []
     while host.now_ns < until_ns:
-        host.put(Keepalive)
+        host.put(wire.Keepalive)
         came += host.wait(min(20 * MS, until_ns - host.now_ns))
     return came
 
@@ -36,10 +27,10 @@ def test_a_falling_supply_stops_the_motor_in_states_that_may_drive_it(state: Sta
     """The measurement is repeated every 100 ms: FAULT(VCC_LOW), with the mV as detail."""
     host = Host(SAGS).reach(state)
     if state is State.RUN:
-        host.ask(Exchange, k=1, u=60_000)
+        host.ask(wire.Exchange, k=1, u=60_000)
 
     assert not events(alive(host, 404 * MS))
-    event = only(Event, alive(host, 410 * MS))
+    event = only(wire.Event, alive(host, 410 * MS))
 
     assert (event.was, event.state, event.cause) == (state, State.FAULT, Cause.VCC_LOW)
     assert event.detail == 3500
@@ -52,17 +43,17 @@ def test_a_supply_of_4_v_is_sufficient() -> None:
     host = Host(replace(QUIET, supply_v=4.0)).reach(State.RUN)
 
     assert not events(alive(host, 300 * MS))
-    assert not only(Sample, host.ask(Exchange, k=1, u=0)).flags & Flag.VCC_LOW
+    assert not only(wire.Sample, host.ask(wire.Exchange, k=1, u=0)).flags & Flag.VCC_LOW
 
 
 def test_a_supply_measurement_delays_no_sample() -> None:
     host = Host(SAGS).reach(State.RUN)
     alive(host, 405 * MS - 300 * US)
 
-    host.put(Exchange, k=1, u=0)  # taken in 140 us before the measurement is due
+    host.put(wire.Exchange, k=1, u=0)  # taken in 140 us before the measurement is due
     came = host.wait(3 * MS)
 
-    sample, event = only(Sample, came), only(Event, came)
+    sample, event = only(wire.Sample, came), only(wire.Event, came)
     assert not sample.flags & (Flag.TICK_LATE | Flag.VCC_LOW)
     assert event.t_us == sample.t_us + 104
     assert event.t_us > 405_000
@@ -75,9 +66,9 @@ def test_a_restored_supply_clears_the_flag_but_not_the_fault() -> None:
     host.device.board._browns_out = False
     host.wait(200 * MS)
 
-    assert not only(Sample, host.ask(Exchange, k=1, u=0)).flags & Flag.VCC_LOW
+    assert not only(wire.Sample, host.ask(wire.Exchange, k=1, u=0)).flags & Flag.VCC_LOW
     assert host.device.state is State.FAULT
-    host.ask(Start, k_stop=0)
+    host.ask(wire.Start, k_stop=0)
     assert host.device.state is State.FAULT
 
 
@@ -85,5 +76,5 @@ def test_a_restored_supply_clears_the_flag_but_not_the_fault() -> None:
 def test_a_low_supply_at_rest_is_reported_without_a_fault(state: State) -> None:
     host = Host(LOW).reach(state)
 
-    assert only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.VCC_LOW
+    assert only(wire.Sample, host.ask(wire.Exchange, k=2, u=0)).flags & Flag.VCC_LOW
     assert host.device.state is state
