@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from armrig_core.access import access_control
 from armrig_core.access.access_list import AccessList, read_access_list
-from armrig_core.access.credential import Credential, read_credential, read_passwords, rig_name
+from armrig_core.access.credential import read_credential, read_passwords, rig_name
 from armrig_core.access.endpoint import check_listen
 from armrig_core.errors import FileError, InputError
 
@@ -94,14 +94,35 @@ def network_of(config: Config) -> Network | None:
     _check_keys(access)
     if not access.listen:
         return None
+    expires: datetime | None = None
+    transport: dict[str, Any]
+    subject: access_control.Subject
     try:
         people = read_access_list(Path(access.names))
         if access.certificate:
-            return _by_certificate(config, people, read_credential(Path(access.certificate), "rig"))
-        users = read_passwords(Path(access.passwords))
+            rig = read_credential(Path(access.certificate), "rig")
+            known_by, subject, expires = "certificate", "cert_common_names", rig.expires
+            transport = {"link": {"tls": rig.tls("listen")}}
+        else:
+            users = read_passwords(Path(access.passwords))
+            people = AccessList(
+                operators=tuple(name for name in people.operators if name in users),
+                observers=tuple(name for name in people.observers if name in users),
+            )
+            known_by, subject = "user", "usernames"
+            transport = {"auth": {"usrpwd": {"dictionary_file": access.passwords}}}
     except FileError as err:
         raise InputError(f"[access] {err}") from err
-    return _by_password(config, people, users)
+    return Network(
+        endpoint=access.listen,
+        known_by=known_by,
+        access_control=access_control.remote(config.rig.id, people, subject),
+        low_pass_filter=access_control.size_limits(config.rig.id),
+        transport=transport,
+        operators=len(people.operators),
+        observers=len(people.observers),
+        expires=expires,
+    )
 
 
 def _check_keys(access: Access) -> None:
@@ -127,33 +148,3 @@ def _check_keys(access: Access) -> None:
             raise InputError(
                 f"[access] {key} is not allowed with listen = {access.listen!r}: remove {key}"
             )
-
-
-def _by_certificate(config: Config, people: AccessList, rig: Credential) -> Network:
-    return Network(
-        endpoint=config.access.listen,
-        known_by="certificate",
-        access_control=access_control.remote(config.rig.id, people, "cert_common_names"),
-        low_pass_filter=access_control.size_limits(config.rig.id),
-        transport={"link": {"tls": rig.tls("listen")}},
-        operators=len(people.operators),
-        observers=len(people.observers),
-        expires=rig.expires,
-    )
-
-
-def _by_password(config: Config, people: AccessList, users: frozenset[str]) -> Network:
-    known = AccessList(
-        operators=tuple(name for name in people.operators if name in users),
-        observers=tuple(name for name in people.observers if name in users),
-    )
-    return Network(
-        endpoint=config.access.listen,
-        known_by="user",
-        access_control=access_control.remote(config.rig.id, known, "usernames"),
-        low_pass_filter=access_control.size_limits(config.rig.id),
-        transport={"auth": {"usrpwd": {"dictionary_file": config.access.passwords}}},
-        operators=len(known.operators),
-        observers=len(known.observers),
-        expires=None,
-    )
