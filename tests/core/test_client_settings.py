@@ -43,8 +43,8 @@ def test_a_credential_path_is_relative_to_the_file_that_names_it(
     ("text", "says"),
     [
         ("[client]\nconect = ''", "no such key; allowed are connect, certificate, password"),
-        ("[client]\nconnect = 1", "client.connect = 1: must be text"),
-        ("client = 1", "client must be a table"),
+        ("[client]\nconnect = 1", "client.connect = 1: expected `str`, got `int`"),
+        ("client = 1", "client = 1: must be a table"),
         ("[client", "not a TOML file"),
     ],
 )

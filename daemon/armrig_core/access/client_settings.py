@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from armrig_core.access.endpoint import anchored
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT
-from armrig_core.process.toml_file import read_toml
+from armrig_core.process.toml_file import convert, read_toml
 
 _PREFIX = "ARMRIG_CLIENT_"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClientSettings:
+class ClientSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The configured values; a value that is not configured is empty."""
 
     connect: str = ""
@@ -37,15 +37,16 @@ def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> Client
     Raises ValueError if a file is not TOML, or its table has an unknown key or a value that is not
     text.
     """
-    settings = ClientSettings()
+    settings: dict[str, str] = {}
     for path in paths:
-        settings = replace(settings, **_checked(_table(path), str(path)))
+        settings |= _checked(_table(path), str(path))
     given = {
         key.removeprefix(_PREFIX).lower(): value
         for key, value in environ.items()
         if key.startswith(_PREFIX)
     }
-    return replace(settings, **_checked(_anchored(given, Path.cwd()), "environment"))
+    settings |= _checked(_anchored(given, Path.cwd()), "environment")
+    return ClientSettings(**settings)
 
 
 def _table(path: Path) -> Any:
@@ -64,15 +65,13 @@ def _anchored(table: Any, directory: Path) -> Any:
     return anchored({"client": table}, directory)["client"]
 
 
+class _File(msgspec.Struct, frozen=True, kw_only=True):
+    client: ClientSettings
+
+
 def _checked(table: Any, where: str) -> dict[str, str]:
-    known = [field.name for field in fields(ClientSettings)]
-    if not isinstance(table, Mapping):
-        raise InputError(f"{where}: client must be a table, [client]")
-    for key, value in table.items():
-        if key not in known:
-            raise InputError(
-                f"{where}: client.{key} = {value!r}: no such key; allowed are {', '.join(known)}"
-            )
-        if not isinstance(value, str):
-            raise InputError(f"{where}: client.{key} = {value!r}: must be text")
+    try:
+        convert({"client": table}, _File)
+    except InputError as err:
+        raise InputError(f"{where}: {err}") from err
     return dict(table)

@@ -112,6 +112,12 @@ def require_private(path: Path, found: os.stat_result, secret: str) -> None:
     )
 
 
+def _read_private(path: Path, secret: str) -> bytes:
+    return read_bounded(
+        path, CONFIGURATION_LIMIT, lambda found: require_private(path, found, secret)
+    )
+
+
 def _this_user() -> str:
     from pwd import getpwuid  # Windows has none
 
@@ -166,11 +172,8 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
 
 
 def _read(path: Path, purpose: Purpose) -> bytes:
-    def check(found: os.stat_result) -> None:
-        require_private(path, found, "the key")
-
     try:
-        return read_bounded(path, CONFIGURATION_LIMIT, check)
+        return _read_private(path, "the key")
     except FileNotFoundError as err:
         raise FileError(f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one") from err
     except OSError as err:
@@ -178,14 +181,9 @@ def _read(path: Path, purpose: Purpose) -> bytes:
 
 
 def _shown(path: Path, authority: bytes, purpose: Purpose, flags: int = 0) -> dict[str, Any]:
-    """Return the contents of the certificate after a handshake in memory.
-
-    The standard library verifies a certificate only during a handshake.
-    """
-    server, client = (
-        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER),
-        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT),
-    )
+    """Return the contents of the certificate; only a handshake, here in memory, verifies it."""
+    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     client.check_hostname, client.verify_mode = False, ssl.CERT_NONE
     for context in (server, client):
         context.load_cert_chain(path, password=lambda: "")  # never ask for one at a terminal
@@ -256,12 +254,8 @@ def read_users(path: Path) -> dict[str, str]:
     Raises FileError if the file cannot be read, or users other than its owner can read it. It also
     raises FileError if a line is not user:password, a password is too short, or a user repeats.
     """
-
-    def check(found: os.stat_result) -> None:
-        require_private(path, found, "a password")
-
     try:
-        data = read_bounded(path, CONFIGURATION_LIMIT, check)
+        data = _read_private(path, "a password")
     except OSError as err:
         raise FileError(
             f"{path}: {err.strerror}; the file needs a line user:password for each user"
