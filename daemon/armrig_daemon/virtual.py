@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
 
 from armrig_daemon.decisions.state import Event, LinkUp, Ordered, Received, Rules
-from armrig_daemon.emulator.board import Board
 from armrig_daemon.emulator.device import Device, TimedDevice
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop.loop import Loop
@@ -23,15 +21,7 @@ Line = Callable[[bytes], bytes]
 """Function that returns the bytes that a line delivers for the sent bytes."""
 
 
-class VirtualDevice(TimedDevice, Protocol):
-    """A device in virtual time: the emulated device, or the firmware's binary."""
-
-    @property
-    def board(self) -> Board:
-        """Return the pins and the arm."""
-
-
-SwitchOn = Callable[[EmulatorSettings, int], VirtualDevice]
+SwitchOn = Callable[[EmulatorSettings, int], TimedDevice]
 """Function that creates a device that is switched on at a given time, in ns."""
 
 

@@ -24,7 +24,6 @@ from armrig_daemon.conformance.conversation import Broken, EndlessError
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import NotTried, Result, Rule, expect
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
-from armrig_daemon.emulator.pin import sentence
 
 RULES: tuple[Rule, ...] = (
     *configuration_rules.WHO,
@@ -189,7 +188,7 @@ def _pin_rule(
             ms = seen[0].cycle / CYCLES_PER_US / 1000
             expect(
                 False,
-                f"{sentence(seen[0].what)}: {len(seen)} times, first {ms:.2f} ms after power-on",
+                f"{seen[0].what.sentence}: {len(seen)} times, first {ms:.2f} ms after power-on",
             )
 
     return Rule(section=section, sentence=text, check=check)

@@ -34,6 +34,10 @@ POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
 class TimedDevice(Protocol):
     """A device whose time is an argument; the opening of its port may reset it."""
 
+    @property
+    def board(self) -> Board:
+        """Return the pins and the arm."""
+
     def receive(self, now_ns: int, data: bytes) -> None:
         """Put bytes on the wire to the device."""
 
@@ -56,10 +60,7 @@ class Device:
     def __init__(
         self, settings: EmulatorSettings, now_ns: int, witness: Witness | None = None
     ) -> None:
-        """Switch the device on.
-
-        `witness` is called at each change of the terminal voltage.
-        """
+        """Switch the device on; `witness` is called at each change of the terminal voltage."""
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
         )
@@ -193,12 +194,9 @@ class Device:
         self._next_ns = self._booted_ns  # no other event is due earlier
 
     def _step(self, t_ns: int) -> None:
-        """Perform one step that is due at `t_ns`, and compute the time of the next step.
-
-        Bytes are processed first, so that a STOP takes effect before a latch at the same time.
-        """
+        """Perform one step that is due at `t_ns`, and compute the time of the next step."""
         fw, rx, converter = self._fw, self._rx, self._converter
-        if rx.first_ns == t_ns:
+        if rx.first_ns == t_ns:  # first: a STOP takes effect before a latch at the same time
             self._arrive(t_ns)
         elif self._booted_ns == t_ns:
             self._booted_ns = NEVER

@@ -11,7 +11,7 @@ from contextlib import suppress
 from enum import IntEnum
 from pathlib import Path
 from struct import Struct
-from typing import IO, Final, NamedTuple
+from typing import IO, Final, NamedTuple, Self
 
 from armrig_core.errors import OperationError
 
@@ -25,18 +25,21 @@ _FIGURES = Struct("<6Q")
 class Violation(IntEnum):
     """Forbidden events on the board: `fil` detects 1 to 4 (fil.h), the module `pin` 5 and 6."""
 
-    PIN_HIGH_WITHOUT_ENABLE = 1
-    """The PWM pin is high while the driver's enable line is low."""
-    RX_OVERRUN = 2
-    """A byte was lost because the receiver can store only two bytes."""
-    TX_OVERRUN = 3
-    """A byte was written into a full transmit buffer."""
-    CPU_STOPPED = 4
-    """The processor left its program, or sleeps with interrupts off."""
-    DRIVEN_OUTSIDE_RUN = 5
-    """The PWM pin or the enable line is high outside RUN."""
-    CODE_NOT_AT_PIN = 6
-    """The duty of the PWM pin differs from the code that SAMPLE reports."""
+    sentence: str
+    """Description of the event for a person."""
+
+    PIN_HIGH_WITHOUT_ENABLE = 1, "the motor's pin is high while the enable line is low"
+    RX_OVERRUN = 2, "a byte was lost in the receiver"  # which can store only two bytes
+    TX_OVERRUN = 3, "a byte was written into a full transmit buffer"
+    CPU_STOPPED = 4, "the processor left its program, or sleeps with interrupts off"
+    DRIVEN_OUTSIDE_RUN = 5, "the motor's pin or its enable line is high outside RUN"
+    CODE_NOT_AT_PIN = 6, "the motor's pin has another duty than SAMPLE reports"
+
+    def __new__(cls, number: int, sentence: str = "") -> Self:
+        """Create a member from its number and its sentence."""
+        member = int.__new__(cls, number)
+        member._value_, member.sentence = number, sentence
+        return member
 
 
 class Duty(NamedTuple):

@@ -25,21 +25,6 @@ _MAX_HOLDS = 64
 """Largest number of stored readings of theta_1 that no SAMPLE has reported yet."""
 
 
-def sentence(what: Violation) -> str:
-    """Return the sentence that describes a violation."""
-    return _SENTENCES[what]
-
-
-_SENTENCES: Final = {
-    Violation.PIN_HIGH_WITHOUT_ENABLE: "the motor's pin is high while the enable line is low",
-    Violation.RX_OVERRUN: "a byte was lost in the receiver",
-    Violation.TX_OVERRUN: "a byte was written into a full transmit buffer",
-    Violation.CPU_STOPPED: "the processor left its program, or sleeps with interrupts off",
-    Violation.DRIVEN_OUTSIDE_RUN: "the motor's pin or its enable line is high outside RUN",
-    Violation.CODE_NOT_AT_PIN: "the motor's pin has another duty than SAMPLE reports",
-}
-
-
 class Pins:
     """Record of the pins since power-on."""
 
@@ -117,12 +102,9 @@ class Pins:
             self._note(Violated(hold, Violation.CODE_NOT_AT_PIN))
 
     def _hold_of(self, begun: int, m: Sample) -> int | None:
-        """Return the cycle at which theta_1 was held for a sample; None until the clock is known.
-
-        A SAMPLE may leave the device after theta_1 was held for the next sample. Each stored
-        cycle before the SAMPLE is therefore possible, until later samples leave only one
-        possibility.
-        """
+        """Return the cycle of the hold of theta_1 for a sample; None until the clock is known."""
+        # theta_1 may already be held for the next sample when a SAMPLE leaves. Each stored cycle
+        # before the SAMPLE is possible, until later samples leave only one possibility.
         held = {hold // CYCLES_PER_US - m.t_us & _U32: hold for hold in self._holds if hold < begun}
         if self._offsets_us:
             near = {

@@ -26,12 +26,11 @@ from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.waiting import Waiter
 from armrig_protocol.messages import Cause, State
 
-from armrig_daemon.emulator.board import Board, Change, Witness
+from armrig_daemon.emulator.board import Change, Witness
 from armrig_daemon.emulator.device import Device, TimedDevice
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 from armrig_daemon.emulator.host_time import HostTime, StallReports
 from armrig_daemon.emulator.line import READ_BYTES, Line, Terminal
-from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
@@ -43,10 +42,6 @@ _libc = ctypes.CDLL(None)
 
 class RealTimeDevice(TimedDevice, Protocol):
     """A device in real time: the emulated device or the firmware's binary."""
-
-    @property
-    def board(self) -> Board:
-        """Return the pins and the arm."""
 
     @property
     def state(self) -> State:
@@ -192,7 +187,7 @@ def _print_violation(port: Path, violated: Violated) -> None:
     """Print the first violation of a kind."""
     ms = violated.cycle / CYCLES_PER_US / 1000
     with suppress(OSError):
-        text = f"{port}: {sentence(violated.what)}, {ms:.2f} ms after power-on"
+        text = f"{port}: {violated.what.sentence}, {ms:.2f} ms after power-on"
         print(text, file=sys.stderr, flush=True)
 
 

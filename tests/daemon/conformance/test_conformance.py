@@ -20,7 +20,6 @@ from armrig_daemon.emulator import converter
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.harness import Violated, Violation
-from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -222,8 +221,8 @@ def test_violations_at_the_pins_are_counted_with_the_time_of_the_first() -> None
 
     low, code, runs = run(host, lambda _: None, pin_rules(seen))
 
-    assert low.came == f"{sentence(high)}: 2 times, first 20.00 ms after power-on"
-    assert runs.came == f"{sentence(stopped)}: 1 times, first 30.00 ms after power-on"
+    assert low.came == f"{high.sentence}: 2 times, first 20.00 ms after power-on"
+    assert runs.came == f"{stopped.sentence}: 1 times, first 30.00 ms after power-on"
     assert [r.outcome for r in (low, code, runs)] == [FAIL, PASS, FAIL]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_daemon.emulator.harness import Duty, Violated, Violation
-from armrig_daemon.emulator.pin import PERIOD, Pins, sentence
+from armrig_daemon.emulator.pin import PERIOD, Pins
 from armrig_protocol.frame import Spoilt, encode
 from armrig_protocol.messages import TYPES, Ack, Code, Event, Keepalive, Sample, Start, State
 
@@ -128,4 +128,4 @@ def test_the_duty_before_the_latch_is_compared_with_the_code_before(
 
 
 def test_each_violation_has_a_different_sentence() -> None:
-    assert len({sentence(what) for what in Violation}) == len(Violation)
+    assert len({what.sentence for what in Violation}) == len(Violation)
