@@ -138,11 +138,7 @@ def run(
 
 
 def _end(code: int) -> NoReturn:
-    """End the process at once; the caller has closed all its resources.
-
-    If the interpreter ended first, zenoh's threads could release Python objects after its end, and
-    abort the process.
-    """
+    """End the process before zenoh's threads use the ended interpreter, which would abort it."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)

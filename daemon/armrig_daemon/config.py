@@ -288,11 +288,8 @@ class Config(Table, frozen=True, kw_only=True):
 
 
 def recordings(config: Config) -> Path:
-    """Return the directory of the recordings."""
-    try:
-        return directory_of(config.recording.directory)
-    except ValueError as err:
-        raise InputError(str(err)) from err
+    """Return the directory of the recordings; raise InputError for the home of an unknown user."""
+    return directory_of(config.recording.directory)
 
 
 def load(

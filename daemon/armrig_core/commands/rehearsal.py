@@ -137,11 +137,9 @@ def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
 
 
 def _states(Phi: _Array, Gamma: _Array, u: _Array) -> _Array:
-    """Return x (N + 1, 4) of x[k+1] = Phi x[k] + Gamma u[k] from x[0] = 0, block by block.
-
-    Within a block, the response to the block's first state and the response to the block's input
-    are products with powers of Phi. Only the first state of each block is computed recursively.
-    """
+    """Return x (N + 1, 4) of x[k+1] = Phi x[k] + Gamma u[k] from x[0] = 0, block by block."""
+    # Within a block, the responses to its first state and to its input are products with powers of
+    # Phi. Only the first state of each block is computed recursively.
     n, N = Phi.shape[0], u.size
     blocks = -(-N // _BLOCK_SAMPLES)
     powers = [np.eye(n)]

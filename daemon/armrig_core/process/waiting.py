@@ -56,10 +56,7 @@ class Waiter:
     """A set of watched descriptors and a timer of the monotonic clock, for use by one thread."""
 
     def __init__(self) -> None:
-        """Create a waiter that watches no descriptor yet.
-
-        Raises OSError if the process may open no more descriptors.
-        """
+        """Watch no descriptor yet; raise OSError if the process may open no more descriptors."""
         self._epoll = select.epoll()
         self._timer: int = _libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
         if self._timer < 0:

@@ -12,11 +12,7 @@ class SerialLine:
     """A serial port that is opened exclusively."""
 
     def __init__(self, port: str, baud: int) -> None:
-        """Open the port.
-
-        Raises LinkError if the port cannot be opened; `TakenPortError` if another program has it
-        open.
-        """
+        """Open the port; raise LinkError if this fails, `TakenPortError` if the port is in use."""
         self._port, self._baud = port, baud
         self._link = open_link(port, baud)
 

@@ -37,11 +37,9 @@ def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
 
 
 def _oversampling(state: State, sent: Sent, m: DeviceSample) -> int:
-    """Return the number of conversions in a reading of a channel; 1 if the number is not known.
-
-    If the number is too small, the round trip appears long and gets little weight. If the number is
-    too large, the round trip appears shorter than all others and dominates the estimate.
-    """
+    """Return the number of conversions in a reading of a channel; 1 if the number is not known."""
+    # Too small a number makes the round trip long, so that it gets little weight. Too large a
+    # number makes it shorter than all others, so that it dominates the estimate.
     in_force = state.configuration
     if m.state == DeviceState.IDLE or in_force is None or sent.sent_ns < in_force.asked_ns:
         return 1

@@ -244,10 +244,7 @@ def _slope(clock: ClockMap) -> float:
 
 
 def _trend(clock: ClockMap) -> float:
-    """Return the growth of the round trip, in ns/µs.
-
-    The drift has an error of c times this growth.
-    """
+    """Return the growth of the round trip, in ns/µs; c times this is an error of the drift."""
     return clock.dr / (clock.dd + _DRIFT_PRIOR)
 
 
@@ -270,13 +267,11 @@ def _fading(link: Link, past_ns: int) -> float:
 
 
 def _window(clock: ClockMap, r: int) -> ClockMap:
-    """Add a round trip, and estimate `gap_ns`.
-
-    The sum of two exponential waiting times with means m and m' is below x with a probability of
-    x²/(2 m m'). `gap_ns` is the excess of the window's minimum over the shortest possible round
-    trip. It is therefore the smallest of N such sums, with the root mean square √(2 m m'/N). This
-    value is at most 0.84/√N times the median. Stalls do not change the median.
-    """
+    """Add a round trip, and estimate `gap_ns`."""
+    # The sum of two exponential waiting times with means m and m' is below x with a probability of
+    # x²/(2 m m'). `gap_ns`, the excess of the window's minimum over the shortest possible round
+    # trip, is the smallest of N such sums, with the root mean square √(2 m m'/N): at most 0.84/√N
+    # times the median. Stalls do not change the median.
     link = clock.link
     round_trips = (*clock.round_trips[1 - _WINDOW_SIZE :], r)
     floor_ns = min(round_trips)

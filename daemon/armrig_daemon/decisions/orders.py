@@ -81,10 +81,7 @@ def _reset(state: State, order: pipe.Reset) -> Step:
 
 
 def _calibrate(state: State, order: pipe.Calibrate) -> Step:
-    """Replace the calibration, at rest only: each run has a single calibration.
-
-    Only the conversion of samples uses the calibration. It changes no frame and no limit.
-    """
+    """Replace the calibration, at rest only; it converts samples, and changes no frame or limit."""
     if state.phase is Phase.FAULT:
         return state, _refuse_in_fault(order, state)
     if state.lease is not None:

@@ -177,10 +177,7 @@ def _written_event(event: Event, lease: str) -> bytes:
 
 
 def _without_secrets(order: Order, lease: str) -> Order:
-    """Return an order without the codes of a run, and with a mark in place of a valid lease.
-
-    The codes are not needed, because a second experiment is refused whatever its codes are.
-    """
+    """Return an order without codes, which no refusal needs, and with a mark for a valid lease."""
     if isinstance(order, Run):
         order = replace(order, codes=b"")
     if isinstance(order, Leased | Arm):

@@ -72,11 +72,7 @@ class Board:
         rng: np.random.Generator,
         witness: Witness | None = None,
     ) -> None:
-        """Put the rig at rest, with the pin low.
-
-        `rng` is the source of the noise of the readings. `witness` is called at each change of the
-        voltage.
-        """
+        """Put the rig at rest; `rng` is the source of noise, `witness` gets each new voltage."""
         self._plant = plant.build(
             settings.arm_parameters(),
             arm_removed=settings.arm_removed,

@@ -194,11 +194,8 @@ def _tables(arm: ArmParameters, arm_removed: bool) -> tuple[_Table, _Table]:
 
 
 def _table(A: Matrix, B: Matrix) -> _Table:
-    """Return exp([A B; 0 0] t) for t = digit 256^level ns, for every digit of every level.
-
-    Each level needs one matrix exponential, for digit 1. Repeated squaring of this matrix gives the
-    matrices for digits 2, 4, … 128. The matrix for any other digit is a product of these matrices.
-    """
+    """Return exp([A B; 0 0] t) for t = digit 256^level ns, for every digit of every level."""
+    # One matrix exponential for each level: squares give the digits 2, 4, … 128, products the rest.
     block = np.zeros((5, 5))
     block[:4, :4], block[:4, 4:] = A, B
     levels = []

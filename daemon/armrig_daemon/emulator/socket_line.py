@@ -120,14 +120,11 @@ class SocketLine(Line):
 
 
 def _occupied(path: Path) -> str:
-    """Return the reason why no socket may be created at `path`; "" if it may be created.
-
-    A test connection shows whether another emulator answers at `path`. If no program has opened the
-    port of the other emulator, the test resets the other emulator's device.
-    """
+    """Return the reason why no socket may be created at `path`; "" if it may be created."""
     try:
         if not is_socket(path):
             return "exists and is not a socket"
+        # If no program has opened the port of another emulator, this resets its device.
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
             probe.connect(os.fspath(path))
     except (FileNotFoundError, ConnectionRefusedError):

@@ -57,11 +57,7 @@ class ProcessPorts:
     """Ports of the real daemon: the monotonic clock, the serial line, the service's pipes."""
 
     def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
-        """Take the pipes and open the line; if the port is missing, the loop waits for the port.
-
-        Raises LinkError if the port is used by another program, is not permitted, or is not a
-        serial port.
-        """
+        """Take the pipes and open the line if its port exists; raise LinkError if this fails."""
         self._settings = settings
         self._orders_fd = orders_fd
         self._records_fd = records_fd

@@ -182,10 +182,7 @@ class History:
     """
 
     def __init__(self, life: bytes, most_bytes: int = MOST_HISTORY_BYTES) -> None:
-        """Create an empty history.
-
-        `life` consists of 16 B that identify this start of a daemon.
-        """
+        """Create an empty history; the 16 B of `life` identify this start of a daemon."""
         self._life, self._most = life, most_bytes
         self._kept: dict[int, tuple[str, bytes]] = {}
         self._first = self._end = self._size = 0

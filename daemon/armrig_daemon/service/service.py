@@ -380,11 +380,7 @@ class Service:
             self._say(level, text)
 
     def _restart(self, check_configuration: Callable[[], Config]) -> None:
-        """End the unused service, so that systemd restarts it with the new configuration.
-
-        Only a new process can start a loop with a real-time priority, because this process has
-        given up the priority.
-        """
+        """End the unused service, as only a new process can give its loop a real-time priority."""
         owner = self._rig.state.owner
         if self._is_busy:
             who = f"{owner} has the rig" if owner else "a run or a command is in progress"

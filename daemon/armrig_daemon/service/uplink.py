@@ -21,10 +21,7 @@ class Uplink:
     """Listener at a router, opened as soon as the router answers."""
 
     def __init__(self, endpoint: str, open_way: Callable[[], Listener]) -> None:
-        """Start the attempts.
-
-        `open_way` returns the listener; it raises zenoh.ZError if the router does not answer.
-        """
+        """Start the attempts; `open_way` raises zenoh.ZError if the router does not answer."""
         self._endpoint, self._open_way = endpoint, open_way
         self._listener: Listener | None = None
         self._is_over = threading.Event()
