@@ -7,126 +7,80 @@ from zlib import crc32
 
 from armrig_daemon.emulator import device, requests, transitions, uart
 from armrig_daemon.emulator.firmware import Firmware
-from armrig_protocol import cobs, decoder
+from armrig_protocol import cobs
 from armrig_protocol.frame import Spoilt
 from armrig_protocol.messages import Cause, Hello, HelloReply, Message, Pong, Sample, State, Stop
 
-from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers, other_handler
+from tests.daemon.conformance.spoiling import Patch, SpoiltDevices
+
+SPOILT = SpoiltDevices()
 
 
-def _half_a_crc(patch: Patch) -> None:
-    decode = decoder.decode
-
-    def lenient(stuffed: bytes) -> Any:
-        text = cobs.unstuff(stuffed)
-        if text and text[-4:-2] == crc32(text[:-4]).to_bytes(4, "little")[:2]:
-            return decode(cobs.stuff(text[:-4] + crc32(text[:-4]).to_bytes(4, "little")))
-        return decode(stuffed)
-
-    patch.setattr(uart.decoder, "decode", lenient)
+@SPOILT.function("two of the CRC's bytes are looked at", "wrong CRC", uart.decoder, "decode")
+def _half_a_crc(decode: Any, stuffed: bytes) -> Any:
+    text = cobs.unstuff(stuffed)
+    if text and text[-4:-2] == crc32(text[:-4]).to_bytes(4, "little")[:2]:
+        return decode(cobs.stuff(text[:-4] + crc32(text[:-4]).to_bytes(4, "little")))
+    return decode(stuffed)
 
 
-def _loses_bytes(patch: Patch) -> None:
-    put = uart.Reception.put
-
-    def losing(self: uart.Reception, now_ns: int, data: bytes) -> None:
-        put(self, now_ns, data[:1000])
-
-    patch.setattr(uart.Reception, "put", losing)
+@SPOILT.function("lost bytes are not reported", "lost in a flood", uart.Reception, "put")
+def _loses_bytes(put: Any, line: uart.Reception, now_ns: int, data: bytes) -> None:
+    put(line, now_ns, data[:1000])
 
 
-def _stale_is_taken(patch: Patch) -> None:
-    patch.setattr(requests, "is_newer", lambda number, last, mask: True)
+SPOILT.add(
+    "old frames are taken", "ACK(STALE)", Patch.setattr, requests, "is_newer", lambda *_: True
+)
 
 
-def _stale_echo(patch: Patch) -> None:
-    changed_answers(
-        patch, lambda m: m._replace(echo=(m.echo - 1) & 0xFFFF) if isinstance(m, Sample) else m
-    )
+@SPOILT.function(
+    "the EVENT comes before its answer", "the answer first", transitions, "_transition"
+)
+def _event_before_answer(transition: Any, *args: Any) -> list[Message]:
+    return transition(*args)[::-1]
 
 
-def _skips_a_seq(patch: Patch) -> None:
-    send = uart.Transmission.send
-
-    def skipping(self: uart.Transmission, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
-        send(self, fw, t_ns, messages)
-        self._seq = (self._seq + any(isinstance(m, HelloReply) for m in messages)) & 0xFFFF
-
-    patch.setattr(uart.Transmission, "send", skipping)
+SPOILT.answer("the echo is one behind", "`echo`", Sample, lambda m: {"echo": (m.echo - 1) & 0xFFFF})
 
 
-def _stop_moves_back(patch: Patch) -> None:
-    handle = requests.handle
-
-    def moving(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
-        made = handle(fw, now_ns, received)
-        if isinstance(received, Stop):
-            fw.newest = received.seq
-        return made
-
-    patch.setattr(device, "handle", moving)
+@SPOILT.function("only the high half of boot_id is drawn", "a new low half", device.Device, "reset")
+def _half_a_boot_id(reset: Any, of: device.Device, now_ns: int) -> None:
+    low = of._fw.boot_id & 0xFFFF
+    reset(of, now_ns)
+    of._fw.boot_id = of._fw.boot_id & 0xFFFF_0000 | low
 
 
-def _k_not_reset(patch: Patch) -> None:
-    def kept(old: Any) -> Any:
-        def handler(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
-            k = fw.k
-            made = old(fw, now_ns, m)
-            fw.k = k
-            return made
-
-        return handler
-
-    other_handler(patch, Hello, kept)
+@SPOILT.function("the device skips a seq", "seq increases by 1", uart.Transmission, "send")
+def _skips_a_seq(send: Any, line: Any, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
+    send(line, fw, t_ns, messages)
+    line._seq = (line._seq + any(isinstance(m, HelloReply) for m in messages)) & 0xFFFF
 
 
-def _spoilt_stops(patch: Patch) -> None:
-    handle = requests.handle
-
-    def stopping(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
-        made = handle(fw, now_ns, received)
-        if isinstance(received, Spoilt) and fw.state is State.READY:
-            fw.enter(now_ns, State.IDLE, Cause.NONE)
-        return made
-
-    patch.setattr(device, "handle", stopping)
+@SPOILT.function("an old STOP makes old frames new", "with any seq", device, "handle")
+def _stop_moves_back(handle: Any, fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+    made = handle(fw, now_ns, received)
+    if isinstance(received, Stop):
+        fw.newest = received.seq
+    return made
 
 
-def _pong_time(patch: Patch) -> None:
-    changed_answers(
-        patch,
-        lambda m: m._replace(rx_us=(m.rx_us + 30_000) & 0xFFFFFFFF) if isinstance(m, Pong) else m,
-    )
+SPOILT.answer(
+    "PONG has a wrong time", "in order", Pong, lambda m: {"rx_us": (m.rx_us + 30_000) & 0xFFFFFFFF}
+)
 
 
-def _half_a_boot_id(patch: Patch) -> None:
-    reset = device.Device.reset
-
-    def same(self: device.Device, now_ns: int) -> None:
-        low = self._fw.boot_id & 0xFFFF
-        reset(self, now_ns)
-        self._fw.boot_id = self._fw.boot_id & 0xFFFF_0000 | low
-
-    patch.setattr(device.Device, "reset", same)
+@SPOILT.handler("HELLO does not begin k anew", "after a HELLO, any k is new", Hello)
+def _k_not_reset(hello: Any, fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
+    k = fw.k
+    made = hello(fw, now_ns, m)
+    fw.k = k
+    return made
 
 
-def _event_before_answer(patch: Patch) -> None:
-    transition = transitions._transition
-    patch.setattr(
-        transitions, "_transition", lambda fw, t, m, state: transition(fw, t, m, state)[::-1]
-    )
-
-
-SPOILT: dict[str, SpoiltDevice] = {
-    "two of the CRC's bytes are looked at": SpoiltDevice(_half_a_crc, "wrong CRC"),
-    "lost bytes are not reported": SpoiltDevice(_loses_bytes, "lost in a flood"),
-    "old frames are taken": SpoiltDevice(_stale_is_taken, "ACK(STALE)"),
-    "the EVENT comes before its answer": SpoiltDevice(_event_before_answer, "the answer first"),
-    "the echo is one behind": SpoiltDevice(_stale_echo, "`echo`"),
-    "only the high half of boot_id is drawn": SpoiltDevice(_half_a_boot_id, "a new low half"),
-    "the device skips a seq": SpoiltDevice(_skips_a_seq, "seq increases by 1"),
-    "an old STOP makes old frames new": SpoiltDevice(_stop_moves_back, "with any seq"),
-    "PONG has a wrong time": SpoiltDevice(_pong_time, "in order"),
-    "HELLO does not begin k anew": SpoiltDevice(_k_not_reset, "after a HELLO, any k is new"),
-    "noise stops it": SpoiltDevice(_spoilt_stops, "Random bytes"),
-}
+@SPOILT.function("noise stops it", "Random bytes", device, "handle")
+def _spoilt_stops(handle: Any, fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+    made = handle(fw, now_ns, received)
+    if isinstance(received, Spoilt) and fw.state is State.READY:
+        fw.enter(now_ns, State.IDLE, Cause.NONE)
+    return made

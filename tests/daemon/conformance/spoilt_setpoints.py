@@ -2,73 +2,60 @@
 
 from __future__ import annotations
 
-from dataclasses import replace as dataclass_replace
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
-from armrig_daemon.emulator import clock, queue, requests, transitions
+from armrig_daemon.emulator import queue, requests, transitions
+from armrig_daemon.emulator.clock import Timer
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.queue import SetpointQueue
 from armrig_protocol.messages import Cause, Config, Message, Setpoints
 
-from tests.daemon.conformance.spoiling import Patch, SpoiltDevice
+from tests.daemon.conformance.spoiling import Patch, SpoiltDevices
+
+SPOILT = SpoiltDevices()
+_DUE_NS: Any = Timer.due_ns
+SPOILT.add(
+    "one sample is 5 us early",
+    "within 1 us",
+    Patch.setattr,
+    Timer,
+    "due_ns",
+    property(lambda timer: _DUE_NS.fget(timer) - 5_000 * (timer.k == 17)),
+)
 
 
-def _one_shifted(patch: Patch, by_ns: int) -> None:
-    due = clock.Timer.due_ns.fget
-    patch.setattr(clock.Timer, "due_ns", property(lambda self: due(self) + by_ns * (self.k == 17)))
+@SPOILT.function("START samples at once", "one Ts after START", transitions, "_timer")
+def _starts_at_once(make: Any, fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Timer:
+    made = make(fw, now_ns, period_ns, k_stop)
+    return replace(made, first_ns=made.first_ns - period_ns)
 
 
-def _starts_at_once(patch: Patch) -> None:
-    make = transitions._timer
-
-    def short(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Any:
-        made = make(fw, now_ns, period_ns, k_stop)
-        return dataclass_replace(made, first_ns=made.first_ns - period_ns)
-
-    patch.setattr(transitions, "_timer", short)
+@SPOILT.function("each u is one sample late", "Sample k applies u[k]", SetpointQueue, "advance")
+def _one_sample_late(advance: Any, of: SetpointQueue) -> bool:
+    before = of.in_force
+    there = advance(of)
+    of.in_force = before
+    return there
 
 
-def _one_sample_late(patch: Patch) -> None:
-    advance = SetpointQueue.advance
-
-    def late(self: SetpointQueue) -> bool:
-        before = self.in_force
-        there = advance(self)
-        self.in_force = before
-        return there
-
-    patch.setattr(SetpointQueue, "advance", late)
+@SPOILT.function("HOLD does not hold", "empty queue sets", SetpointQueue, "advance")
+def _hold_is_zero(advance: Any, of: SetpointQueue) -> bool:
+    there = advance(of)
+    if not there:
+        of.in_force = of._rest
+    return there
 
 
-def _hold_is_zero(patch: Patch) -> None:
-    advance = SetpointQueue.advance
-
-    def rests(self: SetpointQueue) -> bool:
-        there = advance(self)
-        if not there:
-            self.in_force = self._rest
-        return there
-
-    patch.setattr(SetpointQueue, "advance", rests)
+@SPOILT.function("a greater code does not disagree", "differ from the queue", SetpointQueue, "add")
+def _more_may_disagree(add: Any, of: SetpointQueue, m: Setpoints) -> bool:
+    known = zip(m.u, of._entries, strict=False)
+    return add(of, m) or all(u >= entry.u for u, entry in known)
 
 
-def _more_may_disagree(patch: Patch) -> None:
-    add = SetpointQueue.add
-
-    def taken(self: SetpointQueue, m: Setpoints) -> bool:
-        known = zip(m.u, self._entries, strict=False)
-        return add(self, m) or all(u >= entry.u for u, entry in known)
-
-    patch.setattr(SetpointQueue, "add", taken)
-
-
-def _smaller_queue(patch: Patch) -> None:
-    def smaller(self: SetpointQueue, config: Config, capacity: int) -> None:
-        original(self, config, capacity - 1)
-
-    original = SetpointQueue.__init__
-    patch.setattr(SetpointQueue, "__init__", smaller)
+@SPOILT.function("the queue is one too small", "capacity in HELLO_R", SetpointQueue, "__init__")
+def _smaller_queue(begin: Any, of: SetpointQueue, config: Config, capacity: int) -> None:
+    begin(of, config, capacity - 1)
 
 
 def _queue_outlives_its_run(patch: Patch) -> None:
@@ -84,55 +71,26 @@ def _queue_outlives_its_run(patch: Patch) -> None:
     patch.setattr(transitions, "SetpointQueue", Kept)
 
 
-def _half_the_setpoint_frames(patch: Patch) -> None:
-    patch.setattr(queue, "MIN_SETPOINTS_PER_FRAME", 16)
+SPOILT.add("the queue outlives its run", "the queue is empty", _queue_outlives_its_run)
+SPOILT.add(
+    "too few frames in the queue", "`queue`/8", Patch.setattr, queue, "MIN_SETPOINTS_PER_FRAME", 16
+)
+SPOILT.add("n of 25 is taken", "n = 0, n > 24", Patch.setattr, requests, "SETPOINTS_PER_FRAME", 300)
 
 
-def _n_of_25(patch: Patch) -> None:
-    patch.setattr(requests, "SETPOINTS_PER_FRAME", 300)
+@SPOILT.function("queued setpoints feed", "do not feed", Firmware, "tick")
+def _setpoints_feed(tick: Any, fw: Firmware, now_ns: int) -> list[Message]:
+    fw.feed(now_ns)
+    return tick(fw, now_ns)
 
 
-def _setpoints_feed(patch: Patch) -> None:
-    tick = Firmware.tick
-
-    def feeding(self: Firmware, now_ns: int) -> list[Message]:
-        self.feed(now_ns)
-        return tick(self, now_ns)
-
-    patch.setattr(Firmware, "tick", feeding)
+@SPOILT.function("padding is looked at", "padding", SetpointQueue, "violation")
+def _padding_counts(violation: Any, of: SetpointQueue, m: Setpoints) -> tuple[Cause, int]:
+    return violation(of, m._replace(n=24))
 
 
-def _padding_counts(patch: Patch) -> None:
-    violation = SetpointQueue.violation
-
-    def all_of_it(self: SetpointQueue, m: Setpoints) -> tuple[Cause, int]:
-        return violation(self, m._replace(n=24))
-
-    patch.setattr(SetpointQueue, "violation", all_of_it)
-
-
-def _late_repeat_steps(patch: Patch) -> None:
-    steps = SetpointQueue._steps
-
-    def behind(self: SetpointQueue, offset: int, codes: tuple[int, ...]) -> Any:
-        yield from steps(self, offset, codes)
-        if not self._entries and offset == -len(codes):
-            yield self.in_force.u, 0  # what follows the last code of the frame
-
-    patch.setattr(SetpointQueue, "_steps", behind)
-
-
-SPOILT: dict[str, SpoiltDevice] = {
-    "one sample is 5 us early": SpoiltDevice(partial(_one_shifted, by_ns=-5_000), "within 1 us"),
-    "START samples at once": SpoiltDevice(_starts_at_once, "one Ts after START"),
-    "each u is one sample late": SpoiltDevice(_one_sample_late, "Sample k applies u[k]"),
-    "HOLD does not hold": SpoiltDevice(_hold_is_zero, "empty queue sets"),
-    "a greater code does not disagree": SpoiltDevice(_more_may_disagree, "differ from the queue"),
-    "the queue is one too small": SpoiltDevice(_smaller_queue, "capacity in HELLO_R"),
-    "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "the queue is empty"),
-    "too few frames in the queue": SpoiltDevice(_half_the_setpoint_frames, "`queue`/8"),
-    "n of 25 is taken": SpoiltDevice(_n_of_25, "n = 0, n > 24"),
-    "queued setpoints feed": SpoiltDevice(_setpoints_feed, "do not feed"),
-    "padding is looked at": SpoiltDevice(_padding_counts, "padding"),
-    "a late repeat is a step": SpoiltDevice(_late_repeat_steps, "Repeated setpoints before"),
-}
+@SPOILT.function("a late repeat is a step", "Repeated setpoints before", SetpointQueue, "_steps")
+def _late_repeat_steps(steps: Any, of: SetpointQueue, offset: int, codes: tuple[int, ...]) -> Any:
+    yield from steps(of, offset, codes)
+    if not of._entries and offset == -len(codes):
+        yield of.in_force.u, 0  # what follows the last code of the frame
