@@ -24,15 +24,6 @@ from tests.core.recording_file.made import MANIFEST, Setter, begun, finished, sa
 _MAGIC = b"\x89MCAP0\r\n"  # how a whole file ends
 
 
-def test_the_service_is_notified_when_a_recording_is_complete(tmp_path: Path) -> None:
-    changed = threading.Event()
-    recording = begun(tmp_path / "run.mcap", changed)
-
-    finished(recording)
-
-    assert changed.is_set()
-
-
 def test_the_times_of_messages_are_those_of_samples_and_never_decrease(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     recording = begun(path)
@@ -268,15 +259,26 @@ def test_the_recording_is_kept_without_room_for_its_compact_copy(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap"]
 
 
-@pytest.mark.parametrize("name", ["run.mcap", "run.mcap.active"])
-def test_a_recording_does_not_begin_under_a_name_that_is_taken(tmp_path: Path, name: str) -> None:
-    """At its end the recording would replace the other file."""
-    (tmp_path / name).write_bytes(b"precious")
+@pytest.mark.parametrize("is_link", [False, True])
+@pytest.mark.parametrize("name", ["run.mcap", "run.mcap.active", "run.mcap.compact"])
+def test_a_recording_replaces_and_follows_nothing_at_its_names(
+    tmp_path: Path, name: str, is_link: bool
+) -> None:
+    """Only an incomplete copy, which a dead process has left, is replaced."""
+    taken, elsewhere = tmp_path / name, tmp_path / "elsewhere"
+    elsewhere.write_bytes(b"precious")
+    taken.symlink_to(elsewhere) if is_link else taken.write_bytes(b"precious")
 
-    with pytest.raises(RecordingError, match=rf"{name}: File exists"):
-        begun(tmp_path / "run.mcap")
-
-    assert [p.name for p in tmp_path.iterdir()] == [name]
+    if name.endswith(".compact"):
+        recording = begun(tmp_path / "run.mcap")
+        finished(recording)
+        assert (recording.error, recording.path.is_symlink()) == ("", False)
+    else:
+        with pytest.raises(RecordingError, match=rf"{name}: File exists"):
+            begun(tmp_path / "run.mcap")
+        assert (taken.is_symlink(), taken.read_bytes()) == (is_link, b"precious")
+    assert len([*tmp_path.iterdir()]) == 2
+    assert elsewhere.read_bytes() == b"precious"
 
 
 def test_a_file_created_meanwhile_under_the_final_name_is_kept(tmp_path: Path) -> None:
