@@ -1,7 +1,9 @@
-"""The folder of the configurations, on a machine of a test."""
+"""The folder of the configurations, and a line without a device, for a test."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,3 +20,12 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.setattr(module, "SYSTEM", folder / "armrig.toml")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
     return folder
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """Give the device's end of a line, and the name of the other end."""
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(master)
+    os.close(slave)

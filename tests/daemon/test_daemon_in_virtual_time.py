@@ -14,15 +14,12 @@ from armrig_core.telemetry.telemetry import decode_sample
 from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Phase
-from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Alive, Answer, Gap, Log, Quit, Reset, RunEnded, RunStarted
+from armrig_daemon.pipe import Alive, Answer, Gap, Quit, Reset, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
-from armrig_daemon.virtual import VirtualRig
-from armrig_protocol.decoder import feed
-from armrig_protocol.frame import encode
-from armrig_protocol.messages import Cause, ConfigReply
+from armrig_protocol.messages import Cause
 from armrig_protocol.messages import State as DeviceState
 
+from tests.daemon.decisions.test_every_k_is_told_once import assert_each_k_is_told_once
 from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 
@@ -45,24 +42,6 @@ def driven(bench: Bench) -> Bench:
 # -- the ordinary way ----------------------------------------------------------------------------
 
 
-def test_every_sample_of_a_run_has_the_u_of_its_k(bench: Bench) -> None:
-    """S5: u[k] at its k, k without a break, 0 V before and after."""
-    volts = [0.5, 4.5, 1.0, 5.0, 0.0, 2.5] * 50
-    bench.arm()
-
-    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*volts))
-    bench.run_for(3200)
-
-    (started,), (ended,) = bench.of(RunStarted), bench.of(RunEnded)
-    run = [s for s in bench.samples if 0 <= s.k - started.k_first < started.count]
-    assert [s.k for s in run] == list(range(started.k_first, started.k_first + 300))
-    assert [s.u_cmd_v for s in run] == pytest.approx(volts, abs=1e-4)
-    assert [s.u_applied_v for s in run] == pytest.approx(volts, abs=5 / 1024)
-    assert ended.outcome == "complete"
-    assert bench.phase is Phase.SAFE
-    assert bench.volts == 0.0
-
-
 def test_a_changed_sampling_time_ends_with_the_lease_of_its_owner(bench: Bench) -> None:
     """The owner's Ts from arming on, the configured Ts afterwards."""
     answer = bench.arm(ts_us=20_000)
@@ -81,29 +60,6 @@ def test_a_changed_sampling_time_ends_with_the_lease_of_its_owner(bench: Bench) 
 
 
 # -- who may command, and what -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scheduled", [False, True])
-@pytest.mark.parametrize(
-    ("limits", "volts"),
-    [(Limits(u_max_v=4.5), (1.0, 4.5, 4.6, 5.0)), (Limits(slew_v=1.0), (1.0, 2.0, 3.5))],
-)
-def test_a_forbidden_value_is_never_sent(
-    limits: Limits, volts: tuple[float, ...], scheduled: bool
-) -> None:
-    """S1: the service checks the whole input; the core checks each code as it sends it."""
-    bench = Bench(Config(limits=limits))
-    bench.arm()
-
-    bench.order(
-        pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
-    )
-    bench.run_for(500)
-
-    assert bench.phase is Phase.FAULT
-    assert "not within the limits" in bench.loop.state.reason
-    assert bench.volts == 0.0
-    assert max((s.u_cmd_v for s in bench.samples), default=0.0) <= volts[1] + 1e-3
 
 
 def test_disarm_during_a_start_stops_the_device(bench: Bench) -> None:
@@ -180,25 +136,6 @@ def test_a_port_failure_during_a_trip_is_in_the_last_state(driven: Bench) -> Non
     assert last.motor.startswith("not known")
 
 
-def test_a_configuration_altered_during_transmission_is_rejected() -> None:
-    rig = Bench.__new__(Bench)
-    VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
-    rig._number = 0
-
-    def alter(data: bytes) -> bytes:
-        _, messages = feed(b"", data)
-        return b"".join(
-            encode(m._replace(config_crc=m.config_crc ^ 1) if isinstance(m, ConfigReply) else m)
-            for m in messages
-        )
-
-    rig.ports.from_device = alter
-    rig.run_for(500)
-
-    assert rig.phase is Phase.INIT
-    assert any("another configuration" in log.message for log in rig.of(Log))
-
-
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_a_replayed_session_of_host_frames_does_not_move_the_motor(
     bench: Bench, scheduled: bool
@@ -215,9 +152,8 @@ def test_a_replayed_session_of_host_frames_does_not_move_the_motor(
     ports.send(ports.now, LinkDown("pulled"))
     ports.send(ports.now, LinkUp())  # the session begins, with a HELLO
     bench.run_for(300)
-    bench.arm()
-    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[2.5] * 50), scheduled=scheduled)
-    bench.run_for(1000)
+    bench.play([2.5] * 50, scheduled=scheduled)
+    bench.run_for(1100)
     assert max(s.u_applied_v for s in bench.samples) == pytest.approx(2.5, abs=0.01)
     bench.ask(pipe.Stop, reason="enough")
     states: set[DeviceState] = set()
@@ -254,17 +190,7 @@ def test_every_k_is_published_or_reported(scheduled: bool) -> None:
     """L2: through noise, unplugging, a reset and the end of a run."""
     bench = Bench()
     frames = iter(range(1_000_000))
-    bench.arm()
-    bench.order(
-        pipe.Run(
-            order=9,
-            lease=LEASE,
-            n=0,
-            run_id="r",
-            scheduled=scheduled,
-            codes=codes(*[1.0, 2.0] * 100),
-        )
-    )
+    bench.play([1.0, 2.0] * 100, scheduled=scheduled)
     bench.run_for(200)
     bench.ports.from_device = lambda data: data if next(frames) % 7 else b""
     bench.run_for(2500)
@@ -276,14 +202,7 @@ def test_every_k_is_published_or_reported(scheduled: bool) -> None:
     bench.ports.from_device = lambda data: data
     bench.run_for(500)
 
-    seen: list[int] = []
-    for record in bench.records:
-        if isinstance(record, bytes):
-            sample = decode_sample(record)
-            seen.append(sample.k)
-        elif isinstance(record, Gap):
-            seen += range(record.k_first, record.k_first + record.count)
-    assert seen == list(range(seen[0], seen[-1] + 1))
+    assert_each_k_is_told_once(bench)
     (ended,) = bench.of(RunEnded)
     assert ended.outcome == "complete"
     first, told = bench.of(RunStarted)[0].k_first, 0
@@ -293,7 +212,7 @@ def test_every_k_is_published_or_reported(scheduled: bool) -> None:
         elif isinstance(record, Gap):
             told += record.count if first <= record.k_first < first + 200 else 0
     assert told == 200  # each of the run before its end, the last one, too
-    assert seen[-1] > first + 250
+    assert bench.samples[-1].k > first + 250
     assert len(bench.of(Gap)) > 10
 
 

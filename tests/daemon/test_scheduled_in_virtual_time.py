@@ -18,7 +18,7 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
 
-from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
+from tests.daemon.virtual_bench import MS, Bench
 
 SETPOINTS = len(encode(Setpoints(0, 0, 0, 0, 0, (0,) * 24)))
 SAMPLE = 36
@@ -30,17 +30,9 @@ def telegraph(n: int, seed: int = 1) -> list[float]:
     return [rng.choice([0.0, 0.5, 1.0, 2.5, 4.0, 5.0]) for _ in range(n)]
 
 
-def play(bench: Bench, volts: list[float], ts_us: int = 10_000) -> None:
-    """Arm and begin a scheduled run."""
-    assert not bench.ask(pipe.Arm, owner="a student", lease=LEASE, ts_us=ts_us).error
-    bench.order(
-        pipe.Run(order=500, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=True)
-    )
-
-
 def run(bench: Bench, volts: list[float], ts_us: int = 10_000) -> None:
     """Play a scheduled run to its end."""
-    play(bench, volts, ts_us)
+    bench.play(volts, ts_us)
     bench.run_for(len(volts) * ts_us / 1000 + 500)
 
 
@@ -104,7 +96,7 @@ def test_lost_setpoints_are_sent_again(queue: int) -> None:
 def test_a_stall_longer_than_the_watchdog_ends_at_0_v() -> None:
     """300 ms: the device stops by itself, and the host trips at its first tick."""
     bench = Bench(Config(device=Device(watchdog_ms=250)))
-    play(bench, telegraph(1000))
+    bench.play(telegraph(1000))
     bench.run_for(2000)
     bench.lateness_ns = 300 * MS
     bench.run_for(10)
@@ -124,7 +116,7 @@ def test_a_stall_longer_than_the_watchdog_ends_at_0_v() -> None:
 def test_missing_answers_of_the_device_stop_a_scheduled_run() -> None:
     """S4: one-way loss; the age limit is the watchdog's, and STOP goes out at once."""
     bench = Bench()
-    play(bench, telegraph(1000))
+    bench.play(telegraph(1000))
     bench.run_for(2000)
     bench.ports.from_device = lambda _: b""
 
@@ -138,7 +130,7 @@ def test_missing_answers_of_the_device_stop_a_scheduled_run() -> None:
 def test_after_a_trip_no_setpoint_and_no_keepalive_is_sent() -> None:
     """S4, S6: STOP does not arrive, so the watchdog stops the motor."""
     bench = Bench()
-    play(bench, telegraph(1000))
+    bench.play(telegraph(1000))
     bench.run_for(2000)
     sent: list[type] = []
 
@@ -176,11 +168,7 @@ def test_the_drift_of_the_device_clock_is_estimated_and_reported(
 ) -> None:
     """Within three of its own standard deviations."""
     bench = Bench(clock_ppm=ppm)
-    volts = telegraph(1500)
-    bench.arm()
-    bench.order(
-        pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
-    )
+    bench.play(telegraph(1500), scheduled=scheduled)
     bench.run_for(15_500)
 
     last = bench.of(Clock)[-1]
@@ -205,12 +193,8 @@ def test_the_lateness_of_a_scheduled_sample_does_not_grow_with_the_drift() -> No
 
 def test_the_state_reports_the_period_of_the_following_samples() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.02)))
-    assert not bench.arm(5_000).error
-    order = pipe.Run(
-        order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 400), scheduled=True
-    )
 
-    bench.order(order)
+    bench.play([2.0] * 400, 5_000)
     bench.run_for(300)
     bench.ports.from_device = lambda data: b""
     bench.run_for(200)

@@ -7,9 +7,9 @@ import time
 import pytest
 from armrig_core.rig.volts import code_of, volts_of
 from armrig_daemon.decisions.state import Phase
-from armrig_daemon.pipe import Gap, Run, RunEnded, RunStarted
+from armrig_daemon.pipe import Gap, RunEnded, RunStarted
 
-from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
+from tests.daemon.virtual_bench import MS, Bench
 
 TS_US = 10_000
 WRAP = 1 << 32
@@ -17,9 +17,7 @@ RUN = [float(v) for v in (0.5, 2.0, 5.0, 1.0) * 50]
 
 
 def _play(bench: Bench, *, scheduled: bool) -> None:
-    assert not bench.arm(TS_US).error
-    order = Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled)
-    bench.order(order)
+    bench.play(RUN, TS_US, scheduled=scheduled)
     bench.run_for(len(RUN) * TS_US / 1000 + 500)
     assert [r.outcome for r in bench.of(RunEnded)] == ["complete"]
 
@@ -30,11 +28,13 @@ def _assert_whole(bench: Bench) -> None:
     run = [s for s in bench.samples if 0 <= s.k - started.k_first < len(RUN)]
     assert [s.k - started.k_first for s in run] == list(range(len(RUN)))
     assert [s.u_cmd_v for s in run] == [volts_of(code_of(u)) for u in RUN]
+    assert [s.u_applied_v for s in run] == pytest.approx(RUN, abs=5 / 1024)
     assert {s.t_device_us - run[0].t_device_us - (s.k - run[0].k) * TS_US for s in run} <= {0, 1}
     lateness = [s.t_host_ns - s.t_sched_ns for s in run]
     assert max(lateness) - min(lateness) < 2 * MS
     assert bench.of(Gap) == []
     assert bench.phase is Phase.SAFE
+    assert bench.volts == 0.0
 
 
 @pytest.mark.parametrize("scheduled", [False, True])

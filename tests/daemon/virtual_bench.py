@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from struct import pack
 
 from armrig_core.rig.volts import code_of
@@ -9,7 +10,7 @@ from armrig_core.telemetry.telemetry import Sample, decode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Answer, Arm, Set
+from armrig_daemon.pipe import Answer, Arm, Run, Set
 from armrig_daemon.virtual import VirtualRig
 
 LEASE = "a" * 32
@@ -63,6 +64,12 @@ class Bench(VirtualRig):
 
     def arm(self, ts_us: int = 0) -> Answer:
         return self.ask(Arm, owner="a student", lease=LEASE, ts_us=ts_us)
+
+    def play(self, volts: Sequence[float], ts_us: int = 0, *, scheduled: bool = True) -> None:
+        """Arm, and begin a run."""
+        assert not self.arm(ts_us).error
+        run = codes(*volts)
+        self.order(Run(order=500, lease=LEASE, n=0, run_id="r", codes=run, scheduled=scheduled))
 
     def drive(self, volts: float, n: int) -> Answer:
         return self.ask(Set, lease=LEASE, n=n, code=code_of(volts))

@@ -15,12 +15,12 @@ from armrig_protocol import messages as wire
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SETPOINTS_PER_FRAME, Cause, Flag, Mode, State
 
+from tests.daemon.test_scheduled_in_virtual_time import telegraph
 from tests.firmware.test_uno_runs import (
     LATCH_NS,
     UnoBench,
     assert_complete,
     assert_on_the_pin,
-    telegraph,
 )
 from tests.firmware.uno_host import BAUD, MS, PERIOD_NS, Host, powered
 from tests.tools import needs

@@ -82,15 +82,3 @@ def test_the_uno_passes_conformance_in_real_time(port: Path) -> None:
     assert (ended.returncode, told["broken"]) == (0, 0)
     assert len(told["rules"]) > 80
     assert told["device"]["firmware"] != "0"
-
-
-def test_a_missing_harness_is_reported_in_one_line(tmp_path: Path) -> None:
-    environ = os.environ | {"ARMRIG_FIL": str(tmp_path / "none")}
-
-    ended = subprocess.run(
-        [*EMULATE, str(tmp_path / "uno")], env=environ, capture_output=True, text=True, check=False
-    )
-
-    assert ended.returncode == 78
-    assert ended.stderr.count("\n") == 1
-    assert "make fil" in ended.stderr

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable, Iterator
-from functools import partial
 from itertools import pairwise
 
 import pytest
@@ -14,11 +12,12 @@ from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
-from armrig_daemon.pipe import Arm, Run, RunEnded, RunStarted
+from armrig_daemon.pipe import RunEnded, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag
 
-from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
+from tests.daemon.test_scheduled_in_virtual_time import telegraph
+from tests.daemon.virtual_bench import MS, Bench
 from tests.firmware.uno_host import PERIOD_NS, switch_on
 from tests.sampling import sampled
 from tests.tools import needs
@@ -52,12 +51,6 @@ class UnoBench(Bench):
         if channel == 0:
             self.holds.append(t_ns)
 
-    def play(self, volts: list[float], ts_us: int, *, scheduled: bool = True) -> None:
-        """Arm and begin a run."""
-        assert not self.ask(Arm, owner="a student", lease=LEASE, ts_us=ts_us).error
-        run = partial(Run, order=500, lease=LEASE, n=0, run_id="r", scheduled=scheduled)
-        self.order(run(codes=codes(*volts)))
-
     def run(self, volts: list[float], ts_us: int, *, scheduled: bool = True) -> None:
         """Play a run to its end."""
         self.play(volts, ts_us, scheduled=scheduled)
@@ -82,12 +75,6 @@ def switched_on() -> Iterator[Callable[..., UnoBench]]:
 def bench(switched_on: Callable[..., UnoBench]) -> UnoBench:
     """Return a bench whose watchdog outlasts a stall of the host."""
     return switched_on(Config(device=Device(watchdog_ms=250)))
-
-
-def telegraph(n: int, seed: int = 1) -> list[float]:
-    """Return n voltages that no two neighbouring indices share by habit."""
-    rng = random.Random(seed)
-    return [rng.choice([0.0, 0.5, 1.0, 2.5, 4.0, 5.0]) for _ in range(n)]
 
 
 def assert_complete(bench: UnoBench, volts: list[float]) -> None:

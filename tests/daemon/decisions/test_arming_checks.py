@@ -10,11 +10,11 @@ from armrig_daemon.decisions.budget import exchange_us
 from armrig_daemon.decisions.outcomes import NO_DEVICE
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Answer, Arm
+from armrig_daemon.pipe import Answer, Arm, Log
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import HelloReply
+from armrig_protocol.messages import ConfigReply, HelloReply
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import changed
@@ -31,12 +31,12 @@ def _altered(of: type, alter: Callable[[], dict[str, int]]) -> Callable[[bytes],
     return other
 
 
-def _unmet(alter: Callable[[], dict[str, int]]) -> Bench:
-    """Return a bench on which each HELLO_R is altered, from the first on."""
+def _unmet(alter: Callable[[], dict[str, int]], of: type = HelloReply) -> Bench:
+    """Return a bench on which each message of a kind is altered, from the first on."""
     rig = Bench.__new__(Bench)
     VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
     rig._number, rig.lateness_ns = 0, 0
-    rig.ports.from_device = _altered(HelloReply, alter)
+    rig.ports.from_device = _altered(of, alter)
     return rig
 
 
@@ -52,6 +52,15 @@ def test_device_in_an_undefined_state_is_never_armed(state: int) -> None:
     )
     assert "in fault" in rig.arm().error
     assert rig.ports.device.state is DeviceState.IDLE
+
+
+def test_a_configuration_altered_during_transmission_is_rejected() -> None:
+    rig = _unmet(lambda: {"config_crc": 1}, of=ConfigReply)
+
+    rig.run_for(500)
+
+    assert rig.phase is Phase.INIT
+    assert any("another configuration" in log.message for log in rig.of(Log))
 
 
 def test_a_starting_device_receives_the_request_again() -> None:

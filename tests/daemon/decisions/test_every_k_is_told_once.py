@@ -19,7 +19,7 @@ from armrig_daemon.decisions.state import (
     State,
     Tick,
 )
-from armrig_daemon.pipe import Gap, Reset, Run, RunEnded
+from armrig_daemon.pipe import Gap, Reset, RunEnded
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Exchange, Flag
@@ -27,7 +27,7 @@ from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import changed, device_sample
-from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
+from tests.daemon.virtual_bench import MS, Bench
 
 RUN = [2.0] * 400
 
@@ -35,8 +35,7 @@ RUN = [2.0] * 400
 def playing(for_ms: float) -> Bench:
     """Return a rig that has played a scheduled run for some time."""
     bench = Bench()
-    assert not bench.arm(5_000).error
-    bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=True))
+    bench.play(RUN, 5_000)
     bench.run_for(for_ms)
     return bench
 
@@ -95,8 +94,7 @@ def test_a_gap_without_an_answer_begins_when_its_first_sample_was_due(
     A scheduled run is over then, and the host's ticks go on.
     """
     bench = Bench(Config(timing=Timing(Ts=0.02)))
-    assert not bench.arm(5_000).error
-    bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled))
+    bench.play(RUN, 5_000, scheduled=scheduled)
     bench.run_for(600)
 
     bench.ports.from_device = lambda data: b""

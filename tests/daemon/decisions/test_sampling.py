@@ -51,9 +51,7 @@ def _asked(bench: Bench, ms: float = 21) -> State:
 def _playing() -> Bench:
     """Return a rig in the middle of a scheduled run at 2 V."""
     bench = Bench()
-    assert not bench.arm(5_000).error
-    run = codes(*[2.0] * 400)
-    bench.order(pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=run, scheduled=True))
+    bench.play([2.0] * 400, 5_000)
     bench.run_for(400)
     assert bench.loop.state.link.device_state == DeviceState.RUN
     return bench
@@ -263,8 +261,7 @@ def test_a_repeated_sample_of_a_run_still_reports_its_echo() -> None:
 def test_an_exchange_publishes_its_sample_before_it_ends_its_run() -> None:
     """L2: published first."""
     bench = rested()
-    assert not bench.arm().error
-    bench.order(pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 400)))
+    bench.play([1.0] * 400, scheduled=False)
     bench.run_for(100)
     state = awaiting(_asked(bench), RequestKind.STOP)
 

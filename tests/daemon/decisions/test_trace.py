@@ -42,9 +42,7 @@ def traced(bench: Bench, *, scheduled: bool) -> list[Trace]:
     def spoil(data: bytes) -> bytes:
         return data if next(count) % 15 else data[:4] + b"\x55" + data[5:]
 
-    assert not bench.arm(10_000).error
-    play = Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=scheduled)
-    bench.order(play)
+    bench.play(VOLTS, 10_000, scheduled=scheduled)
     bench.run_for(150)
     bench.ports.from_device = spoil
     bench.order(Set(order=10, lease=LEASE, n=1, code=3))  # refused
@@ -103,8 +101,7 @@ def test_a_trace_of_another_version_is_refused(version: int) -> None:
 
 def test_a_recording_does_not_contain_the_lease() -> None:
     bench = Bench()
-    bench.arm()
-    bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
+    bench.play(VOLTS, scheduled=False)
     bench.run_for(100)
     bench.order(Set(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
     bench.order(Set(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease

@@ -18,7 +18,7 @@ from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.loop import link as link_module
-from armrig_daemon.loop.link import READ, Link, LinkError, NoPortError, TakenPortError, open_link
+from armrig_daemon.loop.link import Link, LinkError, NoPortError, TakenPortError, open_link
 
 FRAME = bytes(range(1, 27))  # an EXCHANGE has 26 bytes
 
@@ -81,17 +81,6 @@ def _stranger(path: Path) -> socket.socket:
         stranger.connect(os.fspath(path))
         stack.pop_all()
     return stranger
-
-
-def test_one_read_returns_at_most_one_record_of_bytes(emulator: Emulator, host: Link) -> None:
-    sent = [bytes([i]) * 100 for i in range(60)]
-    for frame in sent:
-        emulator.line.write(frame)
-
-    pieces = list(iter(host.read, b""))
-
-    assert b"".join(pieces) == b"".join(sent)
-    assert max(map(len, pieces)) <= READ
 
 
 def test_each_opening_resets_the_device_once(emulator: Emulator) -> None:

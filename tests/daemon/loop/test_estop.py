@@ -7,7 +7,6 @@ import os
 import select
 import threading
 import time
-from collections.abc import Iterator
 from types import SimpleNamespace
 
 import pytest
@@ -24,18 +23,9 @@ BAUD = 115_200
 BOOTED = Event(DeviceState.IDLE, 0, 1, DeviceState.BOOT, Cause.POWER_ON, 0, 0, 0)
 
 
-@pytest.fixture
-def line() -> Iterator[tuple[int, str]]:
-    """Give the device's end of a line, and the name of the other end."""
-    master, slave = os.openpty()
-    yield master, os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
-
-
-def _patient(line: tuple[int, str]) -> bool:
+def _patient(terminal: tuple[int, str]) -> bool:
     """Send ESTOP, and wait longer for the port and for an answer than the command does."""
-    return estop(line[1], BAUD, within_s=30.0, port_wait_s=30.0)
+    return estop(terminal[1], BAUD, within_s=30.0, port_wait_s=30.0)
 
 
 class Device:
@@ -78,70 +68,70 @@ class Device:
 
 @pytest.mark.parametrize("answered", [1, 3])
 def test_estop_is_sent_three_times_and_requires_one_answer(
-    line: tuple[int, str], answered: int
+    terminal: tuple[int, str], answered: int
 ) -> None:
     """The first two may be lost."""
-    with Device(line[0], answered) as device:
-        assert _patient(line)
+    with Device(terminal[0], answered) as device:
+        assert _patient(terminal)
 
     assert device.heard == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
 def test_an_incomplete_frame_of_a_killed_daemon_does_not_spoil_an_estop(
-    line: tuple[int, str],
+    terminal: tuple[int, str],
 ) -> None:
-    with Device(line[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
-        assert _patient(line)
+    with Device(terminal[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
+        assert _patient(terminal)
 
     spoilt, *sound = device.heard
     assert isinstance(spoilt, Spoilt)
     assert sound == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
-def test_estop_gives_up_without_an_answer(line: tuple[int, str]) -> None:
+def test_estop_gives_up_without_an_answer(terminal: tuple[int, str]) -> None:
     before = time.monotonic()
-    with Device(line[0], answered=0) as device:
-        assert not estop(line[1], BAUD)
+    with Device(terminal[0], answered=0) as device:
+        assert not estop(terminal[1], BAUD)
 
     assert len(device.heard) == 3
     assert time.monotonic() - before >= WITHIN_S
 
 
-def test_estop_is_sent_again_to_a_device_that_has_restarted(line: tuple[int, str]) -> None:
+def test_estop_is_sent_again_to_a_device_that_has_restarted(terminal: tuple[int, str]) -> None:
     """Opening the port reset the device, and it discarded what came before it was ready."""
-    with Device(line[0], answered=4, boots=True) as device:
-        assert _patient(line)
+    with Device(terminal[0], answered=4, boots=True) as device:
+        assert _patient(terminal)
 
     assert len(device.heard) == 6
 
 
-def test_an_answer_with_another_state_does_not_confirm_the_estop(line: tuple[int, str]) -> None:
-    with Device(line[0], answered=0):
-        os.write(line[0], b"\0" + encode(Ack(DeviceState.RUN, 0, TYPES[Estop], Code.OK, 0)))
+def test_an_answer_with_another_state_does_not_confirm_the_estop(terminal: tuple[int, str]) -> None:
+    with Device(terminal[0], answered=0):
+        os.write(terminal[0], b"\0" + encode(Ack(DeviceState.RUN, 0, TYPES[Estop], Code.OK, 0)))
 
-        assert not estop(line[1], BAUD)
+        assert not estop(terminal[1], BAUD)
 
 
-def test_estop_sends_nothing_to_a_port_in_use(line: tuple[int, str]) -> None:
-    daemon = Link(line[1], BAUD)
-    os.write(line[0], b"for the daemon")
+def test_estop_sends_nothing_to_a_port_in_use(terminal: tuple[int, str]) -> None:
+    daemon = Link(terminal[1], BAUD)
+    os.write(terminal[0], b"for the daemon")
 
     with pytest.raises(TakenPortError, match="in use by another program"):
-        estop(line[1], BAUD)
+        estop(terminal[1], BAUD)
 
-    assert not select.select([line[0]], [], [], 0)[0]
+    assert not select.select([terminal[0]], [], [], 0)[0]
     assert daemon.read() == b"for the daemon"
     daemon.close()
 
 
-def test_estop_waits_for_a_dying_daemon(line: tuple[int, str]) -> None:
+def test_estop_waits_for_a_dying_daemon(terminal: tuple[int, str]) -> None:
     """The daemon gives its port back a moment after systemd calls `armrigd estop`."""
-    holder = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
+    holder = os.open(terminal[1], os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(holder, fcntl.LOCK_EX)
     threading.Timer(0.05, os.close, [holder]).start()
 
-    with Device(line[0], answered=1):
-        assert _patient(line)
+    with Device(terminal[0], answered=1):
+        assert _patient(terminal)
 
 
 def test_a_missing_port_is_reported() -> None:

@@ -5,21 +5,12 @@ from __future__ import annotations
 import errno
 import os
 import select
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import serial
-from armrig_daemon.loop.link import READ, Link, LinkError, TakenPortError
-
-
-@pytest.fixture
-def terminal() -> Iterator[tuple[int, str]]:
-    """Give the device's end of a line, and the name of the other end."""
-    master, slave = os.openpty()
-    yield master, os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
+from armrig_daemon.loop.link import Link, LinkError, TakenPortError
 
 
 def _all_of(read: Callable[[], bytes], fd: int, size: int) -> bytes:
@@ -69,37 +60,6 @@ def test_a_silent_line_is_not_lost_until_it_is_closed(terminal: tuple[int, str])
     with pytest.raises(LinkError, match="is gone"):
         link.read()
     link.close()
-
-
-def test_one_read_returns_at_most_one_record_of_bytes(terminal: tuple[int, str]) -> None:
-    master, port = terminal
-    link = Link(port, 115_200)
-    data = bytes(range(250)) * 10
-    assert len(data) > READ
-    os.write(master, data)
-
-    pieces: list[bytes] = []
-    while sum(map(len, pieces)) < len(data):
-        assert link.has_rest or select.select([link.fd], [], [], 1)[0], pieces
-        pieces.append(link.read())
-        assert pieces[-1]
-
-    assert b"".join(pieces) == data
-    assert max(map(len, pieces)) <= READ
-    link.close()
-
-
-def test_port_is_opened_exclusively(terminal: tuple[int, str]) -> None:
-    _, port = terminal
-    link = Link(port, 115_200)
-
-    with pytest.raises(
-        LinkError, match="in use by another program, maybe another rig's daemon; end that"
-    ):
-        Link(port, 115_200)
-
-    link.close()
-    Link(port, 115_200).close()
 
 
 @pytest.mark.parametrize("what", ["a file", "a folder", "/dev/null"])

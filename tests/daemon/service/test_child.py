@@ -24,18 +24,9 @@ WITHIN_S = 30.0
 
 
 @pytest.fixture
-def device() -> Iterator[tuple[int, str]]:
-    """Give the device's end of a line without a device, and the name of the other end."""
-    master, slave = os.openpty()
-    yield master, os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
-
-
-@pytest.fixture
-def child(device: tuple[int, str]) -> Iterator[LoopChild]:
+def child(terminal: tuple[int, str]) -> Iterator[LoopChild]:
     """Return a loop that ticks."""
-    child = _started(device[1])
+    child = _started(terminal[1])
     yield child
     child.kill()
     child.end()
@@ -89,9 +80,9 @@ def test_a_signal_to_the_loop_ends_it_in_good_order(child: LoopChild) -> None:
 
 
 def test_a_failing_loop_sends_estop_three_times_and_dies(
-    child: LoopChild, device: tuple[int, str]
+    child: LoopChild, terminal: tuple[int, str]
 ) -> None:
-    master, _ = device
+    master, _ = terminal
 
     os.write(child.orders_fd, record_bytes(Host(granted={})))
     _has_ended(child)
@@ -111,10 +102,10 @@ def test_both_pipes_of_the_loop_are_nonblocking(child: LoopChild) -> None:
 
 
 def test_an_unresponsive_loop_is_killed(
-    device: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+    terminal: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(child_module, "EXIT_S", 0.01)
-    child = _started(device[1])
+    child = _started(terminal[1])
     child._process.send_signal(signal.SIGSTOP)
 
     try:

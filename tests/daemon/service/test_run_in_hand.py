@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,9 +10,8 @@ import pytest
 from armrig_core.commands.codes import COMPLETE, GapCode, OutcomeCode
 from armrig_core.commands.commands import Run
 from armrig_core.recording_file.manifest import OUTCOME, outcome_of
-from armrig_core.recording_file.recording_part import EndsHereError, Part
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
-from armrig_daemon.config import Config, Recording
+from armrig_daemon.config import Config
 from armrig_daemon.pipe import Gap, Log, RunStarted, State
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
@@ -215,36 +213,3 @@ def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs
     assert runs.last.finished
     assert runs.last.recording == str(path.with_suffix(""))
     assert (runs.last.code, runs.last.outcome) == (OutcomeCode.COMPLETE, "complete")
-
-
-@pytest.mark.parametrize("stops", [True, False])
-def test_a_full_disk_stops_the_run_only_if_configured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, stops: bool
-) -> None:
-    why = "No space left on device"
-    flush = Part.flush
-
-    def full(self: Part) -> None:
-        flush(self)
-        if self.samples:
-            raise EndsHereError(why)
-
-    monkeypatch.setattr(Part, "flush", full)
-    changed = threading.Event()
-    config = Config(recording=Recording(stop_when_full=stops))
-    runs = Runs(config, tmp_path, changed.set)
-    _begin(runs)
-    runs.add([_sample(k) for k in range(FIRST, END - 5)])
-    assert changed.wait(30)
-
-    told, again = runs.unrecorded(), runs.unrecorded()
-
-    ending = runs.disturbed()
-    assert (ending is not None and why in ending.text) == stops
-    assert (why in told, told.endswith("; the run continues"), again) == (not stops, not stops, "")
-    text = _ended(runs, "error")
-    assert why in text
-    last = runs.last
-    assert last is not None
-    assert (last.outcome, last.samples, last.synced) == (text, 5, 5)
-    assert (last.code, last.finished, last.is_complete) == (OutcomeCode.RECORDING, True, False)

@@ -115,6 +115,10 @@ def test_the_state_counts_recordings_that_lost_samples(
     assert runs.finished() == ("error", "the disk did not answer")
     assert runs.has_lost == has_lost
     assert runs.is_idle
+    last = runs.last
+    assert last is not None
+    assert (last.outcome, last.samples) == ("the disk did not answer", synced)
+    assert (last.code, last.finished, last.is_complete) == (OutcomeCode.RECORDING, True, False)
 
 
 def test_a_directory_without_room_is_reported_before_the_run(tmp_path: Path) -> None:
