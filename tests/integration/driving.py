@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from subprocess import Popen
+from subprocess import PIPE, Popen
 from typing import Any
 
 import armrig
@@ -27,6 +28,27 @@ with Rig(connect=sys.argv[1]) as rig:
     rig.arm("a test", Ts=float(sys.argv[4]))
     rig.run([1.0, 4.0] * (int(sys.argv[2]) // 2), pacing=sys.argv[3])
 """
+
+_OPEN = """
+import sys, time, zenoh
+config = zenoh.Config.from_json5('{mode: "client", connect: {endpoints: ["%s"]}}' % sys.argv[1])
+config.insert_json5("scouting/multicast/enabled", "false")
+session = zenoh.open(config)
+"""
+
+
+@contextmanager
+def stranger(bench: Bench, program: str, *arguments: object) -> Iterator[Popen[str]]:
+    """Run a client that means no good; it has a zenoh session, and has said that it is there."""
+    command = ["nice", sys.executable, "-c", _OPEN + program, bench.endpoint]
+    client = Popen([*command, *map(str, arguments)], stdout=PIPE, text=True)
+    try:
+        assert client.stdout is not None
+        assert client.stdout.readline() == "there\n"
+        yield client
+    finally:
+        client.kill()
+        client.communicate()
 
 
 @contextmanager

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import pytest
 from armrig_core.access.access_control import MOST_LOCAL_BYTES
 from armrig_core.commands.codes import GapCode
@@ -18,18 +13,13 @@ from tests.integration.driving import (
     outcome,
     recorded,
     resident_mib,
+    stranger,
 )
 from tests.integration.processes import Bench, freeze
 
 pytestmark = pytest.mark.timed
 MORE_MIB = 64.0
 """Memory that a client may cost the service, in MiB (R1)."""
-_OPEN = """
-import sys, time, zenoh
-config = zenoh.Config.from_json5('{mode: "client", connect: {endpoints: ["%s"]}}' % sys.argv[1])
-config.insert_json5("scouting/multicast/enabled", "false")
-session = zenoh.open(config)
-"""
 SLOW = """
 slow = session.declare_subscriber("rig/1/**", lambda sample: time.sleep(0.2))
 print("there", flush=True)
@@ -45,27 +35,10 @@ print(any(reply.ok for reply in replies), flush=True)
 """
 
 
-@contextmanager
-def _client(bench: Bench, program: str, *arguments: object) -> Iterator[subprocess.Popen[str]]:
-    """Run a client that means no good, once it is connected."""
-    client = subprocess.Popen(
-        [sys.executable, "-c", _OPEN + program, bench.endpoint, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert client.stdout is not None
-        assert client.stdout.readline() == "there\n"
-        yield client
-    finally:
-        client.kill()
-        client.communicate()
-
-
 def test_subscribers_that_do_not_read_cost_no_sample_of_the_run(bench: Bench) -> None:
     bench.emulate()
     daemon = bench.serve()
-    with _client(bench, SLOW), _client(bench, SLOW) as stopped:
+    with stranger(bench, SLOW), stranger(bench, SLOW) as stopped:
         freeze(stopped.pid)
         before = resident_mib(daemon.popen.pid)
         with driven(bench, samples=4000, Ts=0.001):
@@ -81,7 +54,7 @@ def test_subscribers_that_do_not_read_cost_no_sample_of_the_run(bench: Bench) ->
 def test_an_oversized_payload_disturbs_no_client(bench: Bench, size: int) -> None:
     bench.emulate()
     daemon = bench.serve()
-    with driven(bench, samples=300), _client(bench, HUGE, size) as client:
+    with driven(bench, samples=300), stranger(bench, HUGE, size) as client:
         assert client.stdout is not None
         assert client.stdout.readline() == "False\n"
         recording = recorded(bench)

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 from armrig_core.commands import commands
 
-from tests.integration.driving import begin
+from tests.integration.driving import begin, stranger
 from tests.integration.processes import Bench, wait_for
 from tests.integration.test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
 
 pytestmark = pytest.mark.timed
-STRANGER = """
-import sys, time, zenoh
-endpoint, name, payload = sys.argv[1:4]
-config = zenoh.Config.from_json5('{mode: "client", connect: {endpoints: ["%s"]}}' % endpoint)
-config.insert_json5("scouting/multicast/enabled", "false")
-session = zenoh.open(config)
+FLOOD = """
+name, payload = sys.argv[2:]
 back, sent = [0], 0
 def answered(reply):
     back[0] += 1
@@ -34,30 +26,12 @@ while True:
         sent += 1
     time.sleep(0.03)
 """
-
-
-@contextmanager
-def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
-    """Have a stranger send a request a thousand times a second, or as often as it is answered."""
-    stranger = subprocess.Popen(
-        ["nice", sys.executable, "-c", STRANGER, bench.endpoint, name, json.dumps(fields)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert stranger.stdout is not None
-        assert stranger.stdout.readline() == "there\n"
-        yield
-    finally:
-        stranger.kill()
-        stranger.communicate()
+"""Sends a request a thousand times a second, or as often as it is answered."""
 
 
 def test_run_requests_of_other_clients_do_not_prevent_the_run_of_the_holder(served: Bench) -> None:
-    with (
-        _flooded(served, "run", lease="0" * 32, n=1, u=[1.0, 2.0] * 10_000),
-        served.rig() as rig,
-    ):
+    request = {"lease": "0" * 32, "n": 1, "u": [1.0, 2.0] * 10_000}
+    with stranger(served, FLOOD, "run", json.dumps(request)), served.rig() as rig:
         rig.arm("a test", Ts=0.01)
         rig._ask(commands.Run(**rig._stamp(), u=[1.0] * 500), commands.RunAccepted)
         wait_for(lambda: served.volts() > 0)
@@ -97,7 +71,7 @@ def _killed_in_a_flood(
     """Return when a run whose client is killed came to 0 V, in s after that, and how it ended."""
     client = begin(bench, 50, RUNNER, "1000", "scheduled", str(DEAD_MAN_S))
     try:
-        with _flooded(bench, name, **fields):
+        with stranger(bench, FLOOD, name, json.dumps(fields)):
             time.sleep(2 * DEAD_MAN_S)
             client.send_signal(signal.SIGKILL)
             took_s = bench.went_to_0_v_after(time.monotonic_ns())
