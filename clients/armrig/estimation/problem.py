@@ -24,7 +24,14 @@ from armrig.models.structure import Structure
 from armrig.numerics.covariance import spread, spread_apart
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Jacobian, Optimum, levenberg_marquardt
-from armrig.numerics.polynomial import Array, drawn_to_edge, monic, outward_normals, stable
+from armrig.numerics.polynomial import (
+    INSIDE_MODULUS,
+    Array,
+    drawn_to_edge,
+    monic,
+    outward_normals,
+    stable,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -431,10 +438,16 @@ class UnitCircle:
 
     def admits(self, theta: Array) -> bool:
         """Return whether all roots are inside the circle."""
-        return all(stable(monic(theta[part])) for part in self.parts)
+        return self._within(1.0, theta)
+
+    def _within(self, radius: float, theta: Array) -> bool:
+        a = theta.tolist()
+        return all(stable([1.0, *a[part]], radius) for part in self.parts)
 
     def inside(self, theta: Array, previous: Array) -> Array:
         """Move the roots that are outside the circle inside; return theta."""
+        if self._within(INSIDE_MODULUS, theta):
+            return theta
         theta = theta.copy()
         for part in self.parts:
             theta[part] = drawn_to_edge(monic(theta[part]), monic(previous[part]))[1:]
@@ -443,6 +456,8 @@ class UnitCircle:
     def normals(self, theta: Array) -> Array:
         """Return the gradient d|z|/dtheta for each root z on the circle."""
         found = [np.zeros((0, theta.size))]
+        if self._within(INSIDE_MODULUS, theta):
+            return found[0]
         for part in self.parts:
             rows = outward_normals(monic(theta[part]))
             whole = np.zeros((len(rows), theta.size))

@@ -19,6 +19,8 @@ from armrig.models.innovations import Experiment, response
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import Array, filtered, shift_into
 
+# A longer response would contain many denormal numbers, which make a processor ten times slower.
+_MAX_WHOLE_RESPONSE = 1024  # samples
 _MIN_COLUMN_REST = 1e-8  # least share of a column that the columns before it do not explain
 
 
@@ -85,13 +87,12 @@ def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> 
     d = state + n.nb[0]
     if d >= N:
         return None
-    by_input, by_pulse = filtered([1.0], CF, x.u[:, 0]), response([1.0], CF, N)
-    by_output = filtered([1.0], C, x.y) if n.nc else x.y
+    by_input, by_pulse = _with_response(CF, x.u[:, 0])
+    by_output, by_past = _with_response(C, x.y) if n.nc else (x.y, x.y)
     W = np.zeros((N, d + 1), order="F")
-    if pulses:
-        _shifted(W[:, :pulses], response([1.0], C, N), 0)
-    _shifted(W[:, pulses:state], np.convolve(D, by_pulse), 0)
-    _shifted(W[:, state:d], np.convolve(D, by_input), n.nk[0])
+    shift_into(W[:, :pulses], by_past, 0)
+    shift_into(W[:, pulses:state], np.convolve(D, by_pulse), 0)
+    shift_into(W[:, state:d], np.convolve(D, by_input), n.nk[0])
     W[:, d] = np.convolve(D, by_output)[:N]
     reflectors, tau, *_ = dgeqrf(W)
     R = reflectors[: d + 1] * _upper(d + 1)
@@ -114,20 +115,20 @@ def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> 
     )
 
 
+def _with_response(P: Array, x: Array) -> tuple[Array, Array]:
+    """Return x (N,) filtered by 1/P, and the impulse response of 1/P."""
+    if x.size > _MAX_WHOLE_RESPONSE:
+        return filtered([1.0], P, x), response([1.0], P, x.size)
+    both = np.zeros((2, x.size))
+    both[0], both[1, 0] = x, 1.0
+    found, pulse = filtered([1.0], P, both)
+    return found, pulse
+
+
 @lru_cache
 def _pulses(n: Structure) -> int:
     """Return the number of pulses z at the start of the data."""
     return n.forgotten(0) if n.nc else 0
-
-
-def _shifted(columns: Array, x: Array, first: int) -> None:
-    """Write q^-first x, q^-(first + 1) x … into the columns."""
-    N = columns.shape[0]
-    for k in range(columns.shape[1]):
-        begin = first + k
-        end = min(N, begin + x.size)
-        if begin < end:
-            columns[begin:end, k] = x[: end - begin]
 
 
 @lru_cache

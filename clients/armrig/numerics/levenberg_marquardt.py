@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import sqrt
 from typing import Protocol
 
 import numpy as np
@@ -96,13 +97,14 @@ def levenberg_marquardt(
     while iterations < most:
         iterations += 1
         s, Vt, z = _along(normals, *whole, damping)
-        if _out_of_reach(target, cost, float(z @ z)):
+        predicted = float(z @ z)
+        if _out_of_reach(target, cost, predicted):
             break
-        gradient = float(np.linalg.norm(z[s > 0])) / np.sqrt(cost)
-        if gradient <= TOLERANCE and change <= TOLERANCE:
+        if change <= TOLERANCE and sqrt(predicted / cost) <= TOLERANCE:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-        step = (Vt.T @ (s / (s**2 + damping) * z)) / scale
-        promised = float(np.sum(z**2 * (1 - (damping / (s**2 + damping)) ** 2)))
+        along = s / (s**2 + damping) * z
+        step = (Vt.T @ along) / scale
+        promised = float(along @ (s * z + damping * along))
         if (
             abs(cost - known) <= _SAME_COST_TOLERANCE * known
             and promised <= _SAME_COST_TOLERANCE * cost
@@ -112,7 +114,7 @@ def levenberg_marquardt(
         promised *= 1 - (1 - share) ** 2
         trial_e, trial_J = linearise(theta + step)
         trial_cost = float(trial_e @ trial_e)
-        if np.isfinite(trial_cost) and trial_cost < cost:
+        if trial_cost < cost:  # NaN is not
             change = (cost - trial_cost) / cost
             ratio = (cost - trial_cost) / promised if promised > 0 else 1.0
             theta, cost = theta + step, trial_cost
@@ -178,7 +180,7 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
         _, sizes, axes = np.linalg.svd(normals[crossed])
         free = axes[int(np.sum(sizes > _WALL_RANK_TOLERANCE * sizes[0])) :]
         U, s, along = np.linalg.svd((S[:, None] * V) @ free.T, full_matrices=False)
-        Vt, z = along @ free, U.T @ Z
+        Vt, z = along @ free, (U.T @ Z) * (s > 0)
 
 
 def _compressed(e: Array, J: Jacobian) -> tuple[_Linear, Array]:
@@ -192,6 +194,5 @@ def _compressed(e: Array, J: Jacobian) -> tuple[_Linear, Array]:
     np.divide(J, scale, out=whole[:, :n])
     whole[:, n] = e
     packed, *_ = dgeqrf(whole, overwrite_a=True)
-    R = np.triu(packed[: n + 1])
-    U, s, Vt = np.linalg.svd(R[:n, :n], full_matrices=False)
-    return (s, Vt, U.T @ R[:n, n]), scale
+    U, s, Vt = np.linalg.svd(np.triu(packed[:n, :n]), full_matrices=False)
+    return (s, Vt, (U.T @ packed[:n, n]) * (s > 0)), scale

@@ -67,10 +67,11 @@ def lagged(x: Array, lags: Sequence[int]) -> Array:
     return columns
 
 
-def shift_into(columns: Array, x: Array) -> None:
-    """Write q^-1 x, q^-2 x … into the columns."""
+def shift_into(columns: Array, x: Array, first: int = 1) -> None:
+    """Write q^-first x, q^-(first + 1) x … into the columns (N, n); x has at most N samples."""
     for k in range(columns.shape[1]):
-        columns[k + 1 :, k] = x[: max(x.size - k - 1, 0)]
+        part = columns[first + k : first + k + x.size, k]
+        part[:] = x[: part.size]
 
 
 def evaluate(p: ArrayLike, q_inverse: Array) -> Array:
@@ -94,13 +95,15 @@ def summation(omega: Array, Ts: float) -> Complex:
         return np.where(omega == 0, np.inf, Ts / (1 - np.exp(-1j * omega * Ts)))
 
 
-def stable(p: ArrayLike) -> bool:
-    """Return whether all roots are strictly inside the unit circle.
+def stable(p: ArrayLike, radius: float = 1.0) -> bool:
+    """Return whether the modulus of all roots is smaller than `radius`.
 
     The method is the step-down recursion of Schur and Cohn. The recursion takes a fifth of the time
     of computing the roots. The time matters, because each step of a search calls this function.
     """
-    a = np.atleast_1d(p).tolist()
+    a = p if isinstance(p, list) else np.atleast_1d(p).tolist()
+    if radius != 1.0:
+        a = [x / radius**k for k, x in enumerate(a)]
     while len(a) > 1:
         k = a[-1] / a[0] if a[0] else np.inf
         if not abs(k) < 1.0:
@@ -145,8 +148,9 @@ def reduced(p: ArrayLike) -> Iterator[Array]:
 EDGE_MODULUS = 1 - 1e-7
 """Largest modulus of a root in a search. The distance from 1 is the error of a computed double
 root."""
+INSIDE_MODULUS = 1 - 1e-5
+"""Modulus below which a root is not at the edge, also with rounding."""
 _EDGE_TOLERANCE = 1e-9
-_INSIDE_MODULUS = 1 - 1e-5  # a root of smaller modulus is not at the edge, also with rounding
 _MIN_LEFT_SHARE = 0.1  # share of the distance to the circle that remains after a step
 _PAIR_ANGLE = 1e-3  # angle, in rad, of the pair that replaces two real roots at the edge
 
@@ -159,8 +163,6 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
     real roots at the edge become a complex pair, because two real roots could not separate along
     the circle.
     """
-    if _well_inside(p):
-        return p
     z = _few_roots(p)
     size = np.abs(z)
     if size.max() <= EDGE_MODULUS:
@@ -173,11 +175,6 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
             z = z.astype(np.complex128)
             z[at[:2]] = side * EDGE_MODULUS * np.exp([1j * _PAIR_ANGLE, -1j * _PAIR_ANGLE])
     return np.real(np.poly(z))
-
-
-def _well_inside(p: Array) -> bool:
-    """Return whether all roots are inside the circle and not near it; compute no roots."""
-    return stable(p * _INSIDE_MODULUS ** -np.arange(float(p.size)))
 
 
 def _few_roots(p: Array) -> Array:
@@ -203,8 +200,6 @@ def outward_normals(p: Array) -> Array:
     of dr along r. A complex pair has one row in the result (k, n), with n coefficients after the
     leading 1.
     """
-    if _well_inside(p):
-        return np.zeros((0, p.size - 1))
     z = _few_roots(p)
     n = z.size
     rows = []
