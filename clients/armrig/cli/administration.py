@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from shlex import join, quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,7 +17,7 @@ from armrig_core.process.signal_pipe import until_signal
 
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Commands, Json, RigId, Verbose, argument, chosen, group, option
-from armrig.cli.printing import agree, echo, inform, print_json, say, say_answer, say_more
+from armrig.cli.printing import agree, inform, print_json, print_result, say, say_answer, say_more
 from armrig.cli.spinner import spinner
 from armrig.lab import installation
 
@@ -29,14 +28,6 @@ if TYPE_CHECKING:
     from armrig.lab.installation import Part, Plan
     from armrig.lab.pki import Issued
 
-Socket = Annotated[
-    str | None,
-    option(
-        "--connect ENDPOINT",
-        "Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are refused.",
-        "[client] connect, or the daemon on this machine",
-    ),
-]
 BROWN_OUT = (
     "The brown-out fuse is not known: Optiboot does not read fuses. A new board has "
     "a brown-out level of 2.7 V, too low for 16 MHz; docs/hardware.md explains how to read and set "
@@ -51,7 +42,15 @@ _BAUD = 500_000  # of the firmware that is shipped
 
 
 def doctor(
-    rig: RigId = "1", connect: Socket = None, json: Json = False, verbose: Verbose = False
+    rig: RigId = "1",
+    connect: str | None = chosen(
+        None,
+        "Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are refused.",
+        "[client] connect, or the daemon on this machine",
+        metavar="ENDPOINT",
+    ),
+    json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Show what degrades the timing here, and how to correct it.
 
@@ -104,10 +103,7 @@ def flash(
         _say_fuse(fuse, port, json=json)
         return
 
-    def show(text: str, how: Callable[[str], None] = say) -> None:
-        if not json:
-            how(text)
-
+    show: Callable[[str], object] = (lambda _: None) if json else say
     firmware = read_image(shipped_image() if image is None else image)
     _check_size(firmware)
     program = _program()
@@ -122,18 +118,18 @@ def flash(
         f"          {len(firmware.data)} B, CRC-32 {firmware.crc:08x}, sha256 {firmware.sha256}\n"
         f"command   {join(call)}"
     )
-    show(plan, echo)
+    show(plan)
     if not dry_run:
         with avrdude.held(board):
             show(MOTOR)
             agree("Is the motor unplugged? Write the board?", yes=yes)
             with spinner("asking the boot loader"):
                 facts["loader"] = f"Optiboot {avrdude.loader(program, board.port)}"
-            show(f"loader    {facts['loader']}", echo)
+            show(f"loader    {facts['loader']}")
             show(BROWN_OUT)
             with spinner("flash:") as moved:
                 avrdude.write(call, moved)
-            show("written; the board returned the same bytes", echo)
+            show("written; the board returned the same bytes")
             facts["device"], found = _device(board, firmware, baud)
             show(found)
     if json:
@@ -157,17 +153,15 @@ def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
 
     value = avrdude.fuse(_program(), programmer, port)
     level = avrdude.BROWN_OUT.get(value & 7, "reserved")
-    if json:
-        print_json({"efuse": f"{value:02x}", "brown_out": level})
-        return
-    echo(f"brown-out  {level} (extended fuse 0x{value:02x})")
+    lines = [f"brown-out  {level} (extended fuse 0x{value:02x})"]
     if value & 7 != avrdude.WANTED_FUSE & 7:
         at = "" if port is None else f" -P {quote(port)}"
-        say(
+        lines.append(
             "16 MHz needs at least 3.8 V, so the level must be 4.3 V; set it with "
             f"avrdude -p {avrdude.CHIP.lower()} -c {quote(programmer)}{at} "
             f"-U efuse:w:0x{avrdude.WANTED_FUSE:02x}:m"
         )
+    print_result({"efuse": f"{value:02x}", "brown_out": level}, *lines, json=json)
 
 
 def _check_size(firmware: FirmwareImage) -> None:
@@ -224,22 +218,20 @@ def conformance(
     os.execv(program[0], program)
 
 
-Term = Annotated[str | None, argument("TERM", "Term to explain.", "a list of all terms")]
 _ENTRY = re.compile(r"^- \*\*(?P<term>[^*]+)\*\*(?: \((?P<long>[^)]+)\))?: (?P<text>.+)$", re.M)
 _MAX_OFFERED = 3
 """Largest number of similar terms in the message about an unknown term."""
 
 
-def glossary(term: Term = None, json: Json = False) -> None:
+def glossary(
+    term: Annotated[str | None, argument("TERM", "Term to explain.", "a list of all terms")] = None,
+    json: Json = False,
+) -> None:
     """Explain a term of armrig in one sentence, or list all terms."""
     terms = read_terms(_page().read_text(encoding="utf-8"))
     shown = {term: terms[term] for term in ([_found(term, terms)] if term else terms)}
-    if json:
-        print_json(shown)
-    elif term:
-        echo("\n".join(f"{name}: {text}" for name, text in shown.items()))
-    else:
-        echo("\n".join(terms))
+    lines = (f"{name}: {text}" for name, text in shown.items())
+    print_result(shown, *(lines if term else terms), json=json)
 
 
 def read_terms(page: str) -> dict[str, str]:
@@ -285,28 +277,20 @@ Root = Annotated[
 DryRun = Annotated[bool, option("--dry-run", "Show the plan only.")]
 Yes = Annotated[bool, option("--yes", "Do not ask.")]
 _SYSTEM = Path("/")
-_NEXT: dict[Part, str] = {
-    "rig": (
-        "each rig needs its file, such as /etc/armrig/1.toml with [device] port, then\n"
-        "  systemctl enable --now armrigd@1\n"
-        "and each operator must join the group: adduser NAME armrig"
-    ),
-    "router": (
-        "the router needs router.pem and access.toml in /etc/armrig, then\n"
-        "  systemctl enable --now armrig-router"
-    ),
+_UNITS: dict[Part, str] = {
+    "rig": "armrigd@1",
+    "router": "armrig-router",
+    "recorder": "armrig-recorder",
+}
+_NEEDED: dict[Part, str] = {
+    "rig": "each rig needs its file, such as /etc/armrig/1.toml with [device] port",
+    "router": "the router needs router.pem and access.toml in /etc/armrig",
     "recorder": (
         "the recorder needs recorder.pem in /etc/armrig, and recorder.env with the line\n"
-        "  ARMRIG_CLIENT_CONNECT=tls/lab.example.edu:7447, then\n"
-        "  systemctl enable --now armrig-recorder"
+        "  ARMRIG_CLIENT_CONNECT=tls/lab.example.edu:7447"
     ),
 }
-"""For each part, what the administrator must do after its installation."""
-_NOT_STARTED: dict[Part, str] = {
-    "rig": "no rig is served: systemctl enable --now armrigd@1",
-    "router": "no router runs: systemctl enable --now armrig-router",
-    "recorder": "no recorder runs: systemctl enable --now armrig-recorder",
-}
+"""For each part, the files that the administrator must add after its installation."""
 
 
 @service.add("service install --dry-run")
@@ -325,7 +309,10 @@ def install(
     chosen: dict[Part, bool] = {"router": router, "recorder": recorder}
     parts = [part for part, is_chosen in chosen.items() if is_chosen] or ["rig"]
     if _carry_out(installation.installing(root.absolute(), parts), root, dry_run=dry_run, yes=yes):
-        echo("\n".join(f"installed; {_NEXT[part]}" for part in parts))
+        for part in parts:
+            say(f"installed; {_NEEDED[part]}, then\n  systemctl enable --now {_UNITS[part]}")
+        if "rig" in parts:
+            say("and each operator must join the group: adduser NAME armrig")
 
 
 @service.add("service uninstall --dry-run")
@@ -336,11 +323,11 @@ def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -
     """
     plan = installation.uninstalling(root.absolute())
     if not (plan.first or plan.removed):
-        echo("\n".join([*plan.lines(), "nothing is installed"]))
+        say("\n".join([*plan.lines(), "nothing is installed"]))
         return
     if _carry_out(plan, root, dry_run=dry_run, yes=yes):
         left = ["/etc/armrig", "the recordings in /var/lib", *map(str, plan.kept)]
-        echo(f"removed; {', '.join(left)} and the users stay")
+        say(f"removed; {', '.join(left)} and the users stay")
 
 
 @service.add("service status")
@@ -349,23 +336,22 @@ def status(root: Root = _SYSTEM, json: Json = False) -> None:
     parts = installation.parts_of(root.absolute()) or {"rig"}
     states = {str(file.path): file.state for file in installation.files(root.absolute(), parts)}
     units = installation.units_of(root.absolute())
-    if json:
-        others = {unit.part: unit for unit in units if not unit.rig}
-        print_json({"files": states, "rigs": [unit for unit in units if unit.rig], **others})
-        return
-    echo("\n".join(f"{state:9}  {path}" for path, state in states.items()))
+    lines = [f"{state:9}  {path}" for path, state in states.items()]
     for unit in units:
         start = "starts with the machine" if unit.enabled else "does not start with the machine"
         how = f"{unit.active}: {unit.status}" if unit.status else unit.active
-        echo(f"{unit.title}: {', '.join(part for part in (how, start) if part)}")
-    for part, hint in _NOT_STARTED.items():
-        if part in parts - {unit.part for unit in units}:
-            echo(hint)
+        lines.append(f"{unit.title}: {', '.join(part for part in (how, start) if part)}")
+    missing = parts - {unit.part for unit in units}
+    for part in (part for part in _UNITS if part in missing):
+        what = "no rig is served" if part == "rig" else f"no {part} runs"
+        lines.append(f"{what}: systemctl enable --now {_UNITS[part]}")
+    facts = {"files": states, "rigs": [unit for unit in units if unit.rig]}
+    print_result(facts | {u.part: u for u in units if not u.rig}, *lines, json=json)
 
 
 def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     """Show a plan, and carry it out if the user agrees; return True if it was carried out."""
-    echo("\n".join(plan.lines()))
+    say("\n".join(plan.lines()))
     if dry_run:
         return False
     if root == _SYSTEM and os.geteuid() != 0:
@@ -416,14 +402,13 @@ def ca(
     from armrig.lab.pki import ACCESS_LIST, make_authority
 
     path = make_authority(directory, days=days, force=force)
-    if json:
-        print_json({"path": str(path)})
-        return
-    echo(
+    print_result(
+        {"path": path},
         f"{path}: made; keep {path.with_suffix('.key')} private, because with it "
-        "anybody can make operators"
+        "anybody can make operators",
+        f"{directory / ACCESS_LIST}: the access list, still empty",
+        json=json,
     )
-    echo(f"{directory / ACCESS_LIST}: the access list, still empty")
 
 
 @pki.add("pki rig 1 --host rig-1.lab.example.edu")
@@ -512,13 +497,9 @@ def revoke(
     from armrig.lab.pki import revoke as revoked
 
     revoked(directory, name)
-    if json:
-        print_json({"name": name, "revoked": True})
-        return
-    echo(
-        f"{name}: revoked in {directory / ACCESS_LIST}; this takes effect when the daemons of the "
-        "rigs have this file and are restarted"
-    )
+    effect = "this takes effect when the daemons of the rigs have this file and are restarted"
+    text = f"{name}: revoked in {directory / ACCESS_LIST}; {effect}"
+    print_result({"name": name, "revoked": True}, text, json=json)
 
 
 @pki.add("pki list", "list")
@@ -527,26 +508,19 @@ def list_issued(directory: Directory = _PKI, json: Json = False) -> None:
     from armrig.lab.pki import issued
 
     found = issued(directory)
-    if json:
-        print_json([{**i._asdict(), "path": str(i.path)} for i in found])
-        return
-    for one in found:
-        echo(f"{one.name:40} {one.role:10} until {_day(one.expires)}")
-    if not found:
-        echo(f"{directory}: no certificates yet")
+    lines = [f"{one.name:40} {one.role:10} until {one.expires:%Y-%m-%d}" for one in found]
+    lines = lines or [f"{directory}: no certificates yet"]
+    print_result([one._asdict() for one in found], *lines, json=json)
 
 
 def _say_issued(issued: Issued, *, json: bool) -> None:
-    if json:
-        print_json({**issued._asdict(), "path": str(issued.path)})
-        return
-    echo(f"{issued.path}: {issued.name}, {issued.role}, until {_day(issued.expires)}")
-    named = _USES.get(issued.role, "set it as [client] certificate")
-    echo(f"the file contains the key, so only the owner of the file may read it; {named}")
-
-
-def _day(when: datetime) -> str:
-    return f"{when:%Y-%m-%d}"
+    use = _USES.get(issued.role, "set it as [client] certificate")
+    print_result(
+        issued._asdict(),
+        f"{issued.path}: {issued.name}, {issued.role}, until {issued.expires:%Y-%m-%d}",
+        f"the file contains the key, so only the owner of the file may read it; {use}",
+        json=json,
+    )
 
 
 def router(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.errors import FileError, InputError
+from armrig_core.errors import FileError
 from armrig_core.telemetry.telemetry import THETA_1, OutputName
 from msgspec import structs
 from msgspec.structs import asdict
@@ -27,7 +27,16 @@ from armrig.cli.model_structures import (
 )
 from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
 from armrig.cli.options import Commands, Detrend, Json, ModelOrders, argument, chosen, group, option
-from armrig.cli.printing import echo, fields_of, print_json, say, say_answer, say_more, some, tell
+from armrig.cli.printing import (
+    fields_of,
+    print_result,
+    say,
+    say_answer,
+    say_more,
+    some,
+    tell,
+    tell_findings,
+)
 from armrig.cli.recorded_data import (
     Channel,
     DataFile,
@@ -41,7 +50,6 @@ from armrig.cli.recorded_data import (
     require_result,
     say_channel,
     source_facts,
-    warn_of_estimation_data,
 )
 from armrig.cli.results import (
     CHANNEL_WIDTH,
@@ -71,6 +79,8 @@ if TYPE_CHECKING:
     from armrig.validation.search_result import SearchResult
     from armrig.validation.structure_hints import StructureHints
 
+_MAX_SHOWN_MODELS = 5  # models of a search without --verbose
+_MAX_REASONS = 3  # reasons without --verbose; the table shows the first
 _NK = "1; estimated with --search of one input and one output"
 
 
@@ -286,13 +296,14 @@ def identify(
         wanted = replace(searching, fixed=searched_for(given, *shape))
     else:
         wanted = requested(given, *shape)
-    _check_model_file(save, file, validate)
+    if save is not None:
+        what = "a model is written as JSON, a figure by -o"
+        check_output(save, list(filter(None, [file, validate])), "--save", what, ".json")
     from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
     for recording in signals.read:
-        for finding in doubts_of_estimation(recording):
-            tell(finding.text)
+        tell_findings(doubts_of_estimation(recording))
     # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
     wanted = _for_outputs(wanted, data, integrator=given["integrator"])
@@ -329,11 +340,8 @@ def identify(
 def _for_outputs(
     wanted: _Search | Request, data: Dataset | Signals, *, integrator: bool
 ) -> _Search | Request:
-    """Return what is wanted, with the integrators and the shared denominator of several outputs.
-
-    A rig's outputs share one denominator, and only theta_1 integrates. All outputs of other data
-    integrate. If the output of a rig does not integrate, a warning is printed.
-    """
+    """Return what is wanted, with the integrators and the shared denominator of several outputs."""
+    # A rig's outputs share one denominator, and only theta_1 integrates; all other data integrate.
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     columns, recorded = data.signals(), from_recording(data)
@@ -353,15 +361,6 @@ def _for_outputs(
     if recorded and "shared" in STRUCTURES[wanted.structure].takes:
         wanted = structs.replace(wanted, shared=True)
     return structs.replace(wanted, integrator=integrating) if integrator else wanted
-
-
-def _check_model_file(save: Path | None, *inputs: Path | None) -> None:
-    """Refuse, before the estimation, a model file that cannot or must not be written."""
-    if save is not None:
-        check_output(save, [path for path in inputs if path is not None])
-        if save.suffix.lower() != ".json":
-            msg = f"--save {save}: a model is written as JSON; give a name that ends in .json"
-            raise InputError(f"{msg}; to write a figure, use -o")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -411,8 +410,9 @@ class Found:
         from armrig.cli import model_output
         from armrig.models import equation
 
-        if self.search is not None:
-            yield model_output.short_search_lines(self.search)
+        if (search := self.search) is not None:
+            reasons = search.reasons[1:_MAX_REASONS]
+            yield [search.table(_MAX_SHOWN_MODELS), *(f"- {reason}" for reason in reasons)]
         yield equation.short_lines(self.fit, roots=self.search is None)
         if self.validation is not None:
             yield from ([line] for line in self.validation.tests.pair_lines())
@@ -420,11 +420,10 @@ class Found:
 
     def _all(self) -> Iterator[Sequence[str]]:
         """Yield all details of the search, the model and its validation."""
-        from armrig.cli import model_output
         from armrig.models import equation
 
         if self.search is not None:
-            yield model_output.search_lines(self.search)
+            yield [self.search.table(), self.search.explain(warnings=False)]
         yield equation.estimation_lines(self.fit)
         said = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
         yield [*said, repr(armrig.advice(self.fit))]
@@ -528,7 +527,7 @@ def _searched(
 def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
     with estimating("the orders"):
         table, tests = armrig.compare(other, fit), armrig.residuals(fit, other)
-    warn_of_estimation_data(table)
+    tell_findings(table.findings)
     return _Validation(data=other, table=table, tests=tests)
 
 
@@ -657,10 +656,7 @@ def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> N
     from armrig.report.batch.batch import batch as processed
     from armrig.report.batch.workers import cluster, processes
 
-    if output.suffix != ".parquet":
-        raise InputError(f"-o {output}: the name of a table ends in .parquet")
-    if not output.absolute().parent.is_dir():
-        raise InputError(f"-o {output}: there is no directory {output.parent}; create it first")
+    check_output(output, (), "-o", "a table is a Parquet file", ".parquet")
     scheduler, workers = selection.scheduler, selection.workers
     if scheduler is not None and workers is not None:
         raise typer.BadParameter(
@@ -696,15 +692,16 @@ def _say_batch(done: Batch, *, json: bool) -> None:
         if row["damage"] and not row["problem"] and row["recording"] not in failed
     }
     without = {row["recording"]: row["problem"] for row in problems}
-    if json:
-        facts = {"table": str(done.table), "rows": len(done.rows), "done_before": done.done_before}
-        print_json(facts | {"problems": without, "damaged": damaged, "failed": failed})
-    else:
-        before = f", {done.done_before} of them processed before" if done.done_before else ""
-        echo(f"{done.table}: {len(done.rows)} recordings{before}; {len(without)} without a result")
-        _echo_first(without, "column problem contains")
-        _echo_first(damaged, "column damage contains")
-        _echo_first(failed, "columns of the checks contain")
+    facts = {"table": done.table, "rows": len(done.rows), "done_before": done.done_before}
+    before = f", {done.done_before} of them processed before" if done.done_before else ""
+    print_result(
+        facts | {"problems": without, "damaged": damaged, "failed": failed},
+        f"{done.table}: {len(done.rows)} recordings{before}; {len(without)} without a result",
+        *_first(without, "column problem contains"),
+        *_first(damaged, "column damage contains"),
+        *_first(failed, "columns of the checks contain"),
+        json=json,
+    )
     if failed:
         names = some([*failed], _MAX_NAMES)
         tell(f"{len(failed)} failed a check: {names}; the table contains the checks")
@@ -720,9 +717,9 @@ def _failed_checks(row: dict[str, Any]) -> str:
     return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)
 
 
-def _echo_first(found: dict[str, str], columns: str) -> None:
-    """Print the first findings about recordings, and the columns that contain all findings."""
+def _first(found: dict[str, str], columns: str) -> Iterator[str]:
+    """Yield the first findings about recordings, and the columns that contain all findings."""
     for name, text in [*found.items()][:_MAX_NAMES]:
-        echo(f"  {name}: {text}")
+        yield f"  {name}: {text}"
     if len(found) > _MAX_NAMES:
-        echo(f"  and {len(found) - _MAX_NAMES} more; the {columns} all reasons")
+        yield f"  and {len(found) - _MAX_NAMES} more; the {columns} all reasons"

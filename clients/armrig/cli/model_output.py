@@ -24,14 +24,9 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
     from armrig.data.finding import Finding
     from armrig.validation.comparison import ComparisonTable
-    from armrig.validation.search_result import SearchResult
 
 _MAX_DIFFERENCES = 4
 """Largest number of differences without --verbose."""
-RTOL = 1e-9
-"""Relative difference of two errors that is due to rounding."""
-_MAX_SHOWN_MODELS = 5  # models of a search without --verbose
-_MAX_REASONS = 3  # reasons without --verbose; the table shows the first
 
 
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
@@ -67,16 +62,6 @@ def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> list[Finding]:
     return [f for f in (*doubts, *advice_on(fit), *fit.findings) if f.level != "good"]
 
 
-def short_search_lines(found: SearchResult) -> list[str]:
-    """Return the best five models of a search and the reasons for the choice."""
-    return [found.table(_MAX_SHOWN_MODELS), *(f"- {r}" for r in found.reasons[1:_MAX_REASONS])]
-
-
-def search_lines(found: SearchResult) -> list[str]:
-    """Return the table and the reasons of a search, without the chosen model's warnings."""
-    return [found.table(), found.explain(warnings=False)]
-
-
 _SAID_BY = {
     **{name: {name} for name in OF_DATA},
     "unstable": {"integrator", "unstable"},
@@ -84,12 +69,6 @@ _SAID_BY = {
     "not_converged": {"search"},
 }
 """For each name of an estimation's finding: names of the findings of the advice that repeat it."""
-
-
-def equally_well(horizons: Sequence[int | None]) -> str:
-    """Return a sentence on the horizons, in samples, at which prediction equals simulation."""
-    ahead = " and ".join(map(str, horizons))
-    return f"Predicted {ahead} ahead, it fits equally well: the model has no noise model."
 
 
 def lags_outside(tests: ResidualTest) -> str:
@@ -116,10 +95,6 @@ def lags_outside(tests: ResidualTest) -> str:
     )
 
 
-def _whiteness(found: Fit | ResidualTest) -> dict[str, Any]:
-    return {"p_white": found.whiteness, "whiteness_test": found.whiteness_test}
-
-
 def error_facts(
     rows: Sequence[Comparison], names: str = "fit_percent rms_error velocity_fit_percent"
 ) -> dict[str, Any]:
@@ -141,7 +116,8 @@ def residual_facts(
         | {"on_estimation_data": rows[0].on_estimation_data}
         | error_facts(rows)
         | {
-            **_whiteness(tests),
+            "p_white": tests.whiteness,
+            "whiteness_test": tests.whiteness_test,
             "p_no_dynamics_missing": tests.missing_dynamics,
             "p_no_feedback": tests.feedback,
             "no_power": tests.powerless or tests.blind,

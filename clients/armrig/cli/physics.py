@@ -18,7 +18,7 @@ import armrig
 from armrig import plots
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
 from armrig.cli.options import argument, chosen, option
-from armrig.cli.printing import echo, fields_of, say, say_answer, say_more, tell
+from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, tell
 from armrig.cli.recorded_data import File, Part, chosen_outputs, recording_path
 from armrig.cli.results import Draw, Output, Shown, shown
 from armrig.cli.spinner import spinner
@@ -336,10 +336,7 @@ def _simulate_step(compared: dict[str, ArmParameters], out: Output) -> None:
 
 
 def _rig(recording: Recording, model: Rig | None) -> tuple[Rig, Any]:
-    """Return "arm" or "chassis", as the recorded alpha shows, and its model.
-
-    Another --model is refused.
-    """
+    """Return "arm" or "chassis", as the recorded alpha shows, and its model; refuse another one."""
     from armrig.recordings.findings import alpha_moves
 
     moves = alpha_moves(recording)
@@ -466,21 +463,16 @@ def _model_table(found: dict[str, _Answer]) -> str:
     """Return a table with a column for each model; five columns fit into 80 characters."""
     from armrig.physics.step_response import root_texts
 
-    columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
-    columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
+    of_models = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
+    of_models[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
     for name, answer in found.items():
         p = answer.predicted
         poles = root_texts(p.poles, 2)
         poles += [""] * (3 - len(poles))
         times = [f"{getattr(p, time):.4f}" for time in _TIMES]
         figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *times, *poles]
-        columns.append([_TOGETHER.get(name, name), *figures, *root_texts(p.zeros, 2)])
-    widths = [max(map(len, column)) for column in columns]
-    rows = zip(*columns, strict=True)
-    return "\n".join(
-        " ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
+        of_models.append([_TOGETHER.get(name, name), *figures, *root_texts(p.zeros, 2)])
+    return columns([*zip(*of_models, strict=True)], gap=" ")
 
 
 def _model_facts(answer: _Answer) -> dict[str, Any]:
@@ -538,7 +530,10 @@ def integrate(
         say_next("integrate", **values, sinusoid=given)
 
     out.show(
-        facts=lambda: fields_of(problem, "omega amplitude span") | {"rows": rows},
+        facts=lambda: (
+            fields_of(problem, "omega amplitude span")
+            | {"rows": [fields_of(row, "method h limit stable error") for row in rows]}
+        ),
         say=lambda: _say_solutions(problem, rows, advice, verbose=out.verbose),
         figures=lambda: _solution_figures(problem, rows, each_step=advice is None),
         say_next=say_after,
@@ -554,9 +549,13 @@ class _Row:
     h: float
     limit: float
     """Largest step for which the method is stable, in s."""
-    stable: bool
     error: float
     """Largest error of a state, relative to the largest value of this state; it may be infinite."""
+
+    @property
+    def stable(self) -> bool:
+        """True if the method is stable with this step."""
+        return self.h < self.limit
 
 
 def _solved(
@@ -565,25 +564,23 @@ def _solved(
     """Return the solutions of the methods, by default all, and the recommended steps if any."""
     from armrig.physics.integrators.accuracy import all_methods
 
-    limits = {m: armrig.stability_limit(problem.A, m) for m in all_methods(tuple(methods) or None)}
+    names = all_methods(tuple(methods) or None)
     for h in steps:
         _check_step(h, problem)
-    advice = None
     with spinner("integrating"):
         if steps:
-            steps_of = {m: list(steps) for m in limits}
-        else:
-            given = fields_of(problem, "omega amplitude span")
-            advice = armrig.recommend_step(
-                problem.A, problem.B, tolerance=tolerance, methods=tuple(limits), **given
-            )
-            steps_of = {row.method: [row.h] for row in advice.rows}
-        rows = [
-            _Row(method=m, h=h, limit=limit, stable=h < limit, error=problem.error(h, m))
-            for m, limit in limits.items()
-            for h in steps_of[m]
-        ]
-    return rows, advice
+            limits = {m: armrig.stability_limit(problem.A, m) for m in names}
+            return [
+                _Row(method=m, h=h, limit=limits[m], error=problem.error(h, m))
+                for m in names
+                for h in steps
+            ], None
+        given = fields_of(problem, "omega amplitude span")
+        advice = armrig.recommend_step(
+            problem.A, problem.B, tolerance=tolerance, methods=names, **given
+        )
+    rows = sorted(advice.rows, key=lambda row: names.index(row.method))
+    return [_Row(**fields_of(row, "method h limit error")) for row in rows], advice
 
 
 def _check_step(h: float, problem: Sinusoid) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TextIO
 
 import typer
@@ -21,6 +22,12 @@ _NO_BREAK_SPACE = "\u00a0"
 def tell(message: str) -> None:
     """Print a warning or an error on standard error."""
     inform(f"armrig: {message}")
+
+
+def tell_findings(findings: Iterable[Any]) -> None:
+    """Print each finding as a warning."""
+    for finding in findings:
+        tell(finding.text)
 
 
 def inform(message: str, **style: bool) -> None:
@@ -90,13 +97,7 @@ def question(text: str) -> str:
 
 
 def agree(text: str, *, yes: bool) -> None:
-    """Ask the user for agreement, unless `yes` is True.
-
-    Raises
-    ------
-    RuntimeError
-        The user does not agree, or there is no terminal.
-    """
+    """Ask the user for agreement, unless `yes` is True; raise OperationError without agreement."""
     if yes:
         return
     if not sys.stdin.isatty():
@@ -149,18 +150,23 @@ def fields_of(value: Any, names: str) -> dict[str, Any]:
 
 
 def print_json(value: Any) -> None:
-    """Print a value as a line of JSON; arrays are lists, a complex number is its two parts."""
+    """Print a value as a line of JSON; a complex number is its two parts, a path is a text."""
     import msgspec
 
     try:
-        text = msgspec.json.encode(value, enc_hook=_as_list)
+        text = msgspec.json.encode(value, enc_hook=_plain)
     except UnicodeEncodeError:  # the name of a file need not be valid text
-        text = msgspec.json.encode(_as_text(msgspec.to_builtins(value, enc_hook=_as_list)))
+        text = msgspec.json.encode(_as_text(msgspec.to_builtins(value, enc_hook=_plain)))
     typer.echo(json_printable(text.decode()))
 
 
-def _as_list(value: Any) -> Any:
-    return [value.real, value.imag] if isinstance(value, complex) else value.tolist()
+def _plain(value: Any) -> Any:
+    match value:
+        case complex():
+            return [value.real, value.imag]
+        case Path():
+            return str(value)
+    return value.tolist()
 
 
 def _as_text(value: Any) -> Any:
@@ -173,6 +179,27 @@ def _as_text(value: Any) -> Any:
         case list():
             return [_as_text(item) for item in value]
     return value
+
+
+def print_result(facts: Any, *lines: str, json: bool) -> None:
+    """Print the facts of a result as JSON, or its lines of text for a person."""
+    if json:
+        print_json(facts)
+    elif lines:
+        say("\n".join(lines))
+
+
+def columns(rows: Sequence[Sequence[str]], most: int | None = None, *, gap: str = "  ") -> str:
+    """Return rows of cells as text in columns.
+
+    A column is as wide as its longest cell, but at most `most`; a longer cell is not cut.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    widths = [min(width, most or width) for width in widths]
+    return "\n".join(
+        gap.join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
 
 
 def print_table(*rows: tuple[str, str], verdict: bool = False) -> None:

@@ -16,7 +16,7 @@ from armrig_core.telemetry.telemetry import THETA_1, OutputName
 
 import armrig
 from armrig.cli.options import CalibrationFile, Detrend, From, Group, To, argument, chosen, group
-from armrig.cli.printing import inform, say, tell, warned
+from armrig.cli.printing import inform, say, tell, tell_findings, warned
 from armrig.cli.results import name_runs
 from armrig.cli.spinner import spinner
 from armrig.data.files import OTHER_DATA, RECORDING
@@ -28,19 +28,12 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
-    from armrig.validation.comparison import ComparisonTable
 
 _NAMES = "@last or @NAME"
 
 
 def recording_path(text: str) -> Path:
-    """Return the path of a recording from its path or @name; print what the @name means.
-
-    Raises
-    ------
-    NoSuchRecordingError
-        No recording has the name, or several recordings have the name.
-    """
+    """Return the path of a recording from its path or @name; print what the @name means."""
     from armrig.recordings.files.recording_names import chosen, described, recording_folder
 
     if not text.startswith("@"):
@@ -298,8 +291,7 @@ def loaded(
     name_runs(*recordings)
     # `warned` reports a file that is cut off. The end of a requested range is not an early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
-    for finding in (*early_ends(whole), *all_doubts(recordings, one_plant=one_plant)):
-        tell(finding.text)
+    tell_findings([*early_ends(whole), *all_doubts(recordings, one_plant=one_plant)])
     return [warned(recording) for recording in recordings]
 
 
@@ -478,8 +470,7 @@ class SignalChoice(DataOptions):
         from armrig.recordings.usability import doubts_of_pair
 
         [recording] = self.recordings(file)
-        for finding in doubts_of_pair(self.read[0], recording) if self.read else ():
-            tell(finding.text)
+        tell_findings(doubts_of_pair(self.read[0], recording) if self.read else ())
         self.read.append(recording)
         return recording
 
@@ -593,12 +584,6 @@ def _without_means(model: Fit | None) -> bool:
 
 def _with_level(model: Fit | None) -> bool:
     return bool(getattr(model, "offset", False))
-
-
-def warn_of_estimation_data(table: ComparisonTable) -> None:
-    """Print a warning if the comparison of a model uses the model's own estimation data."""
-    for finding in table.findings:
-        tell(finding.text)
 
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:

@@ -18,19 +18,21 @@ from armrig_core.telemetry.telemetry import THETA_1, ChannelName
 
 import armrig
 from armrig.cli.next_step import AFTER, kind_of, say_next, typed
-from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen, option
-from armrig.cli.printing import echo, fields_of, inform, print_json, print_table, some, tell, warned
-from armrig.cli.recorded_data import File, Part
-from armrig.cli.results import (
-    FIGURE_HELP,
-    Draw,
-    Shown,
-    check_output,
-    check_plot,
-    figure_path,
-    name_runs,
-    write_plot,
+from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen
+from armrig.cli.printing import (
+    columns,
+    echo,
+    fields_of,
+    inform,
+    print_json,
+    print_result,
+    print_table,
+    some,
+    tell,
+    warned,
 )
+from armrig.cli.recorded_data import File, Part
+from armrig.cli.results import Draw, Plot, Shown, check_output, check_plot, name_runs, write_plot
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
@@ -41,20 +43,12 @@ if TYPE_CHECKING:
     from armrig.recordings.files.recording_names import Answering
     from armrig.recordings.files.recording_summary import RecordingSummary
     from armrig.recordings.files.replay import Replay
+    from armrig.recordings.jitter import Spread
     from armrig.recordings.recording import Recording
 
-Live = Annotated[bool, option("--live", "List the rigs that are alive.")]
 Folder = Annotated[
     Path | None,
     argument("FOLDER", "Folder of the recordings.", "the folder that the daemon records into"),
-]
-Connect = Annotated[
-    str | None,
-    option(
-        "--connect ENDPOINT",
-        "Only with --live: zenoh endpoint of a router or daemon.",
-        "[client] connect, or all rigs of this machine",
-    ),
 ]
 Naming = Callable[["RecordingSummary"], str]
 _DEFAULT_COUNT = 20
@@ -68,8 +62,13 @@ def ls(
     where: Folder = None,
     count: int = chosen(_DEFAULT_COUNT, "Number of the newest recordings to list.", min=1),
     every: bool = chosen(False, "List all recordings.", names="--all"),
-    live: Live = False,
-    connect: Connect = None,
+    live: bool = chosen(False, "List the rigs that are alive."),
+    connect: str | None = chosen(
+        None,
+        "Only with --live: zenoh endpoint of a router or daemon.",
+        "[client] connect, or all rigs of this machine",
+        metavar="ENDPOINT",
+    ),
     json: Json = False,
 ) -> None:
     """List the recordings, newest first, or with --live the rigs.
@@ -87,13 +86,12 @@ def ls(
     if live:
         _list_rigs(connect, json=json)
         return
-    from armrig.recordings.files.catalogue import facts_of
+    from armrig.recordings.files.catalogue import Catalogue, facts_of
     from armrig.recordings.files.recording_names import (
         answering_among,
         recording_folder,
         short_name,
     )
-    from armrig.recordings.files.recording_summary import shown_path
 
     folder = where or recording_folder()
     try:
@@ -101,25 +99,17 @@ def ls(
     except (FileNotFoundError, NotADirectoryError):
         if where is not None:
             raise
-        found = None
-    whole = found.recordings if found else ()
-    shown = whole if every else whole[:count]
+        found = Catalogue(folder=folder, recordings=(), left_out=(), unfinished=())
+    shown = found.recordings if every else found.recordings[:count]
     if json:
-        # `found` is false without a recording, even if it contains other files.
-        left_out, unfinished = (found.left_out, found.unfinished) if found is not None else ((), ())
-        print_json(
-            {
-                "folder": str(folder),
-                "recordings": [facts_of(s) for s in shown],
-                "left_out": [
-                    {"recording": shown_path(path), "why": why, "foreign": is_foreign}
-                    for path, why, is_foreign in left_out
-                ],
-                "unfinished": [shown_path(p) for p in unfinished],
-            }
-        )
+        left_out = [
+            {"recording": path, "why": why, "foreign": is_foreign}
+            for path, why, is_foreign in found.left_out
+        ]
+        facts = {"folder": folder, "recordings": [facts_of(s) for s in shown]}
+        print_json(facts | {"left_out": left_out, "unfinished": found.unfinished})
         return
-    answering = answering_among(whole)
+    answering = answering_among(found.recordings)
 
     def name_of(summary: RecordingSummary) -> str:
         # A name such as @last means a recording in the default folder.
@@ -130,8 +120,9 @@ def ls(
         # An optional column is left out if it is empty, or if all its outcomes are complete.
         kept = [True] * (len(_HEADINGS) - _OPTIONAL)
         kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
-        echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))
-    inform(_the_rest(folder, found, len(shown)), dim=True)
+        # A name is never cut, because a person types it; it does not widen the other rows.
+        echo(columns([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)], _MAX_WIDTH))
+    inform(_the_rest(found, len(shown)), dim=True)
     if shown:
         newest = shown[0]
         say_next("ls", file=typed(newest.path) if where else short_name(newest, answering))
@@ -157,7 +148,8 @@ def _list_rigs(connect: str | None, *, json: bool) -> None:
         else (r.rig, "", "", "", r.why)
         for r in found
     ]
-    echo(_table([("rig", "phase", "Ts", "owner", ""), *(tuple(map(printable, r)) for r in rows)]))
+    heading = ("rig", "phase", "Ts", "owner", "")
+    echo(columns([heading, *(tuple(map(printable, r)) for r in rows)], _MAX_WIDTH))
 
 
 def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tuple[str, ...]:
@@ -189,20 +181,11 @@ def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answeri
     return name_of(estimations[0]) if estimations else "not known"
 
 
-def _table(rows: list[tuple[str, ...]]) -> str:
-    # A name is never cut, because a person types it; a longer name does not widen the other rows.
-    widths = [min(max(map(len, column)), _MAX_WIDTH) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
-
-
-def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
+def _the_rest(found: Catalogue, shown: int) -> str:
     """Return a line about the files that are not in the table."""
-    if found is None or not (found.recordings or found.left_out or found.unfinished):
-        return f"there are no recordings in {folder}; make one with `armrig collect`"
-    parts = [f"in {folder}"]
+    if not (found.recordings or found.left_out or found.unfinished):
+        return f"there are no recordings in {found.folder}; make one with `armrig collect`"
+    parts = [f"in {found.folder}"]
     if older := len(found) - shown:
         parts.append(f"{older} older recordings: --all")
     if damaged := [left for left in found.left_out if not left.is_foreign]:
@@ -222,6 +205,8 @@ def _names(left_out: Sequence[LeftOut]) -> str:
 
 _MAX_GAPS, _MAX_NOTES = 3, 10  # lines without --verbose
 _MAX_TEXT = 1000  # characters
+_BY_DEVICE = "the device", "arrival of the samples at the host, which does not affect them"
+_BY_HOST = "the host", "lateness of the host's request for each sample"
 TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 
@@ -291,21 +276,20 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     yield "calibrated", calibration_date(rec.calibration)
     for remark in doubts_of_calibration(rec.calibration, manifest):
         yield "remark", remark.text
-    yield "jitter", _jitter(timing.jitter)
+    of_interval = "spread of the sampling interval, by the device's clock"
+    yield "jitter", _percentiles(timing.jitter, 0, of_interval)
     if verbose:
-        yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"
-        yield "host's lateness", _lateness(timing.lateness, manifest.pacing)
+        pacer, late = _BY_DEVICE if manifest.pacing == "scheduled" else _BY_HOST
+        yield "paced by", pacer
+        yield "host's lateness", _percentiles(timing.lateness, 1, late)
     if verbose and (found := disturbances(rec).texts()):
         yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
-    gaps = gap_lines(rec.gaps)
-    for text in gaps if verbose else gaps[:_MAX_GAPS]:
-        yield "gap", text
-    if len(gaps) > _MAX_GAPS and not verbose:
-        yield "gap", f"{len(gaps) - _MAX_GAPS} more lines; --verbose shows them"
-    for note in rec.notes if verbose else rec.notes[:_MAX_NOTES]:
-        yield "note", _clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}")
-    if len(rec.notes) > _MAX_NOTES and not verbose:
-        yield "note", f"{len(rec.notes) - _MAX_NOTES} more; --verbose shows them"
+    notes = [_clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}") for note in rec.notes]
+    for name, texts, most in (("gap", gap_lines(rec.gaps), _MAX_GAPS), ("note", notes, _MAX_NOTES)):
+        shown = texts if verbose else texts[:most]
+        yield from ((name, text) for text in shown)
+        if more := len(texts) - len(shown):
+            yield name, f"{more} more; --verbose shows them"
     if rec.truncated:
         yield "damage", rec.damage
     for finding in verdict.findings if verbose else ():
@@ -345,25 +329,12 @@ def _outcome(rec: Recording) -> str:
     return f"not known: the file {what} before the outcome{writing}"
 
 
-def _microseconds(spread: Any, decimals: int) -> str:
+def _percentiles(spread: Spread, decimals: int, meaning: str) -> str:
+    """Return the percentiles of a time, and the meaning of this time."""
     if spread.n == 0:
         return "too few samples"
     p50, p99 = f"{spread.p50:.{decimals}f}", f"{spread.p99:.{decimals}f}"
-    return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs"
-
-
-def _jitter(spread: Any) -> str:
-    text = _microseconds(spread, 0)
-    return f"{text}; spread of the sampling interval, by the device's clock" if spread.n else text
-
-
-def _lateness(spread: Any, pacing: str) -> str:
-    text = _microseconds(spread, 1)
-    if spread.n == 0:
-        return text
-    if pacing == "scheduled":
-        return f"{text}; arrival of the samples at the host, which does not affect them"
-    return f"{text}; lateness of the host's request for each sample"
+    return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs; {meaning}"
 
 
 def timing_figures(recording: Recording) -> dict[str, Draw]:
@@ -405,9 +376,6 @@ def _replay_verdict(found: Replay) -> str:
     return same
 
 
-Out = Annotated[Path, argument("OUT", "File to write.")]
-Parquet = Annotated[bool, option("--parquet", "Write Parquet, for pandas, polars and others.")]
-
 Where = Annotated[
     list[Path] | None,
     argument(
@@ -421,9 +389,7 @@ Where = Annotated[
 def plot(
     file: File,
     part: Part,
-    figure: Path = chosen(
-        Path("plot.png"), FIGURE_HELP, names="-o --plot FIGURE", parser=figure_path
-    ),
+    figure: Plot = Path("plot.png"),
     json: Json = False,
 ) -> None:
     """Plot a recording, and report its faults (handout 3.1.4).
@@ -439,7 +405,7 @@ def plot(
         found = overview(recording)
     [written] = write_plot(figure, signals=found.plot, height=7.0)
     if json:
-        print_json(found.facts() | {"figure": str(written)})
+        print_json(found.facts() | {"figure": written})
         return
     print_table(*found.rows())
     after = f"plot {kind_of(file)}"
@@ -478,10 +444,10 @@ def verify(file: File, json: Json = False) -> None:
 
 def export(
     file: File,
-    out: Out,
+    out: Annotated[Path, argument("OUT", "File to write.")],
     csv: bool = chosen(False, "Write CSV, for any program."),
     mat: bool = chosen(False, "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."),
-    parquet: Parquet = False,
+    parquet: bool = chosen(False, "Write Parquet, for pandas, polars and others."),
     transforms: bool = chosen(
         False, "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel."
     ),
@@ -515,10 +481,9 @@ def export(
     warned(recording)
     with spinner("writing"), _whole(out):
         writers[kind](recording, out)
-    if json:
-        print_json({"file": str(out), "samples": recording.N, "recording": recording.sha256})
-    else:
-        echo(f"{out}: {recording.N} samples, {recording.missing} of them missing")
+    facts = {"file": out, "samples": recording.N, "recording": recording.sha256}
+    text = f"{out}: {recording.N} samples, {recording.missing} of them missing"
+    print_result(facts, text, json=json)
 
 
 @contextmanager
@@ -556,7 +521,10 @@ def recover(where: Where = None, json: Json = False) -> None:
     name that ends in .mcap. If a file cannot be recovered, it stays unchanged, and the exit code is
     1.
     """
-    from armrig_core.recording_file.recovery import sentence
+    from datetime import UTC, datetime
+    from importlib.metadata import version
+
+    from armrig_core.recording_file.recovery import Recovery, sentence
     from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
 
     from armrig.recordings.files.recording_names import recording_folder
@@ -565,7 +533,10 @@ def recover(where: Where = None, json: Json = False) -> None:
     done: list[RecoveredFile] = []
     left: list[tuple[Path, str]] = []
     failed = False
-    recovery = _recovery()
+    recovery = Recovery(
+        armrig=version("armrig"),
+        now=lambda: datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+    )
     for path, is_named in paths:
         try:
             done.append(recovery.recover(path))
@@ -577,8 +548,17 @@ def recover(where: Where = None, json: Json = False) -> None:
             if not json:
                 echo(sentence(done[-1]))
     if json:
-        unfinished = [{"recording": str(path), "why": why} for path, why in left]
-        print_json({"recovered": [_recovered_facts(file) for file in done], "left": unfinished})
+        outcome = "samples missing outcome"
+        recovered = [
+            {
+                "recording": file.path,
+                **fields_of(file.outcome, outcome),
+                "recovered": file.recovered,
+            }
+            for file in done
+        ]
+        unfinished = [{"recording": path, "why": why} for path, why in left]
+        print_json({"recovered": recovered, "left": unfinished})
     elif not paths:
         inform(f"nothing to recover in {', '.join(map(str, where or [recording_folder()]))}")
     if failed:
@@ -594,20 +574,3 @@ def _files(where: list[Path]) -> Iterator[tuple[Path, bool]]:
             yield from ((file, False) for file in unfinished(path))
         else:
             yield path, True
-
-
-def _recovery() -> Any:
-    from datetime import UTC, datetime
-    from importlib.metadata import version
-
-    from armrig_core.recording_file.recovery import Recovery
-
-    return Recovery(
-        armrig=version("armrig"),
-        now=lambda: datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
-    )
-
-
-def _recovered_facts(file: RecoveredFile) -> dict[str, Any]:
-    outcome = fields_of(file.outcome, "samples missing outcome")
-    return {"recording": str(file.path)} | outcome | {"recovered": file.recovered}

@@ -69,8 +69,14 @@ def figure_path(text: str | Path) -> Path:
     return path / f"{_EACH}.png" if str(text).endswith("/") or path.is_dir() else path
 
 
-FIGURE_HELP = "Figure to write (such as .png, .pdf, .svg); FOLDER/ gets a .png for each diagram."
-Plot = Annotated[Path | None, option("-o --plot FIGURE", FIGURE_HELP, parser=figure_path)]
+Plot = Annotated[
+    Path | None,
+    option(
+        "-o --plot FIGURE",
+        "Figure to write (such as .png, .pdf, .svg); FOLDER/ gets a .png for each diagram.",
+        parser=figure_path,
+    ),
+]
 
 
 def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
@@ -84,11 +90,6 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
         raise InputError(f"{folder}/: is a file; give a folder, or leave out the /")
     elif not folder.is_dir():
         check_output(folder, ())
-    check_figure(path)
-
-
-def check_figure(path: Path) -> None:
-    """Refuse a suffix that is not a format of figures."""
     from matplotlib.figure import Figure
 
     kinds = Figure().canvas.get_supported_filetypes()
@@ -175,11 +176,17 @@ def of_channel(subject: str, draw: Draw, channel: Sequence[str]) -> dict[str, Dr
     return {"_".join([subject, *name.split()]): drawing if channel else draw}
 
 
-def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
-    """Refuse, before a command's work, an output that cannot be written or would replace data."""
-    name = f"-o {path}" if suffix else str(path)
+def check_output(
+    path: Path, inputs: Sequence[Path], option: str = "", what: str = "", suffix: str = ""
+) -> None:
+    """Refuse, before a command's work, an output that cannot be written or would replace data.
+
+    An error names the `option` of the output. If there is a `suffix`, the error for another suffix
+    says `what` the file contains.
+    """
+    name = f"{option} {path}".strip()
     if path.is_dir():
-        example = path / ("report.pdf" if suffix else "timing.png")
+        example = path / f"name{suffix or '.png'}"
         raise InputError(f"{name}: is a directory; give a file, such as {example}")
     if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
         raise InputError(f"{name}: is an input file, which would be lost; give another name")
@@ -188,7 +195,7 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
             if file.read(len(_MCAP)) == _MCAP:
                 raise InputError(f"{name}: is a recording, which would be lost; give another name")
     if suffix and path.suffix.lower() != suffix:
-        raise InputError(f"{name}: a report is a PDF; give a name that ends in {suffix}")
+        raise InputError(f"{name}: {what}; give a name that ends in {suffix}")
     if not path.absolute().parent.is_dir():
         if path.parent.exists():
             msg = f"{name}: {path.parent} is a file; give an existing directory"
@@ -204,10 +211,6 @@ class Output:
     json: Json = False
     verbose: Verbose = False
     plot: Plot = None
-
-    def check(self, inputs: Sequence[Path]) -> None:
-        """Refuse, before a command's work, a figure that cannot or must not be written."""
-        check_plot(self.plot, inputs)
 
     def show(
         self,
@@ -242,7 +245,7 @@ class Output:
 
 def shown(*names: str) -> Group:
     """Return options of `Output` in the order of the help; the figure is checked at the start."""
-    return group(Output, names, check=Output.check)
+    return group(Output, names, check=lambda out, inputs: check_plot(out.plot, inputs))
 
 
 Shown = Annotated[Output, shown("json", "verbose", "plot")]

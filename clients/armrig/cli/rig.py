@@ -18,8 +18,17 @@ from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import until_signal
 
 import armrig
-from armrig.cli.options import Connect, Json, RigId, argument, chosen, option
-from armrig.cli.printing import echo, folded, inform, print_json, print_table, say, takes_styles
+from armrig.cli.options import Connect, Json, RigId, argument, chosen
+from armrig.cli.printing import (
+    echo,
+    folded,
+    inform,
+    print_json,
+    print_result,
+    print_table,
+    say,
+    takes_styles,
+)
 
 if TYPE_CHECKING:
     from armrig_core.commands.commands import StatusReport
@@ -40,7 +49,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
     """Show the state of the daemon and the rig."""
     from armrig.rig.status import status_rows
 
-    with _opened(rig, connect) as opened:
+    with opened_rig(rig, connect) as opened:
         report = opened.status()
     if json:
         print_json(report)
@@ -62,7 +71,7 @@ def watch(
 
     With --json each line has the fields of a sample, or of a gap: k_first, count, reason and more.
     """
-    with _opened(rig, connect) as opened:
+    with opened_rig(rig, connect) as opened:
         samples = islice(opened.stream("sample"), count)
         with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
             if json:
@@ -93,7 +102,7 @@ def stop(
     from armrig.rig.session import NoReplyError
 
     try:
-        with _opened(rig, connect) as opened:
+        with opened_rig(rig, connect) as opened:
             opened.stop(by)
             motor = "" if json else _motor_after_stop(opened)
     except NoReplyError as err:
@@ -147,13 +156,12 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
     With --json the command prints {"rig": "1", "was_latched": true}, or false if no fault was
     latched.
     """
-    with _opened(rig, connect) as opened:
+    with opened_rig(rig, connect) as opened:
         was_latched = opened.reset()
-    if json:
-        print_json({"rig": rig, "was_latched": was_latched})
-        return
-    echo(f"rig {rig} was reset" if was_latched else f"rig {rig}: no fault is latched")
-    _say_next("reset", rig, connect)
+    text = f"rig {rig} was reset" if was_latched else f"rig {rig}: no fault is latched"
+    print_result({"rig": rig, "was_latched": was_latched}, text, json=json)
+    if not json:
+        _say_next("reset", rig, connect)
 
 
 def note(
@@ -170,13 +178,11 @@ def note(
     With --json the command prints {"rig": "1", "recorded": true}, or false if no run is being
     recorded.
     """
-    with _opened(rig, connect) as opened:
+    with opened_rig(rig, connect) as opened:
         is_recorded = opened.note(text, owner)
-    if json:
-        print_json({"rig": rig, "recorded": is_recorded})
-        return
     missing = "no run is being recorded, so the note is not in a recording"
-    echo(f"rig {rig}: {'the note is in the recording' if is_recorded else missing}")
+    text = f"rig {rig}: {'the note is in the recording' if is_recorded else missing}"
+    print_result({"rig": rig, "recorded": is_recorded}, text, json=json)
 
 
 def _say_next(after: str, rig: str, connect: str | None) -> None:
@@ -186,7 +192,7 @@ def _say_next(after: str, rig: str, connect: str | None) -> None:
 
 
 @contextmanager
-def _opened(rig: str, connect: str | None) -> Iterator[Any]:
+def opened_rig(rig: str, connect: str | None) -> Iterator[Any]:
     """Yield the rig; if the daemon refuses a request, the error names the command to type next."""
     from armrig.rig.replies import RefusedError, refusal_sentence, reset_command
 
@@ -226,7 +232,6 @@ def _sample_line(sample: Any) -> str:
     )
 
 
-Port = Annotated[str | None, option("--port DEVICE", "Serial port of the rig.", "an emulated rig")]
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _LAB_STATUS_INTERVAL_S = 0.5
 _VIEW_INTERVAL_S = 0.1
@@ -243,7 +248,7 @@ class _Lab(NamedTuple):
 
 
 def lab(
-    port: Port = None,
+    port: str | None = chosen(None, "Serial port of the rig.", "an emulated rig", metavar="DEVICE"),
     config: Path | None = chosen(
         None, "Configuration file, in place of the installed files.", metavar="TOML"
     ),

@@ -34,8 +34,9 @@ from armrig.cli.options import (
     group,
     option,
 )
-from armrig.cli.printing import echo, fields_of, inform, print_json, tell, tell_error
+from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
+from armrig.cli.results import check_output
 
 if TYPE_CHECKING:
     from armrig.rig.playback import PublishedRun
@@ -326,11 +327,9 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
         )
         verdict, estimation = done.verdict, done.run_id
         first = first or (done.path if verdict else None)
-        if run.json:
-            facts = {"recording": str(done.path)} | fields_of(done, "samples Ts synced rehearsal")
-            print_json(facts | {"verdict": verdict.facts() if verdict else None})
-        else:
-            echo(str(done.path))
+        facts = {"recording": done.path} | fields_of(done, "samples Ts synced rehearsal")
+        facts["verdict"] = verdict.facts() if verdict else None
+        print_result(facts, str(done.path), json=run.json)
         kept = f"{done.synced} samples are on the disk; " if done.synced else ""
         if verdict is None:
             where = "the recording is on the daemon's machine; run `armrig info` there to show its"
@@ -354,9 +353,6 @@ def _say_next(kind: str, first: Path, rig: str) -> None:
         say_next(f"collect {kind}", file=typed(first))
 
 
-Rigs = Annotated[list[str] | None, option("--rig", "Id of a rig; repeatable.", "1")]
-
-
 def record(
     source: str | None = chosen(
         None,
@@ -364,7 +360,7 @@ def record(
         "[client] connect, or for one rig the daemon on this machine",
         names="--from --connect ENDPOINT",
     ),
-    rigs: Rigs = None,
+    rigs: list[str] | None = chosen(None, "Id of a rig; repeatable.", "1", names="--rig"),
     every: bool = chosen(
         False, "Record every rig, including rigs that start later.", names="--all"
     ),
@@ -441,11 +437,10 @@ def _record_one(
             _finish(recording, how)
     if not recording.done:
         raise OperationError(f"rig {rig} at {where} published no sample, so there is no recording")
-    if json:
-        print_json({"recordings": [*map(_recorded_facts, recording.done)]})
-        return
-    _echo_files(recording.done)
-    say_next("record", file=typed(recording.done[-1].path))
+    facts = {"recordings": [*map(_recorded_facts, recording.done)]}
+    print_result(facts, *map(_recorded_line, recording.done), json=json)
+    if not json:
+        say_next("record", file=typed(recording.done[-1].path))
 
 
 def _finish(recording: RemoteRecording, ended: Ending) -> None:
@@ -463,8 +458,7 @@ def _finish(recording: RemoteRecording, ended: Ending) -> None:
 def _new_file(path: Path) -> Path:
     from armrig_core.recording_file.part_names import ACTIVE
 
-    if path.suffix != ".mcap":
-        raise InputError(f"-o {path}: the name of a recording ends in .mcap")
+    check_output(path, (), "-o", "a recording is an MCAP file", ".mcap")
     for taken in (path, path.with_name(f"{path.name}{ACTIVE}")):
         if os.path.lexists(taken):
             raise InputError(f"-o {path}: {taken.name} exists; give another name")
@@ -472,12 +466,11 @@ def _new_file(path: Path) -> Path:
 
 
 def _recorded_facts(file: Any) -> dict[str, Any]:
-    return {"recording": str(file.path)} | fields_of(file, "samples missing outcome")
+    return {"recording": file.path} | fields_of(file, "samples missing outcome")
 
 
-def _echo_files(files: Iterable[Any]) -> None:
-    for file in files:
-        echo(f"{file.path}: {file.samples} samples, {file.missing} missing, {file.outcome}")
+def _recorded_line(file: Any) -> str:
+    return f"{file.path}: {file.samples} samples, {file.missing} missing, {file.outcome}"
 
 
 def default_name(rig: str) -> str:
@@ -516,11 +509,11 @@ def record_many(
         recorded = recorder.record(ended, seconds, rigs)
     files = [(one.rig, file) for one in recorded for file in one.files]
     failed = [one for one in recorded if one.why]
-    if json:
-        facts = {"recordings": [{"rig": rig} | _recorded_facts(file) for rig, file in files]}
-        print_json(facts | {"failed": [fields_of(one, "rig why") for one in failed]})
-    else:
-        _echo_files(file for _, file in files)
+    facts = {
+        "recordings": [{"rig": rig} | _recorded_facts(file) for rig, file in files],
+        "failed": [fields_of(one, "rig why") for one in failed],
+    }
+    print_result(facts, *(_recorded_line(file) for _, file in files), json=json)
     if failed:
         names = ", ".join(one.rig for one in failed)
         raise OperationError(
@@ -581,22 +574,21 @@ def play(
             if not loop:
                 break
             rest(run, speed=speed)
-    if json:
-        print_json({"rig": rig, "published": count})
-        return
-    echo(f"published {count} messages")
-    say_next("play", file=typed(file))
+    print_result({"rig": rig, "published": count}, f"published {count} messages", json=json)
+    if not json:
+        say_next("play", file=typed(file))
 
 
 def _announce(
     run: PublishedRun, rig: str, where: str, speed: float, *, named: str | None, json: bool
 ) -> None:
-    if json:
-        facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
-        print_json({**facts, "seconds": run.seconds / speed})
-        return
-    echo(f"{rig} at {where}: {len(run)} messages in {run.seconds / speed:.3g} s; Ctrl-C ends it")
-    echo(f"in a second terminal: armrig watch{naming(rig, named)}")
+    facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
+    print_result(
+        facts | {"seconds": run.seconds / speed},
+        f"{rig} at {where}: {len(run)} messages in {run.seconds / speed:.3g} s; Ctrl-C ends it",
+        f"in a second terminal: armrig watch{naming(rig, named)}",
+        json=json,
+    )
 
 
 def demo(

@@ -37,7 +37,16 @@ from armrig.cli.physics import (
     cases,
     physics_beside,
 )
-from armrig.cli.printing import echo, fields_of, inform, print_json, say, say_answer, tell
+from armrig.cli.printing import (
+    echo,
+    fields_of,
+    inform,
+    print_result,
+    say,
+    say_answer,
+    tell,
+    tell_findings,
+)
 from armrig.cli.recorded_data import (
     DataFile,
     File,
@@ -55,7 +64,6 @@ from armrig.cli.recorded_data import (
     say_channel,
     source_facts,
     spectral_beside,
-    warn_of_estimation_data,
 )
 from armrig.cli.results import HEIGHT, WIDTH, Draw, Shown, ShownFigure, check_output, of_channel
 from armrig.cli.spinner import estimating, spinner
@@ -73,7 +81,8 @@ if TYPE_CHECKING:
 
 ModelFile = Annotated[Path, option("--model JSON", "Model file written by identify --save.")]
 _HORIZONS = (1, 10)
-_SAME_RTOL = 1e-6
+_SAME_RTOL = 1e-6  # of the coefficients of two equal models
+_ROUNDING = 1e-9  # relative difference of two errors
 
 
 def validate(
@@ -108,7 +117,7 @@ def validate(
         simulated = armrig.compare(data, fit)
         predicted = [armrig.compare(data, fit, horizon=h) for h in horizon or _HORIZONS]
         tests = armrig.residuals(fit, data, lags)
-    warn_of_estimation_data(simulated)
+    tell_findings(simulated.findings)
 
     def facts() -> dict[str, Any]:
         errors = "fit_percent rms_error"
@@ -158,12 +167,15 @@ def _say_predictions(simulated: ComparisonTable, predicted: Sequence[ComparisonT
     """Print the predictions; those equal to the simulation are in one sentence."""
     import numpy as np
 
-    from armrig.cli.model_output import RTOL, equally_well
-
     rms = [row.rms_error for row in simulated]
-    same = [t.horizon for t in predicted if np.allclose([row.rms_error for row in t], rms, RTOL, 0)]
+    same = [
+        one.horizon
+        for one in predicted
+        if np.allclose([row.rms_error for row in one], rms, _ROUNDING, 0)
+    ]
     if same:
-        say(equally_well(same))
+        ahead = " and ".join(map(str, same))
+        say(f"Predicted {ahead} ahead, it fits equally well: the model has no noise model.")
     for one in predicted:
         if one.horizon not in same:
             say("\n".join(_ahead_lines(one)))
@@ -183,10 +195,7 @@ def _ahead_lines(table: ComparisonTable) -> Iterator[str]:
 def _responses(
     data: Dataset | Signals, fits: Sequence[Fit], names: Sequence[str], **more: Draw
 ) -> dict[str, Draw]:
-    """Return the Bode diagram of models of one channel, `more` diagrams, and the poles.
-
-    For models of several signals, the result is empty.
-    """
+    """Return the Bode diagram, `more` diagrams and the poles; {} for models of several signals."""
     if any((fit.ny, fit.nu) != (1, 1) for fit in fits):
         return {}
     beside = spectral_beside(data.signals().dataset())
@@ -245,7 +254,7 @@ def compare(
         ]
     names, fits = [name for name, _ in models], [fit for _, fit in models]
     table = armrig.compare(data, *fits, horizon=horizon, labels=names)
-    warn_of_estimation_data(table)
+    tell_findings(table.findings)
 
     def say_comparison() -> None:
         model_output.print_comparison(table, f"on {where}", verbose=out.verbose)
@@ -321,6 +330,7 @@ _CHASSIS = (
     "handout 3.5 and 3.6 need a complete recording of the chassis alone: remove the arm, write "
     "chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), and end `armrig lab`"
 )
+_LINEARITY = "linear p level kind numbers remedy remarks"
 _TESTS = {"open loop": "3.7", "delay": "3.8", "linearity": ""}
 """Tests of `armrig check`, with their assignments in the handout."""
 
@@ -360,7 +370,7 @@ def check(
             channel: {
                 "open_loop": _loop_facts(loop),
                 "delay": _delay_facts(late),
-                "linearity": _linearity_facts(straight, gains=False),
+                "linearity": _linearity_facts(straight, _LINEARITY),
             }
             for channel, (loop, late, straight) in tests.items()
         }
@@ -418,7 +428,8 @@ def linearity(
     require_result([*found.values()])
 
     def facts() -> dict[str, Any]:
-        each = {channel: _linearity_facts(one) for channel, one in found.items()}
+        names = "linear p level kind numbers rails gain_of levels gains remedy remarks"
+        each = {channel: _linearity_facts(one, names) for channel, one in found.items()}
         return source_facts(data) | facts_by_channel(each)
 
     def say_test() -> None:
@@ -450,18 +461,17 @@ def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
     return fields_of(loop, "feedback p_value level") | {"lags": lags, "remarks": loop.remarks}
 
 
-def _linearity_facts(found: Linearity | str, *, gains: bool = True) -> dict[str, Any]:
-    if isinstance(found, str):
-        return {"linear": None, "remarks": [found]}
-    of = "linear p level kind numbers rails gain_of levels gains remedy remarks"
-    return fields_of(found, of if gains else "linear p level kind numbers remedy remarks")
-
-
 def _delay_facts(late: Delay | str) -> dict[str, Any]:
     if isinstance(late, str):
         return {"nk": None, "told": False, "remarks": [late]}
     of = "interval integrator level p_values before misfit t_q remarks"
     return fields_of(late, "nk delay") | {"told": late.told} | fields_of(late, of)
+
+
+def _linearity_facts(found: Linearity | str, names: str) -> dict[str, Any]:
+    return (
+        {"linear": None, "remarks": [found]} if isinstance(found, str) else fields_of(found, names)
+    )
 
 
 def report(
@@ -530,7 +540,7 @@ def report(
             "signal": ",".join(signal or ()),
         },
     )
-    check_output(output, files, suffix=".pdf")
+    check_output(output, files, "-o", "a report is a PDF", ".pdf")
     if output.exists() and not force:
         raise InputError(f"-o {output}: exists; --force overwrites it, or give another name")
     recordings: list[Recording] = []
@@ -545,10 +555,11 @@ def report(
             recordings, typeset = _study_report(files, calibration, orders, chosen_outputs(signal))
         with spinner("typesetting"):
             typeset(output, source=source)
+    print_result(
+        {"report": output, "recordings": [r.sha256 for r in recordings]}, str(output), json=json
+    )
     if json:
-        print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
         return
-    echo(str(output))
     if source is not None:
         say_next("report --source", source=quote(str(source)), report=free_name())
     elif answers or edited:

@@ -190,12 +190,6 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     assert simulated_to(row) == "80.00 % (rms 0.01234)"
 
 
-def test_a_search_shows_at_most_five_models_and_two_more_reasons() -> None:
-    found: Any = SimpleNamespace(table=lambda n: f"{n} models", reasons=list("abcde"))
-
-    assert model_output.short_search_lines(found) == ["5 models", "- b", "- c"]
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

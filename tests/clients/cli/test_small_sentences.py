@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 import armrig
 import pytest
@@ -113,12 +114,10 @@ def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
 
     assert recordings._clipped(long) == long
     assert recordings._clipped(f"{long}c") == f"{long}…; --json shows all of it"
-    spread = SimpleNamespace(n=9, p50=1.26, p99=7.04, max=12.6)
-    assert recordings._lateness(spread, "exchange").startswith("p50 1.3, p99 7.0, max 13 µs; l")
-    assert recordings._lateness(spread, "scheduled").startswith("p50 1.3, p99 7.0, max 13 µs; a")
-    assert recordings._jitter(spread).startswith("p50 1, p99 7, max 13 µs; spread")
+    spread: Any = SimpleNamespace(n=9, p50=1.26, p99=7.04, max=12.6)
+    assert recordings._percentiles(spread, 1, "of x") == "p50 1.3, p99 7.0, max 13 µs; of x"
     spread.n = 0
-    assert recordings._lateness(spread, "exchange") == "too few samples"
+    assert recordings._percentiles(spread, 1, "of x") == "too few samples"
 
 
 @pytest.mark.parametrize(("name", "known"), [("dataset", "Dataset"), ("ARMAX", "armax")])

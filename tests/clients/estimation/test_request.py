@@ -46,7 +46,7 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
         return asked[-1]
 
     monkeypatch.setattr("armrig.cli.identify.requested", noted)
-    monkeypatch.setattr("armrig.cli.identify._check_model_file", _ended)
+    monkeypatch.setattr("armrig.cli.recorded_data.SignalChoice.of", _ended)
 
     typed = shlex.split(options_of(request))
     of_one = OPTIONS[option][1].channels == 1
