@@ -5,25 +5,22 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from armrig_core.errors import InputError, OperationError
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 import armrig
-from armrig.cli.printing import fields_of
+from armrig.cli.printing import columns, fields_of, inform
+from armrig.cli.spinner import spinner
 from armrig.excitation import step, telegraph
 
 if TYPE_CHECKING:
     from armrig.report.study import Study
-    from armrig.validation.comparison import Comparison
 
 RIG = "demo"
 Ts = 0.01
@@ -41,7 +38,7 @@ watchdog_ms = 250  # the longest: a busy machine stalls the emulator, too
 Ts = {Ts}
 
 [recording]
-directory = "{directory}"
+directory = {directory}
 
 [emulator]
 seed = {seed}
@@ -99,27 +96,17 @@ def experiments(seconds: float, seed: int) -> list[Experiment]:
 def write_config(directory: Path, seed: int) -> Path:
     """Write the configuration of the demonstration's rig, and return its path."""
     path = directory / "armrig.toml"
-    text = _CONFIG.format(rig=RIG, Ts=Ts, directory=_toml(directory.absolute()), seed=seed)
-    path.write_text(text, encoding="utf-8")
+    folder = json.dumps(str(directory.absolute()), ensure_ascii=False)  # also a string of TOML
+    path.write_text(_CONFIG.format(rig=RIG, Ts=Ts, directory=folder, seed=seed), encoding="utf-8")
     return path
 
 
-def _toml(path: Path) -> str:
-    return str(path).replace("\\", "\\\\").replace('"', '\\"')
-
-
 def demo(
-    directory: Path,
-    *,
-    seconds: float,
-    seed: int,
-    virtual: bool = False,
-    firmware: bool = False,
-    console: Console,
-) -> dict[str, Any]:
+    directory: Path, *, seconds: float, seed: int, virtual: bool = False, firmware: bool = False
+) -> tuple[dict[str, Any], str]:
     """Record an emulated rig, identify and validate models, and write a report to `directory`.
 
-    Returns the results and the paths of the files, by name.
+    Returns the results and the paths of the files as JSON fields, and as text.
 
     If the machine stalls too often in real time, the remaining experiments are recorded in virtual
     time. If they cannot be recorded in virtual time either, an OperationError is raised.
@@ -128,45 +115,39 @@ def demo(
     directory.mkdir(parents=True, exist_ok=True)
     config, plan = write_config(directory, seed), experiments(seconds, seed)
     paths: list[Path] = []
-    why = "" if virtual else _record(plan, config, console, paths)
+    why = "" if virtual else _record(plan, config, paths)
     if why:
-        console.print(f"  not in real time: {why}", highlight=False, markup=False, soft_wrap=True)
-        console.print("the demonstration goes on in virtual time", highlight=False)
+        inform(f"not in real time: {why}; the demonstration goes on in virtual time")
     n_real = len(paths)
-    with console.status("recording in virtual time"):
-        if n_real < len(plan):
-            paths += record_in_virtual_time(
-                plan[n_real:],
-                directory.absolute(),
-                config,
-                seed=seed,
-                firmware=firmware,
-                meanwhile=_load_drawing_modules,
-            )
+    if n_real < len(plan):
+        with spinner("recording in virtual time"):
+            folder = directory.absolute()
+            paths += record_in_virtual_time(plan[n_real:], folder, config, seed, firmware=firmware)
     remarks = _remarks(len(paths), n_real, why) + ([_FIRMWARE] if firmware else [])
-    with console.status("identifying and typesetting"):
+    with spinner("identifying and typesetting"):
         done, pdf = _reported(paths, remarks, directory)
-    names = [experiment.name for experiment in plan]
-    _print_results(console, done, names, directory, pdf)
     if not virtual:
-        console.print(f"the daemon's log: {directory / 'armrigd.log'}", highlight=False)
-    return {
+        inform(f"the daemon's log: {directory / 'armrigd.log'}")
+    names = [experiment.name for experiment in plan]
+    errors = "rms_error fit_percent velocity_fit_percent"
+    facts = {
         "recordings": dict(zip(names, map(str, paths), strict=True)),
         "in_virtual_time": names[n_real:],
-        "models": [_row(row) for row in done.models],
+        "models": [{"model": row.name} | fields_of(row, errors) for row in done.models],
         "figures": sorted(map(str, directory.absolute().glob("*.svg"))),
         "report": str(pdf.absolute()),
     }
+    return facts, _text(done, names, directory, pdf)
 
 
-def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
+def _record(plan: list[Experiment], config: Path, done: list[Path]) -> str:
     """Append real-time recordings to `done`; return why some are missing, or "" if none is."""
     if sys.platform != "linux":
         return "emulation in real time needs Linux"
     from armrig.cli.demo_rig import record_in_real_time
 
     try:
-        record_in_real_time(plan, RIG, config, console, done)
+        record_in_real_time(plan, RIG, config, done)
     except (armrig.RigError, InputError) as err:  # InputError: no folder for the daemon's socket
         return str(err)
     return ""
@@ -198,34 +179,21 @@ def _remarks(n: int, n_real: int, why: str) -> list[str]:
     return [_EMULATED, virtual]
 
 
-def _print_results(
-    console: Console, done: Study, names: list[str], directory: Path, pdf: Path
-) -> None:
-    models = Table(title="simulated on the validation recording", title_justify="left")
-    for heading in ("model", "rms error", "fit of the angle", "fit of the velocity"):
-        models.add_column(heading, justify="left" if heading == "model" else "right")
+def _text(done: Study, names: list[str], directory: Path, pdf: Path) -> str:
+    """Return the errors of the models on the validation recording, and the names of the files."""
+    models = [("model", "rms error", "fit of the angle", "fit of the velocity")]
     for row in done.models:
         velocity = row.velocity_fit_percent
-        models.add_row(
-            row.name,
-            f"{row.rms_error:.4g} {done.validation.unit}",
-            f"{row.fit_percent:.2f} %",
-            "" if velocity is None else f"{velocity:.2f} %",
-        )
-    console.print(models)
-    where = Table(title="files", title_justify="left", show_header=False)
+        fit = "" if velocity is None else f"{velocity:.2f} %"
+        error = f"{row.rms_error:.4g} {done.validation.unit}"
+        models.append((row.name, error, f"{row.fit_percent:.2f} %", fit))
+    files = []
     for recording, name in zip(done.recordings, names, strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
         samples = f"{recording.samples.size} samples{missing}, sha256 {recording.short_hash}"
-        path = escape(str(from_here(recording.path)))
-        where.add_row(name, f"{path}\n[dim]{samples}[/dim]")
-    where.add_row("figures", escape(str(directory / "*.svg")))
-    where.add_row("report", f"[bold]{escape(str(pdf))}[/bold]")
-    console.print(where)
-
-
-def _row(row: Comparison) -> dict[str, Any]:
-    return {"model": row.name} | fields_of(row, "rms_error fit_percent velocity_fit_percent")
+        files.append((name, f"{from_here(recording.path)}: {samples}"))
+    files += [("figures", str(directory / "*.svg")), ("report", str(pdf))]
+    return f"simulated on the validation recording\n{columns(models)}\n\n{columns(files)}"
 
 
 def from_here(path: Path) -> Path:
@@ -235,42 +203,24 @@ def from_here(path: Path) -> Path:
 
 
 def record_in_virtual_time(
-    plan: Sequence[Experiment],
-    directory: Path,
-    config: Path,
-    *,
-    seed: int,
-    firmware: bool = False,
-    meanwhile: Callable[[], object] = lambda: None,
+    plan: Sequence[Experiment], directory: Path, config: Path, seed: int, *, firmware: bool = False
 ) -> list[Path]:
     """Play experiments on an emulated rig in virtual time; return their recordings.
 
     The seed determines the emulated rig, and the names and times of its recordings. With
-    `firmware`, the device is the Uno's firmware in simavr. `meanwhile` is called while another
-    process plays the experiments. If they cannot be recorded, an OperationError is raised.
+    `firmware`, the device is the Uno's firmware in simavr. If the experiments cannot be recorded,
+    an OperationError is raised.
     """
     # UTF-8 on any host, for the names of folders in the pipes.
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     program += ["--firmware"] if firmware else []
-    # The requests are in a file, because a pipe would block while `meanwhile` runs.
-    with tempfile.TemporaryFile() as asked:
-        for one in plan:
-            asked.write(json.dumps({"u": one.u.tolist(), **one.request}).encode() + b"\n")
-        asked.seek(0)
-        player = subprocess.Popen(
-            program, stdin=asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-    try:
-        meanwhile()
-        said, complaint = player.communicate()
-    except BaseException:
-        player.kill()
-        player.communicate()
-        raise
-    if player.returncode:
-        lines = complaint.decode(errors="replace").strip().splitlines()
+    requests = (json.dumps({"u": one.u.tolist(), **one.request}) for one in plan)
+    Thread(target=_load_drawing_modules).start()
+    played = subprocess.run(program, input="\n".join(requests).encode(), capture_output=True)
+    if played.returncode:
+        lines = played.stderr.decode(errors="replace").strip().splitlines()
         raise OperationError(
-            lines[-1] if lines else f"armrigd virtual ended with exit code {player.returncode}"
+            lines[-1] if lines else f"armrigd virtual ended with exit code {played.returncode}"
         )
-    return [Path(line) for line in said.decode().splitlines()]
+    return [Path(line) for line in played.stdout.decode().splitlines()]

@@ -612,8 +612,6 @@ def demo(
 
     With --json the last line contains the paths of all files and the fit of each model.
     """
-    from rich.console import Console
-
     from armrig.cli.demo import demo as run_demo
     from armrig.cli.demo import from_here
 
@@ -621,10 +619,8 @@ def demo(
         raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
     if seconds > _MAX_DEMO_S:
         raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_MAX_DEMO_S:g} s")
-    console = Console(stderr=json)
     how = {"virtual": virtual or firmware, "firmware": firmware}
-    done = run_demo(directory, seconds=seconds, seed=seed, console=console, **how)
-    if json:
-        print_json(done)
-    else:
-        say_next("demo", opener=opener(), file=quote(str(from_here(Path(done["report"])))))
+    facts, text = run_demo(directory, seconds=seconds, seed=seed, **how)
+    print_result(facts, text, json=json)
+    if not json:
+        say_next("demo", opener=opener(), file=quote(str(from_here(Path(facts["report"])))))

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 from contextlib import nullcontext
-from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +21,6 @@ from armrig.report.batch.batch import Batch
 from armrig.report.batch.tasks import CHECKS
 from armrig_core.errors import InputError
 from armrig_daemon.config import load
-from rich.console import Console
 
 from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written
 
@@ -246,40 +244,48 @@ def test_a_demonstration_records_into_its_folder(tmp_path: Path) -> None:
     ("virtual", "n_real", "why"), [(True, 0, ""), (False, 3, ""), (False, 1, "too busy")]
 )
 def test_a_demonstration_completes_missing_recordings_in_virtual_time(
-    virtual: bool, n_real: int, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    virtual: bool,
+    n_real: int,
+    why: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     paths = [tmp_path / f"{i}.mcap" for i in range(3)]
     asked: list[Any] = []
 
-    def in_real_time(_: Any, __: Any, ___: Any, done: list[Path]) -> str:
+    def in_real_time(_: Any, __: Any, done: list[Path]) -> str:
         done += paths[:n_real]
         return why
 
-    def in_virtual_time(plan: Any, *_: Any, **how: Any) -> list[Path]:
-        asked.append(([one.name for one in plan], how["seed"], how["firmware"]))
+    def in_virtual_time(plan: Any, _: Any, __: Any, seed: int, *, firmware: bool) -> list[Path]:
+        asked.append(([one.name for one in plan], seed, firmware))
         return paths[n_real:]
 
     def reported(all_of: list[Path], remarks: list[str], folder: Path) -> Any:
         asked.append((all_of, len(remarks)))
-        return SimpleNamespace(models=[]), folder / "report.pdf"
+        row = {"name": "oe", "rms_error": 0.5, "fit_percent": 90.0, "velocity_fit_percent": None}
+        models = [SimpleNamespace(**row)]
+        return SimpleNamespace(models=models), folder / "report.pdf"
 
     work = {"_record": in_real_time, "record_in_virtual_time": in_virtual_time}
-    work |= {"_reported": reported, "_print_results": lambda *_: None}
+    work |= {"_reported": reported, "_text": lambda *_: ""}
     for name, function in work.items():
         monkeypatch.setattr(demo, name, function)
-    out = StringIO()
-    console = Console(file=out, width=300)
 
-    found = demo.demo(tmp_path / "d", seconds=5, seed=9, virtual=virtual, console=console)
+    found, _ = demo.demo(tmp_path / "d", seconds=5, seed=9, virtual=virtual)
 
     names = ["step", "telegraph", "validation"]
     assert found["recordings"] == dict(zip(names, map(str, paths), strict=True))
     assert found["in_virtual_time"] == names[n_real:]
+    errors = {"rms_error": 0.5, "fit_percent": 90.0, "velocity_fit_percent": None}
+    assert found["models"] == [{"model": "oe", **errors}]
     assert found["report"] == str(tmp_path / "d" / "report.pdf")
     assert asked[:-1] == ([(names[n_real:], 9, False)] if n_real < 3 else [])
     assert asked[-1] == (paths, 1 if n_real == 3 else 2)
-    assert ("not in real time: too busy" in out.getvalue()) == bool(why)
-    assert ("the daemon's log: " in out.getvalue()) is not virtual
+    said = capsys.readouterr().err
+    assert ("not in real time: too busy" in said) == bool(why)
+    assert ("the daemon's log: " in said) is not virtual
 
 
 def test_a_demonstration_prints_the_results_of_its_models(tmp_path: Path) -> None:
@@ -292,22 +298,19 @@ def test_a_demonstration_prints_the_results_of_its_models(tmp_path: Path) -> Non
     ]
     validation = SimpleNamespace(unit="rad")
     done: Any = SimpleNamespace(models=models, recordings=[rec], validation=validation)
-    out = StringIO()
 
-    demo._print_results(Console(file=out, width=300), done, ["step"], tmp_path, Path("r.pdf"))
+    said = demo._text(done, ["step"], tmp_path, Path("r.pdf")).splitlines()
 
-    said = [" ".join(line.replace("│", " ").split()) for line in out.getvalue().splitlines()]
-    assert "oe 0.5 rad 90.00 % 80.00 %" in said
-    assert "arx 0.25 rad 95.12 %" in said
-    assert f"4 samples, sha256 {rec.short_hash}" in said
-    for model in models:
-        rms, fit, velocity = of[model.name]
-        assert demo._row(model) == {  # type: ignore[arg-type]
-            **{"model": model.name, "rms_error": rms, "fit_percent": fit},
-            "velocity_fit_percent": velocity,
-        }
-    assert f"figures {tmp_path}/*.svg" in said
-    assert "report r.pdf" in said
+    assert [" ".join(line.split()) for line in said] == [
+        "simulated on the validation recording",
+        "model rms error fit of the angle fit of the velocity",
+        "oe 0.5 rad 90.00 % 80.00 %",
+        "arx 0.25 rad 95.12 %",
+        "",
+        f"step {path}: 4 samples, sha256 {rec.short_hash}",
+        f"figures {tmp_path}/*.svg",
+        "report r.pdf",
+    ]
 
 
 def test_a_second_signal_does_not_disturb_the_end_of_a_command(
