@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -83,41 +83,26 @@ class Player:
         """Record the rig at 0 V."""
         import numpy as np
 
-        return self._played(experiment, seconds, {}, lambda N, _: np.zeros(N))
+        return self._played(experiment, seconds, make=lambda N, _: np.zeros(N), details={})
 
     def turns(self, levels: Sequence[float], level_seconds: float) -> Recording:
         """Record the rig while it turns at the given voltages, one after another."""
         import numpy as np
-
-        seconds = _START_S + level_seconds * len(levels)
 
         def make(N: int, Ts: float) -> Any:
             t = np.arange(N) * Ts - _START_S
             at = np.minimum((t / level_seconds).astype(int), len(levels) - 1)
             return np.where(t < 0, 0.0, np.array(levels)[at])
 
+        seconds = _START_S + level_seconds * len(levels)
         details = {"levels": list(levels), "level_seconds": level_seconds}
-        return self._played("calibrate-turns", seconds, details, make)
+        return self._played("calibrate-turns", seconds, make=make, details=details)
 
-    def _played(
-        self,
-        experiment: str,
-        seconds: float,
-        details: Mapping[str, Any],
-        make: Callable[[int, float], Any],
-    ) -> Recording:
+    def _played(self, experiment: str, seconds: float, **of_input: Any) -> Recording:
         from armrig.rig.collection import Plan, collect
 
-        plan = Plan(
-            experiment=experiment,
-            make=make,
-            details=details,
-            seconds=seconds,
-            Ts=self.Ts,
-            pacing="scheduled",
-            owner=_OWNER,
-            dead_man=_DEAD_MAN_S,
-        )
+        of_run: dict[str, Any] = {"owner": _OWNER, "pacing": "scheduled", "dead_man": _DEAD_MAN_S}
+        plan = Plan(experiment=experiment, seconds=seconds, Ts=self.Ts, **of_run, **of_input)
         return armrig.load(collect(plan, rig=self.rig, connect=self.connect, tell=inform).path)
 
 
@@ -154,32 +139,23 @@ def meter_reading(text: str) -> tuple[int, float]:
     return reading
 
 
-def take_into_use(
+def _take_into_use(
     path: Path, *, wanted: bool | None, asks: bool, rig: str, connect: str | None
 ) -> bool:
-    """Load a calibration into the running daemon if wanted; return True if it is in use.
-
-    If `wanted` is None and a daemon runs, the user is asked. Without `asks`, the calibration is
-    then loaded without a question.
-
-    Raises
-    ------
-    RigError
-        The daemon refuses the calibration, or does not answer although `wanted` is True.
-    """
-    from armrig.rig.replies import RefusedError, refusal_sentence, reset_command
+    """Load a calibration into the running daemon if the user wants it; return True if in use."""
+    from armrig.cli.rig import opened_rig
+    from armrig.rig.replies import RefusedError
     from armrig.rig.session import NoReplyError
 
     named, is_used = "", False
     try:
-        with armrig.Rig(rig, connect=connect) as opened:
+        with opened_rig(rig, connect) as opened:
             named = opened.status().calibration_file
             is_used = _is_wanted(wanted, asks=asks)
             if is_used:
                 opened.calibrate(path)
     except RefusedError as err:
-        why = refusal_sentence(err, reset_command(rig, connect))
-        raise armrig.RigError(f"{path} is written, but not in use: {why}") from err
+        raise armrig.RigError(f"{path} is written, but not in use: {err}") from err
     except NoReplyError:
         if wanted:
             raise
@@ -207,10 +183,7 @@ def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
 
 
 def _say_how_it_stays(path: Path, named: str) -> None:
-    """Print what the user must do so that the daemon uses the calibration after its next start.
-
-    `named` is the calibration file in the configuration of the running daemon.
-    """
+    """Print how to use the calibration after the next start; `named` is the configured file."""
     path = path.absolute()
     if named == str(path):
         inform("armrigd reads this file at its next start, too")
@@ -302,79 +275,67 @@ def calibrate(
     """
     from armrig_core.rig.calibration import Calibration
 
+    from armrig.recordings.calibration import estimate
+
     path = _checked(save or _default(rig))
     _check_figure(plot, wanted)
     check_turns(wanted.levels, wanted.level_seconds)
     _check_terminal(wanted, yes=yes)
-    measured = _measured(wanted, Dialogue(yes=yes), Player(Ts=Ts, rig=rig, connect=connect))
+    play = Player(Ts=Ts, rig=rig, connect=connect)
+    recordings, readings = _measured(wanted, Dialogue(yes=yes), play)
+    rest, turns = recordings["rest"], recordings.get("turns")
     # The calibration of the recording at rest supplies the values that are not measured.
-    base = measured.rest.calibration or Calibration()
-    found = _estimated(measured, wanted.meter_std, base)
-    _write(path, found, base, measured.recordings())
-    if measured.turns is not None:
-        write_plot(plot, calibration=partial(found.plot, measured.turns), height=6.0)
+    base = rest.calibration or Calibration()
+    found = estimate(
+        rest,
+        turns,
+        deflected=recordings.get("deflected"),
+        meter=[(_applied(code, rest), shown) for code, shown in readings],
+        meter_std_v=wanted.meter_std,
+        base=base,
+    )
+    _write(path, found, base, recordings)
+    if turns is not None:
+        write_plot(plot, calibration=partial(found.plot, turns), height=6.0)
+    for warning in found.warnings:
+        tell(warning)
+    figures = found.figures()
     if not json:
-        _tell(found)
-        _print(path, found)
-    used = take_into_use(path, wanted=use, asks=not yes, rig=rig, connect=connect)
+        sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
+        rows = ((name, with_std(figure.value, figure.std)) for name, figure in figures.items())
+        print_table(*rows, (ALPHA, sign[found.alpha_sign]), ("calibration", str(path)))
+    used = _take_into_use(path, wanted=use, asks=not yes, rig=rig, connect=connect)
     if json:
-        _tell(found)
-        facts = {"calibration": str(path), "figures": found.figures()}
+        facts = {"calibration": path, "figures": figures}
         print_json(facts | fields_of(found, "alpha_sign warnings") | {"in_use": used})
     else:
         say_next("calibrate", rig=naming(rig, connect))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Measured:
-    """The recordings and readings from which a calibration is estimated."""
-
-    rest: Recording
-    turns: Recording | None
-    deflected: Recording | None
-    readings: list[tuple[int, float]]
-
-    def recordings(self) -> dict[str, Recording]:
-        """Return the recordings that exist, by name."""
-        named = {"rest": self.rest, "turns": self.turns, "deflected": self.deflected}
-        return {name: recording for name, recording in named.items() if recording is not None}
-
-
-def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
-    """Make the measurements that the files do not contain; give the user instructions."""
-    rest, turns = _loaded(wanted.rest_file), _loaded(wanted.turns_file)
-    deflected, readings = None, wanted.readings
-    if rest is None:
+def _measured(
+    wanted: _Wanted, ask: Dialogue, play: Player
+) -> tuple[dict[str, Recording], list[tuple[int, float]]]:
+    """Return the recordings by name, and the voltmeter's readings; make those without a file."""
+    files = {"rest": wanted.rest_file, "turns": wanted.turns_file}
+    found = {name: armrig.load(path) for name, path in files.items() if path is not None}
+    readings, seconds = wanted.readings, wanted.level_seconds
+    if "rest" not in found:
         ask.ready("Turn the chassis to its mark for theta_1 = 0 and let the arm hang still.")
-        rest = play.rest("calibrate-rest", wanted.rest_seconds)
+        found["rest"] = play.rest("calibrate-rest", wanted.rest_seconds)
     if wanted.by_hand:
         ask.ready(
             "Deflect the arm in the direction in which a voltage turns the chassis, and hold it "
             f"for {wanted.rest_seconds:g} s."
         )
-        deflected = play.rest("calibrate-hand", wanted.rest_seconds)
-    elif turns is None:
+        found["deflected"] = play.rest("calibrate-hand", wanted.rest_seconds)
+    elif "turns" not in found:
         text = ", ".join(f"{v:g} V" for v in wanted.levels)
-        seconds = wanted.level_seconds
         with_meter = not readings and ask.has_meter()
         ask.ready(f"The chassis will turn at {text}, {seconds:g} s each: keep your hands away.")
-        turns = play.turns(wanted.levels, seconds)
+        found["turns"] = play.turns(wanted.levels, seconds)
         if with_meter:
             readings = ask.meter(wanted.levels)
-    return _Measured(rest=rest, turns=turns, deflected=deflected, readings=readings)
-
-
-def _estimated(measured: _Measured, meter_std_v: float, base: Calibration) -> Estimate:
-    from armrig.recordings.calibration import estimate
-
-    return estimate(
-        measured.rest,
-        measured.turns,
-        deflected=measured.deflected,
-        meter=[(_applied(code, measured.rest), shown) for code, shown in measured.readings],
-        meter_std_v=meter_std_v,
-        base=base,
-    )
+    return found, readings
 
 
 def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
@@ -401,21 +362,16 @@ def _checked(path: Path) -> Path:
         raise InputError(
             f"--save {path}: a calibration is a TOML file; give a name that ends in .toml"
         )
-    if path.exists():
-        try:
-            made = read_calibration(path).made
-        except LostSamplesError:
-            pass  # a calibration without its samples may be replaced, too
-        except FileError as err:
-            raise InputError(
-                f"--save {path}: exists and is not a calibration; give another name"
-            ) from err
-        else:
-            if made is None:
-                raise InputError(
-                    f"--save {path}: exists and was not made by `armrig calibrate`; give "
-                    "another name"
-                )
+    other = ""
+    try:
+        if path.exists() and read_calibration(path).made is None:
+            other = "was not made by `armrig calibrate`"
+    except LostSamplesError:
+        pass  # a calibration without its samples may be replaced, too
+    except FileError:
+        other = "is not a calibration"
+    if other:
+        raise InputError(f"--save {path}: exists and {other}; give another name")
     return path
 
 
@@ -434,10 +390,6 @@ def _applied(code: int, rest: Recording) -> float:
 
     bits = rest.manifest.device.get("pwm_bits")
     return volts_of(applied_code(code, bits) if isinstance(bits, int) and bits > 0 else code)
-
-
-def _loaded(path: Path | None) -> Recording | None:
-    return None if path is None else armrig.load(path)
 
 
 def _write(
@@ -470,14 +422,3 @@ def _write(
         whole = target.with_name(f".{target.name}.new")
         whole.write_bytes(data)
         whole.replace(target)
-
-
-def _tell(found: Estimate) -> None:
-    for warning in found.warnings:
-        tell(warning)
-
-
-def _print(path: Path, found: Estimate) -> None:
-    rows = [(name, with_std(figure.value, figure.std)) for name, figure in found.figures().items()]
-    sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
-    print_table(*rows, (ALPHA, sign[found.alpha_sign]), ("calibration", str(path)))

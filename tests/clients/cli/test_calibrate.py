@@ -229,9 +229,9 @@ def test_calibrate_does_not_request_readings_given_as_options() -> None:
         turns=lambda levels, s: done.append(f"{levels} {s:g} s"),
     )
 
-    measured = _measured(_wanted(meter=["9=1.5"]), ask, play)
+    _, readings = _measured(_wanted(meter=["9=1.5"]), ask, play)
 
-    assert measured.readings == [(9, 1.5)]
+    assert readings == [(9, 1.5)]
     assert done == ["calibrate-rest", "[2.0] 1 s"]
 
 
