@@ -30,13 +30,6 @@ def lag(u: Vector, seed: int = 1, *, pole: float = 0.95, noise: float = 0.02) ->
 
 
 @pytest.fixture
-def telegraph(tmp_path: Path) -> str:
-    """Give a table of a lag under a telegraph."""
-    u = armrig.telegraph(400, 0.1, 0.0, 4.0, seed=3)
-    return written(tmp_path / "telegraph.csv", u, lag(u))
-
-
-@pytest.fixture
 def constant(tmp_path: Path) -> str:
     """Give a table of a lag that warms up from 22.5 under a constant input."""
     u = np.full(300, 50.0)
@@ -69,24 +62,6 @@ def test_an_assumption_reaches_the_tests_of_a_given_structure(
     assert "behaves as an integrating output" not in assumed
     assert assumed.startswith("temp is taken as settling, as --assume says\n")
     assert "--integrator" not in after
-
-
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        (["--integrator"], "--assume settling contradicts --integrator"),
-        (["--signal", "temp,heater"], "--assume settling is for one output and one input"),
-    ],
-)
-def test_a_contradictory_assumption_is_refused(
-    options: list[str], why: str, telegraph: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = f"identify {telegraph} --structure oe --nb 1 --nf 1 --input heater".split()
-
-    code = main([*line, "--assume", "settling", *options])
-
-    assert code != 0
-    assert why in capsys.readouterr().err
 
 
 def test_a_constant_input_does_not_show_a_level(

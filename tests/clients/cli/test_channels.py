@@ -3,39 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from armrig import Signals
 from armrig.cli import recorded_data
-from armrig_core.errors import InputError
-
-MODEL: Any = SimpleNamespace(outputs=("y1", "y2"), inputs=("a", "b", "c"))
-REFUSED = typer.BadParameter
-
-
-@pytest.mark.parametrize(
-    ("outputs", "inputs", "said"),
-    [
-        (("p",), (), "--signal p: the model has 2 outputs, y1 and y2; name a column for each"),
-        (("p", "q", "r"), (), "--signal p,q,r: the model has 2 outputs"),
-        ((), ("p", "q"), "--input p,q: the model has 3 inputs, a, b and c"),
-        (("p", "q"), ("p", "q", "r", "s"), "--input p,q,r,s: the model has 3 inputs"),
-        (("p", "q"), ("r", "s", "t"), ""),
-        ((), (), ""),
-    ],
-)
-def test_columns_are_named_for_all_signals_of_the_model_or_none(
-    outputs: tuple[str, ...], inputs: tuple[str, ...], said: str
-) -> None:
-    if not said:
-        recorded_data.require_as_many(MODEL, outputs, inputs)
-        return
-    with pytest.raises(REFUSED, match=said):
-        recorded_data.require_as_many(MODEL, outputs, inputs)
 
 
 def _about(mean: float, n: int = 20) -> Any:
@@ -69,13 +42,6 @@ def test_the_option_for_the_means_is_offered_for_each_signal(
     assert "the mean of z is -4" in two
     assert "if y and z are not 0 at u = 0, estimate a level with --offset, or subtract" in two
     assert capsys.readouterr().err == ""
-
-
-def test_an_output_that_is_constant_has_no_model() -> None:
-    recorded_data.check_varies(Path("f.csv"), "y", np.array([2.0, 2.0, 2.5]))
-    recorded_data.check_varies(Path("f.csv"), "y", np.array([2.0]))
-    with pytest.raises(InputError, match=r"f\.csv: z is constant, 2.5, so it responds to no"):
-        recorded_data.check_varies(Path("f.csv"), "z", np.full(3, 2.5))
 
 
 def test_the_signals_of_a_table_are_listed_with_what_is_missing(

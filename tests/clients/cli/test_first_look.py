@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
-from typing import Any
 
 import armrig
 import pytest
@@ -13,12 +11,6 @@ from armrig.cli import main
 from armrig.recordings.overview import overview
 
 from tests.clients.made_recordings import gap, manifest, recorded, turning, written
-
-
-def facts(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
-    """Return the command's JSON output."""
-    assert main([*arguments, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -53,20 +45,3 @@ def test_plot_reports_the_speed_without_noise_of_the_converter(
     [line] = [x for x in text.splitlines() if x.startswith("theta_1 ")]
     low, high = map(float, re.findall(r"at (\S+) to (\S+) rad/s over 0.1 s", line)[0])
     assert max(-low, high) < 0.1
-
-
-def test_simulate_and_compare_show_handout_and_changed_parameters(
-    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The rig has the handout's parameters here: they fit better than a heavier arm's (2.3)."""
-    estimation, validation = map(str, three_recordings[1:])
-    changed = ["--set", "J_2=0.006"]
-
-    simulated = facts(["simulate", validation, *changed], capsys)["models"]
-    compared = facts(["compare", estimation, validation, *changed], capsys)["models"]
-
-    assert [m["model"] for m in simulated] == ["handout", "J_2=0.006"]
-    assert [m["model"] for m in compared] == ["ARX", "OE", "physics", "J_2=0.006"]
-    for models in (simulated, compared):
-        handout, heavier = models[-2:]
-        assert handout["rms_error"] < heavier["rms_error"]

@@ -39,24 +39,6 @@ def test_a_term_is_found_in_any_case_and_hyphenation(
     assert capsys.readouterr().out.startswith("velocity fit: The fit computed")
 
 
-@pytest.mark.parametrize(
-    ("typed", "offered"),
-    [
-        ("inovation", "innovation"),
-        ("hankel", "Hankel singular value"),
-        ("zzzz", "`armrig glossary`"),
-    ],
-)
-def test_an_unknown_term_is_refused_with_the_nearest_terms(
-    typed: str, offered: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["glossary", typed]) == 1
-
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert offered in shown.err
-
-
 def test_terms_containing_the_word_are_offered_before_similar_terms() -> None:
     terms = dict.fromkeys(["grain", "Static gain", "train", "gain of the loop", "again"], "")
 

@@ -89,12 +89,16 @@ REFUSED = [
     ("identify est.mcap --nb4", "did you mean --nb"),
     ("report est.mcap --out f.pdf", "no such option: --out: did you mean -o PDF?; see"),
     ("ls --out f.txt", "no such option: --out; see `armrig ls --help`"),
+    ("glossary inovation", "nearest: innovation"),
+    ("glossary hankel", "nearest: Hankel singular value"),
+    ("glossary zzzz", "`armrig glossary` lists all terms"),
     ("plot est.mcap --input u", "no such option: --input; see `armrig plot --help`"),
     # Structures and orders.
     ("identify est.mcap --structure OE", "'OE' is not one of 'arx', 'armax', 'oe'"),
     ("identify est.mcap --structure oe --nb=-1", "nb=-1 must be an integer >= 1"),
     ("identify est.mcap --structure arx --nk 0,1", "--nk 0,1: must be an integer; --search"),
     ("identify est.mcap --structure oe --na 4", "an OE model has nb, nf and nk"),
+    ("identify data.csv --structure oe --integrator --assume settling", "contradicts --integrator"),
     # Tables.
     ("identify data.csv --structure arx --Ts 0,01", "decimals have a point: 0.01"),
     ("identify est.mcap --structure arx --Ts 0.01", "applies to other data"),
@@ -121,6 +125,7 @@ REFUSED = [
     ("report est.mcap -o report.docx", "give a name that ends in .pdf"),
     ("report est.mcap -o report.pdf", "--force overwrites it, or give another name"),
     # The rig, and what it plays.
+    ("record --seconds nan --from tcp/nowhere:1", "--seconds nan: must be more than 0"),
     ("collect blackbox --connect localhost", "not a zenoh endpoint, such as"),
     ("collect blackbox --low 4.5 --high 0.5", "low=4.5 V must be below high=0.5 V"),
     ("collect blackbox --high 6", "high=6.0 V is outside the rig's 0 to 5 V"),

@@ -208,9 +208,6 @@ def test_the_dashboard_prints_its_addresses(
     ("name", "options", "read"),
     [
         ("a.csv", [], pd.read_csv),
-        ("a.CSV", ["--raw"], pd.read_csv),
-        ("a.txt", ["--csv"], pd.read_csv),
-        ("a.mat", ["--signal", "alpha"], loadmat),
         ("a.csv", ["--mat", "--raw", "--signal", "alpha"], loadmat),
         ("a.parquet", ["--raw"], pd.read_parquet),
     ],

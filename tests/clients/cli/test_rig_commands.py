@@ -223,15 +223,6 @@ def test_watch_prints_samples_and_gaps_as_lines_or_json(
     assert facts[0]["u_applied_v"] == sample(42).u_applied_v
 
 
-@pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
-def test_a_recording_of_zero_duration_is_refused(
-    seconds: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["record", "--seconds", seconds, "--from", "tcp/nowhere:1"]) == 1
-
-    assert f"--seconds {float(seconds):g}: must be more than 0" in told(capsys)
-
-
 @pytest.mark.parametrize("error", [None, OSError("disk full"), RuntimeError("lost")])
 def test_a_remote_recording_reports_the_reason_of_its_end(
     error: Exception | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
