@@ -30,18 +30,19 @@ def _model(p: ArmParameters) -> Section:
     A, B, _ = arm_matrices(p)
     return Section(
         paragraphs=(
-            "With the states $x = (theta_1, alpha, dot(theta)_1, dot(alpha))$ and the motor's "
-            "voltage $u$ the rig is linear, with $k = N K_m$:",
-            f"$ dot(x) = A x + B u, quad A = {_SYMBOLIC_A}, quad "
-            "B = vec(0, 0, display(k/(R_m J_1)), display(-k/(R_m J_1))) $",
-            "With the handout's values $A$ and $B$ are",
-            f"$ A = {_matrix(A)}, quad B = {_matrix(B)} $",
-            "Structure: circuit, motor, gear, chassis, spring and arm. The equations are",
+            "Structure: circuit, motor, gear, chassis, spring and arm. With $k = N K_m$ the "
+            "equations are:",
             "$ R_m i = u - u_m, quad u_m = k dot(theta)_1, quad Q_E = k i, quad "
             'Q_s = K_"lin" alpha, \\ J_1 dot.double(theta)_1 = Q_E + Q_s, quad '
             "J_2 (dot.double(theta)_1 + dot.double(alpha)) = -Q_s $",
             "State space: three states are needed for the energy of two inertias and a spring, and "
             "$theta_1$ is the fourth state. $i$ and the torques follow from the states and $u$. "
+            "With the states $x = (theta_1, alpha, dot(theta)_1, dot(alpha))$ and the motor's "
+            "voltage $u$ the rig is linear:",
+            f"$ dot(x) = A x + B u, quad A = {_SYMBOLIC_A}, quad "
+            "B = vec(0, 0, display(k/(R_m J_1)), display(-k/(R_m J_1))) $",
+            "With the handout's values $A$ and $B$ are:",
+            f"$ A = {_matrix(A)}, quad B = {_matrix(B)} $",
             "Left out are the inductance, friction ($b_1 = 0$), play and elasticity of the gear, "
             "bending of the arm and the springs' mass.",
         ),
