@@ -9,7 +9,7 @@ from string import ascii_lowercase
 from armrig.data.dataset import Dataset
 from armrig.models.characteristics import integrates
 from armrig.models.equation import typst_form
-from armrig.numerics.quantities import error, percent
+from armrig.numerics.quantities import error, listed, percent
 from armrig.recordings.figures import varying_times
 from armrig.recordings.usability import different_calibrations, emulation
 from armrig.report import model_facts, recording_facts
@@ -59,7 +59,7 @@ def results(study: Study) -> Section:
     return Section(
         title="Results",
         paragraphs=(
-            f"<fits> and {_references(study, 'compare')} compare the models with the validation "
+            f"{_references(study, 'compare', '<fits>')} compare the models with the validation "
             "data.",
         ),
         tables=(table,),
@@ -229,8 +229,8 @@ def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:
         )
 
 
-def _references(study: Study, name: str) -> str:
-    return " and ".join(f"<{name}{suffix(one, study)}>" for one in each_output(study))
+def _references(study: Study, name: str, *before: str) -> str:
+    return listed([*before, *(f"<{name}{suffix(one, study)}>" for one in each_output(study))])
 
 
 def _shows(study: Study, name: str) -> str:
