@@ -52,7 +52,7 @@ def plot_rig(*, ax: Axes | None = None) -> Axes:
     """
     ax = axes(ax)
     points = 72 / ax.figure.dpi
-    size = min(9.0, points * ax.bbox.width / 36, points * ax.bbox.height / 14)
+    size = min(10.0, points * ax.bbox.width / 36, points * ax.bbox.height / 10)
     boxes: dict[str, Any] = {}
     places = {name: place for name, (_, place, _) in _PARTS.items()}
     for name, (equation, (x, y), colour) in _PARTS.items():
@@ -70,7 +70,7 @@ def plot_rig(*, ax: Axes | None = None) -> Axes:
         ax.annotate("", last, first, arrowprops=arrow | ends)
         ax.text(x, y, label, **style)
     ax.text(0.02, 1.45, "electrical", color=VERMILION, fontsize=size, va="center")
-    ax.text(0.02, 0.0, "mechanical", color=BLUE, fontsize=size, va="center")
+    ax.text(0.02, 0.45, "mechanical", color=BLUE, fontsize=size, va="center")
     ax.set_xlim(-0.05, 4.6)
     ax.set_ylim(-0.45, 2.4)
     ax.set_axis_off()
