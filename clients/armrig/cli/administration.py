@@ -106,7 +106,7 @@ def flash(
     show: Callable[[str], object] = (lambda _: None) if json else say
     firmware = read_image(shipped_image() if image is None else image)
     _check_size(firmware)
-    program = _program()
+    program = avrdude.find()
     board = avrdude.chosen(port, avrdude.plugged_in())
     call = avrdude.command(program, port=board.port, image=firmware.path)
     about = {"path": str(firmware.path), "bytes": len(firmware.data), "crc": f"{firmware.crc:08x}"}
@@ -138,20 +138,11 @@ def flash(
         say_next("flash", port=quote(board.port))
 
 
-def _program() -> str:
-    from armrig.lab import avrdude
-
-    program = avrdude.find()
-    if program is None:
-        raise OperationError(avrdude.INSTALL)
-    return program
-
-
 def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
     """Print the brown-out level, and how to correct it."""
     from armrig.lab import avrdude
 
-    value = avrdude.fuse(_program(), programmer, port)
+    value = avrdude.fuse(avrdude.find(), programmer, port)
     level = avrdude.BROWN_OUT.get(value & 7, "reserved")
     lines = [f"brown-out  {level} (extended fuse 0x{value:02x})"]
     if value & 7 != avrdude.WANTED_FUSE & 7:

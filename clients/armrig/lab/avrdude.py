@@ -36,7 +36,6 @@ BROWN_OUT = {4: "4.3 V", 5: "2.7 V", 6: "1.8 V", 7: "none"}
 """Brown-out voltage for each value of the extended fuse's last 3 bits (data sheet, table 28-5)."""
 WANTED_FUSE = 0xFC
 """Extended fuse for a brown-out at 4.3 V; 16 MHz need at least 3.8 V (data sheet, figure 29-1)."""
-INSTALL = "avrdude, which writes the firmware, is not installed: apt install avrdude"
 _TIMEOUT_S = 90.0  # three attempts to connect take 17 s; writing all of an Uno's flash takes 10 s
 _BLOCKS = 50  # length of avrdude's full progress bar
 _BAR = re.compile(r"(Reading|Writing|Verifying) +\| (#*)")
@@ -84,9 +83,14 @@ WITHIN_S = 6.0
 _REPEAT_S = 0.25  # bytes during the boot are lost
 
 
-def find() -> str | None:
-    """Return the path of avrdude; None if it is not installed."""
-    return shutil.which("avrdude")
+def find() -> str:
+    """Return the path of avrdude; raise OperationError if it is not installed."""
+    program = shutil.which("avrdude")
+    if program is None:
+        raise OperationError(
+            "avrdude, which writes the firmware, is not installed: apt install avrdude"
+        )
+    return program
 
 
 def loader(program: str, port: str) -> str:
