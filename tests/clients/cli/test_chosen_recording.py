@@ -190,18 +190,6 @@ def test_the_folder_of_recordings_comes_from_the_configuration(
     assert f"{file}: [recording] directory must be the path of" in capsys.readouterr().err
 
 
-def test_ls_lists_the_requested_number_of_recordings_or_all(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    found = []
-    for options in (["--count", "2"], ["--all"], ["--all", "--count", "2"]):
-        assert main(["ls", *options]) == 0
-        said = capsys.readouterr()
-        found.append((len(said.out.splitlines()) - 1, "older recordings" in said.err))
-
-    assert found == [(2, True), (5, False), (5, False)]
-
-
 def test_ls_shows_the_estimation_recording_that_a_recording_validates(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

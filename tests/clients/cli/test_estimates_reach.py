@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from armrig import Dataset, Signals
+from armrig import Signals
 from armrig.cli import main
 from armrig.cli.identify import _for_outputs, _Search
 from armrig.cli.model_structures import requested
@@ -141,24 +141,3 @@ def test_a_repeated_option_names_several_signals_as_commas_do() -> None:
 
     assert of(signal=["a", "b"], input=None) == of(signal="a,b") == SignalChoice(signal="a,b")
     assert of(signal=[], input=["u,v", "w"]).inputs == ("u", "v", "w")
-
-
-@pytest.mark.parametrize(
-    ("source", "output", "is_told"),
-    [
-        *(("ab12", "velocity", True), ("ab12", "alpha", True), ("ab12", "theta_1", False)),
-        *(("csv:ab12", "y", False), ("csv:ab12", "alpha", False)),
-    ],
-)
-def test_an_integrator_for_a_stable_output_of_the_rig_causes_a_warning(
-    source: str, output: str, is_told: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = Dataset(u=np.ones(2), y=np.ones(2), Ts=1.0, source=source, output=output)
-    request = Request(structure="oe", orders={}, integrator=True)
-
-    assert _for_outputs(request, data, integrator=True) is request
-
-    said = (
-        f"armrig: --integrator: the rig has no pole at 1 for {output}, which does not integrate\n"
-    )
-    assert capsys.readouterr().err == said * is_told
