@@ -64,9 +64,10 @@ def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n:
         np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:end])
     turns = (part.theta_1 - whole.theta_1[first:end])[part.valid] / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
-    assert {e.message for e in part.events} == {
-        e.message for e in whole.events if first * TS <= e.t < end * TS
-    }
+    for of_part, of_whole in ((part.events, whole.events), (part.timing, whole.timing)):
+        times = [x.t for x in of_whole if first * TS <= x.t < end * TS]
+        assert [x.t for x in of_part] == times
+    assert (part.part, whole.part) == (pytest.approx((first * TS, end * TS)), None)
     assert len(part.gaps) == (first < 50) + (first < 930 and end > 900)
 
 
@@ -80,6 +81,7 @@ def test_late_samples_belong_to_the_part_of_their_time(tmp_path: Path) -> None:
     part = load(path, start=0.5, stop=1.41)
 
     assert (part.k_first, part.N, part.missing) == (50, 91, 0)
+    assert [str(step) for step in part.dataset().history] == ["took 0.5 to 1.41 s of the run"]
 
 
 def test_a_second_around_the_part_is_read(tmp_path: Path) -> None:
