@@ -85,7 +85,7 @@ def check_angle(r: Recording) -> Iterator[Finding]:
 
 def check_step(r: Recording) -> Iterator[Finding]:
     """Check that the dead band does not hide the rise of a step."""
-    hidden = hidden_step(r) if r.manifest.experiment.partition("-")[0] == "step" else None
+    hidden = hidden_step(r)
     if hidden is None:
         return
     text = f"theta_1 is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} ms "
@@ -99,7 +99,7 @@ def check_step(r: Recording) -> Iterator[Finding]:
 
 def check_arm(r: Recording) -> Iterator[Finding]:
     """Check that alpha is not at an end of its track; in a greybox run, check that alpha rests."""
-    if r.manifest.experiment.partition("-")[0] == "greybox":
+    if r.manifest.kind == "greybox":
         yield from _check_removed_arm(r)
         return
     clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
@@ -212,14 +212,14 @@ class HiddenStep:
 
 
 def hidden_step(r: Recording) -> HiddenStep | None:
-    """Return the hidden interval of the rise; None if the rise is visible or u is no step.
+    """Return the hidden interval of the rise; None if the rise is visible or the run is no step.
 
     The function takes the equivalent time (`armrig.numerics.step_times`) as the duration of the
     rise. The equivalent time is the lag of the angle relative to its final straight line. It can be
     computed without samples of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
-    if edges.size != 1:
+    if r.manifest.kind != "step" or edges.size != 1:
         return None
     at = int(edges[0]) + 1
     k, known = np.arange(r.N) - at, r.valid

@@ -276,11 +276,9 @@ def calibration_date(calibration: Calibration | None) -> str:
 
 def doubts_of_estimation(recording: Recording) -> Iterator[Finding]:
     """Yield a finding if a recording excites too few frequencies for any model."""
-    kind = recording.manifest.experiment.partition("-")[0]
-    if kind in NO_MODEL:
-        text = f"{recording.path.name} is a {kind}, which excites few frequencies: a model from it "
-        text += "is poor; identify from a telegraph (`armrig collect blackbox`)"
-        yield warning("experiment", text)
+    if recording.manifest.kind in NO_MODEL:
+        text = "a model from it is poor; identify from a telegraph (`armrig collect blackbox`)"
+        yield _poorly_excited(recording, text)
 
 
 def doubts_of_pair(
@@ -293,11 +291,9 @@ def doubts_of_pair(
     """
     a, b = first.manifest, other.manifest
     name = other.path.name
-    kind = b.experiment.partition("-")[0]
-    if kind in NO_MODEL:
-        text = f"{name} is a {kind}, which excites few frequencies: a fit on it says little; "
-        text += "validate on another telegraph (`armrig collect blackbox --validation`)"
-        yield warning("experiment", text)
+    if b.kind in NO_MODEL:
+        text = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
+        yield _poorly_excited(other, f"{text}--validation`)")
     if a.rig != b.rig or a.device.get("uid") != b.device.get("uid"):
         text = f"{first.path.name} is of {_rig(first)}, {name} of {_rig(other)}: a model of one "
         yield warning("rig", f"{text}rig does not describe another rig")
@@ -315,7 +311,7 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
     recording and a later recording.
     """
     found = [finding for r in recordings for finding in doubts(r)]
-    excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
+    excited = [r for r in recordings if r.manifest.kind not in NO_MODEL]
     for n, other in enumerate(excited[1:]):
         # Only the second recording validates the first. Later recordings may be of the chassis
         # alone.
@@ -324,6 +320,11 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
     found = [f for f in found if f.about != "calibrations"]
     of_one_rig = all(f.about != "rig" for f in found)
     return [*found, *(different_calibrations(recordings) if of_one_rig else ())]
+
+
+def _poorly_excited(r: Recording, way_out: str) -> Finding:
+    kind = f"{r.path.name} is a {r.manifest.kind}, which excites few frequencies"
+    return warning("experiment", f"{kind}: {way_out}")
 
 
 def _reversed(r: Recording) -> bool:
@@ -338,7 +339,7 @@ def _rig(r: Recording) -> str:
 
 
 def _experiment(r: Recording) -> str:
-    return "the chassis alone" if r.manifest.experiment.startswith("greybox") else "the whole rig"
+    return "the chassis alone" if r.manifest.kind == "greybox" else "the whole rig"
 
 
 def _values(r: Recording) -> tuple[object, ...] | None:

@@ -33,7 +33,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     rig: str
     run_id: str
     experiment: str
-    """Kind of experiment, such as blackbox."""
+    """Kind of experiment, and its name if a person chose one, such as blackbox-monday."""
     details: dict[str, Any] = {}
     """Parameters of the experiment, such as the seed of its input."""
     owner: str = ""
@@ -81,6 +81,11 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
             return range(_INDEX_LIMIT)  # any index may belong to the run
         first = self.part_k_first if self.part > 1 else self.k_first
         return range(max(first, 0), min(self.k_first + self.samples, _INDEX_LIMIT))
+
+    @property
+    def kind(self) -> str:
+        """Kind of experiment, such as blackbox, without the name that a person chose."""
+        return self.experiment.partition("-")[0]
 
     @property
     def emulated(self) -> bool:
