@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
 from armrig.numerics.criteria import Criterion
 from armrig.plots.captions import NAMES, legend, sign
 from armrig.plots.layout import (
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from armrig.estimation.nonparametric.step_analysis import StepAnalysis
     from armrig.estimation.order_table import OrderTable
 
-Vector = NDArray[np.float64]
 
 MIN_SHOWN_POWER = 1e-5
 """Share of the largest power; a figure does not show power below this share."""
@@ -63,19 +62,23 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
         ax.set_xlabel("lag [samples]")
     band = std * float(scale.max(initial=0.0))
     name = f"{100 * level:g} % {response.band_name} band"
-    ax.fill_between(
-        response.lags, -band, band, step="mid", color=GREY, alpha=0.25, lw=0, label=name
-    )
-    stems(ax, response.lags, g, VERMILION)
+    stems(ax, response.lags, g, VERMILION, band=band, label=name)
     if response.lags[0] < 0:
         ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
-    rate = f"rate of {_name(response.output)}" if response.integrator else _name(response.output)
-    ax.set_ylabel(f"$g$ of {rate}\n[{gain_unit(response, rate=response.integrator)}]")
+    rate = label_coefficients(ax, response)
     how = f"{response.kernel.upper()} kernel" if response.kernel else "least squares"
     finish(*(p for p in (ax, below) if p is not None))
     if below is not None:
         legend(below, f"running sum: impulse response of {_name(response.output)}")
     return sign(ax, response.source, above=legend(ax, f"impulse response of {rate}, by {how}"))
+
+
+def label_coefficients(ax: Axes, response: ImpulseResponse) -> str:
+    """Label the axis of an impulse response, and return the name of the responding signal."""
+    name = _name(response.output)
+    name = f"rate of {name}" if response.integrator else name
+    ax.set_ylabel(f"$g$ of {name}\n[{gain_unit(response, rate=response.integrator)}]")
+    return name
 
 
 def plot_correlation(result: Correlation, *, level: float = 0.99, ax: Axes | None = None) -> Axes:

@@ -203,8 +203,18 @@ def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) 
         label = "_"
 
 
-def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
-    """Draw a vertical line from 0 to y at each x."""
+def stems(
+    ax: Axes,
+    x: NDArray[Any],
+    y: NDArray[Any],
+    colour: str,
+    *,
+    band: NDArray[Any] | None = None,
+    label: str = "",
+) -> None:
+    """Draw a vertical line from 0 to y at each x, and a band about 0 of this half width."""
+    if band is not None:
+        ax.fill_between(x, -band, band, step="mid", color=GREY, alpha=0.25, lw=0, label=label)
     ax.vlines(x, 0, y, color=colour, lw=1.0)
     ax.plot(x, y, "o", color=colour, ms=2.6)
     ax.axhline(0, color=INK, lw=0.6)

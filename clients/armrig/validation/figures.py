@@ -148,10 +148,7 @@ def _plot_outputs(
 
 
 def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int) -> float:
-    """Make the scale logarithmic beyond three times the least error, if errors differ widely.
-
-    Return the limit of the linear part; 0 if the whole scale is linear.
-    """
+    """Make the scale logarithmic beyond 3 times the least error, and return this limit, or 0."""
     sizes = [r.rms_error for r in rows if np.isfinite(r.rms_error) and r.rms_error > 0]
     if not sizes or max(sizes) <= 8 * min(sizes):
         return 0.0
@@ -197,9 +194,8 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     if test.missing_dynamics_by_pair.size > 1:
         return _plot_rows(test, ax)
     ax, below = panels(ax, 0.5, sharex=False)
-    band = float(test.autocorrelation_band)
-    ax.axhspan(-band, band, color=GREY, alpha=0.25, lw=0, label=BAND)
-    _draw(ax, test.lags[1:], test.autocorrelation[1:], band, BLUE)
+    band = np.full(test.lags.size - 1, test.autocorrelation_band)
+    _draw_in_band(ax, test.lags[1:], test.autocorrelation[1:], band, BLUE)
     ax.set_ylabel("$r_e$(lag)")
     width = BAND_99_PERCENT * test.cross_std
     _draw_in_band(below, test.cross_lags, test.cross_correlation, width, VERMILION)
@@ -276,13 +272,8 @@ def _head(panel: Axes, text: str) -> None:
 
 
 def _draw_in_band(panel: Axes, lags: Array, values: Array, width: Array, colour: str) -> None:
-    panel.fill_between(lags, -width, width, step="mid", color=GREY, alpha=0.25, lw=0, label=BAND)
-    _draw(panel, lags, values, float(np.nanmax(width, initial=0.0)), colour)
-
-
-def _draw(panel: Axes, lags: Array, values: Array, width: float, colour: str) -> None:
-    stems(panel, lags, values, colour)
-    reach = 1.15 * max(float(np.nanmax(np.abs(values), initial=0.0)), width, 1e-12)
+    stems(panel, lags, values, colour, band=width, label=BAND)
+    reach = 1.15 * max(np.nanmax([*np.abs(values), *width], initial=0.0), 1e-12)
     panel.set_ylim(-reach, reach)
 
 

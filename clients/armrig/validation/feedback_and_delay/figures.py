@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.estimation.figures import gain_unit, label_coefficients
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.plots.captions import NAMES, legend, sign
-from armrig.plots.layout import BLUE, GREY, INK, VERMILION, axes, finish, panels
+from armrig.plots.layout import BLUE, GREY, VERMILION, axes, finish, panels, stems
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.estimation.nonparametric.impulse import ImpulseResponse
-    from armrig.numerics.polynomial import Array
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
@@ -25,6 +24,7 @@ _BAND_99_9_PERCENT = 3.29
 _CHI2_99_9_PERCENT = 10.83  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side
 _BEYOND = 6  # lags shown after nk
+_OF_ZERO = "{} band of a coefficient that is 0"
 
 
 def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
@@ -41,11 +41,10 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
         return sign(ax, result.source)
     shown = result.sims.lags <= _ABOUT
     name = NAMES.get(result.output, result.output)
-    band = BAND_99_PERCENT * result.sims.std[shown]
-    _stems(ax, result.sims.lags[shown], result.sims.coefficients[shown], band, "99 %")
-    ax.set_ylabel(
-        f"coefficient of $u$ in {name}\n[{result.unit or '–'}/{result.input_unit or '–'}]"
-    )
+    band, label = BAND_99_PERCENT * result.sims.std[shown], _OF_ZERO.format("99 %")
+    coefficients = result.sims.coefficients[shown]
+    stems(ax, result.sims.lags[shown], coefficients, BLUE, band=band, label=label)
+    ax.set_ylabel(f"coefficient of $u$ in {name}\n[{gain_unit(result)}]")
     first = float(result.sims.lags[0]) - 0.5
     label = f"tested: the input after {name} was read"
     ax.axvspan(first, 0.5, color=VERMILION, alpha=0.07, lw=0, label=label)
@@ -66,8 +65,12 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
     The band and the dotted line correspond to the level of the tests, 0.1 %.
     """
     ax, below = panels(ax, 0.5, sharex=False)
-    last = result.nk + _BEYOND
-    _response(ax, result.response, 0, last)
+    last, response = result.nk + _BEYOND, result.response
+    g, std = response.decaying
+    shown = (response.lags >= 0) & (response.lags <= last)
+    band, label = _BAND_99_9_PERCENT * std[shown], _OF_ZERO.format("99.9 %")
+    stems(ax, response.lags[shown], g[shown], BLUE, band=band, label=label)
+    label_coefficients(ax, response)
     for panel in (ax, below):
         panel.axvline(result.nk, color=GREY, lw=0.8, ls="--", label=result.nk_range)
     nk, V = np.array(list(result.arx_loss)), np.array(list(result.arx_loss.values()))
@@ -89,32 +92,3 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
     finish(below)
     legend(below)
     return sign(ax, result.source, above=legend(ax))
-
-
-def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
-    """Show lags `first` … `last` of the impulse response, with a 99.9 % band."""
-    g, std = response.decaying
-    shown = (response.lags >= first) & (response.lags <= last)
-    _stems(ax, response.lags[shown], g[shown], _BAND_99_9_PERCENT * std[shown], "99.9 %")
-    name = NAMES.get(response.output, response.output)
-    per = "/s" if response.integrator else ""
-    of = f"rate of {name}" if response.integrator else name
-    unit = f"{response.unit or '–'}{per}/{response.input_unit or '–'}"
-    ax.set_ylabel(f"$g$ of {of}\n[{unit}]")
-
-
-def _stems(ax: Axes, lags: Array, g: Array, band: Array, share: str) -> None:
-    """Show coefficients, and the band that contains a zero coefficient with probability `share`."""
-    ax.fill_between(
-        lags,
-        -band,
-        band,
-        step="mid",
-        color=GREY,
-        alpha=0.3,
-        lw=0,
-        label=f"{share} band of a coefficient that is 0",
-    )
-    ax.vlines(lags, 0, g, color=BLUE, lw=1.0)
-    ax.plot(lags, g, "o", color=BLUE, ms=3.5)
-    ax.axhline(0, color=INK, lw=0.6)
