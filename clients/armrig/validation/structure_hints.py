@@ -14,7 +14,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
 from armrig.data.finding import Finding, good, warning
 from armrig.data.treatment.integrating import integration
-from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
+from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough, with_covariance
 from armrig.estimation.nonparametric.spectra import explained
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.excitation.input_description import excitation_order
@@ -304,12 +304,12 @@ def _extremes(
     if not believed.size:
         return (), ()
     omega = np.geomspace(believed[0], believed[-1], 300)
-    g, _ = response.decaying
+    g, covariance = with_covariance(response)
     turn = np.exp(-1j * np.outer(omega, response.lags) * response.Ts)
     G = turn @ g
     # d|G| = along @ dg
     along = np.real(turn * np.exp(-1j * np.angle(G))[:, None])
-    magnitude, covariance = np.abs(G), _covariance(response)
+    magnitude = np.abs(G)
     resolved = 2 * np.pi / (g.size * response.Ts)
 
     def sure(at: int, foot: int) -> bool:
@@ -331,24 +331,16 @@ def _extremes(
     return found[0], found[1]
 
 
-def _covariance(response: ImpulseResponse) -> Vector:
-    """Return the covariance of `response.decaying`, the rate's response if y integrates."""
-    rate = response.rate_covariance
-    return response.covariance if rate is None else rate
-
-
 def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
     """Return the Hankel singular values from lag nk on, and their threshold, over the largest."""
-    g, _ = response.decaying
+    g, covariance = with_covariance(response)
     # The backward difference that yields the rate adds a pole at 0, which affects g(nk) alone.
     h = g[nk + 1 :] if response.integrator else g[nk:]
     m = (h.size + 1) // 2
     index = np.add.outer(np.arange(m), np.arange(h.size - m + 1))
     values = np.linalg.svd(h[index], compute_uv=False)
-    draws = rng.multivariate_normal(
-        np.zeros(g.size), _covariance(response), size=DRAWS, method="eigh"
-    )[:, g.size - h.size :]
-    norms = np.linalg.norm(draws[:, index], ord=2, axis=(1, 2))
+    errors = rng.multivariate_normal(np.zeros(g.size), covariance, size=DRAWS, method="eigh")
+    norms = np.linalg.norm(errors[:, g.size - h.size :][:, index], ord=2, axis=(1, 2))
     return values / values[0], float(np.quantile(norms, 0.95)) / float(values[0])
 
 

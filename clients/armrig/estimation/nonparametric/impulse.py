@@ -106,7 +106,7 @@ class ImpulseResponse:
     @property
     def died_out(self) -> bool:
         """True if the last tenth of the response (of the rate if y integrates) is about 0."""
-        return died_out(*self._decaying)
+        return died_out(*with_covariance(self))
 
     @property
     def band_name(self) -> str:
@@ -116,15 +116,8 @@ class ImpulseResponse:
     @property
     def decaying(self) -> tuple[Vector, Vector]:
         """Decaying response and its standard deviations: `rate` if y integrates, otherwise g."""
-        g, covariance = self._decaying
+        g, covariance = with_covariance(self)
         return g, np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-    @property
-    def _decaying(self) -> tuple[Vector, Matrix]:
-        """Decaying response and its covariance."""
-        if self.rate is None or self.rate_covariance is None:
-            return self.g, self.covariance
-        return self.rate, self.rate_covariance
 
     def band(self, level: float = 0.95) -> Vector:
         """Return the half width of the band of g at each lag, for a level between 0 and 1."""
@@ -155,7 +148,7 @@ class ImpulseResponse:
     def spectrum(self, omega: ArrayLike) -> SpectralEstimate:
         """Return the Fourier transform of g at omega (n,) in rad/s, with standard deviations."""
         w = column("omega", np.atleast_1d(omega))
-        g, covariance = self._decaying
+        g, covariance = with_covariance(self)
         turn = np.exp(-1j * np.outer(w, self.lags) * self.Ts)
         G = turn @ g
         along = turn * np.exp(-1j * np.angle(G))[:, None]
@@ -368,6 +361,13 @@ def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> Im
         if left(tried[-1]) < (False, MAX_LAST_VARIANCE_SHARE):
             break
     return min(tried, key=left)
+
+
+def with_covariance(response: ImpulseResponse) -> tuple[Vector, Matrix]:
+    """Return the decaying response and its covariance: of the rate if y integrates."""
+    if response.rate is None or response.rate_covariance is None:
+        return response.g, response.covariance
+    return response.rate, response.rate_covariance
 
 
 def died_out(g: Vector, covariance: Matrix) -> bool:

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from armrig.data.dataset import Dataset, Vector
-from armrig.estimation.nonparametric.impulse import ImpulseResponse
+from armrig.estimation.nonparametric.impulse import ImpulseResponse, with_covariance
 from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
 from armrig.numerics.criteria import aic
@@ -254,10 +254,9 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     The components of L^-1 g are independent if L L^T is the covariance of g. L_kk times component k
     estimates g(k) of a response that is 0 before lag k.
     """
-    g, _ = response.decaying
-    covariance = response.covariance if response.rate is None else response.rate_covariance
+    g, covariance = with_covariance(response)
     rounding = (_ROUNDING * np.linalg.norm(g)) ** 2 + np.finfo(np.float64).tiny
-    L = np.linalg.cholesky(np.asarray(covariance) + rounding * np.eye(g.size))
+    L = np.linalg.cholesky(covariance + rounding * np.eye(g.size))
     score, std = np.linalg.solve(L, g)[first:], np.diag(L)[first:]
     p_values = _joint(np.cumsum(score**2), max(response.N - g.size, 1))
     return LagTests(
