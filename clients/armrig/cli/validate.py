@@ -126,8 +126,7 @@ def validate(
         return of | residual_facts(data, simulated.rows, tests) | {"ahead": ahead}
 
     def say_validation() -> None:
-        first = f"Simulated, {fit.heading} fits {simulation(simulated.rows)}"
-        first += f"; {tests.larger}." if tests.larger else "."
+        first = f"Simulated, {fit.heading} fits {simulation(simulated.rows)}."
         say_answer(f"{first}\n{tests_sentence(tests)}.")
         for found in in_open_loop(data):
             if not found.linear:

@@ -9,11 +9,11 @@ import numpy as np
 
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import listed, p_relation
+from armrig.numerics.quantities import listed
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
-from armrig.validation.residual_test import NOT_LINEAR, UNKNOWN, ResidualTest
+from armrig.validation.residual_test import ResidualTest, results
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,18 +23,9 @@ if TYPE_CHECKING:
 _DATA_FIRST = "correct the data first, see below"
 OF_DATA = frozenset({"outliers", "level"})
 """Names of the findings about the data; the estimation and the advice use the same names."""
-NOT_MISSING = "no dynamics missing"
-MORE_DATA = "estimate from more data, or with lower orders"
-NOISE = "look at the noise model or the orders"
-DYNAMICS = "look at the orders or the delay"
-FEEDBACK = (
-    "look at the experiment (was u held between samples, and recorded at the time of y?), or the "
-    "delay is too large"
-)
 LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _MORE_TESTS = f"{LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
 _ON_OWN_DATA = " on its estimation data"
-UNTESTED = "too few samples or residuals for the test"
 
 
 def answer(
@@ -61,10 +52,8 @@ def answer(
         untested = all(isnan(q.white.p_value) for q in fit.quality)
         return said if untested else f"{said}\n{_MORE_TESTS}"
     simulated = f"to {simulated_to(validation[0])}" if fit.ny == 1 else simulation(validation.rows)
-    simulated += f"; {tests.larger}" * bool(tests.larger)
-    return (
-        f"{said}\nSimulated on the validation data it fits {simulated}.\n{tests_sentence(tests)}."
-    )
+    said += f"\nSimulated on the validation data it fits {simulated}."
+    return f"{said}\n{tests_sentence(tests)}."
 
 
 def simulation(rows: Sequence[Comparison]) -> str:
@@ -102,31 +91,11 @@ def _errors(row: Comparison) -> str:
 
 
 def tests_sentence(tests: ResidualTest) -> str:
-    """Return the result of the tests of the residuals, with p values and the level."""
-    failed, doubts, passed = [], [], []
-    if tests.white.coloured:
-        failed.append(f"they are {tests.white}: {NOISE}")
-    elif tests.white.unclear:
-        doubts.append(f"they are {tests.white}: {MORE_DATA}")
-    else:
-        passed.append(str(tests.white))
-    # If u is not white, missing dynamics also affect the lags at which feedback is tested.
-    feedback = f"there is feedback ({{}}): {FEEDBACK}"
-    if tests.missing_dynamics < WHITE_LEVEL:
-        feedback = "until the dynamics are modelled, the test of feedback ({}) is not valid"
-    dynamics = f"dynamics are missing ({{}}): {DYNAMICS}"
-    not_missing = NOT_LINEAR if tests.white.doubtful else NOT_MISSING
-    for p, bad, good, blind in (
-        (tests.missing_dynamics, dynamics, not_missing, tests.blind),
-        (tests.feedback, feedback, "no feedback seen", ""),
-    ):
-        said = f"p {p_relation(p)}"
-        if p < WHITE_LEVEL:
-            failed.append(bad.format(said))
-        elif blind:
-            doubts.append(f"{UNKNOWN}: {blind}")
-        else:
-            passed.append(f"{good} ({said})" if p >= 0 else f"{good}: {UNTESTED}")
+    """Return the results of the tests of the residuals, with p values and the level."""
+    texts: dict[str, list[str]] = {"unusable": [], "warning": [], "good": []}
+    for found in results(tests):
+        texts[found.level].append(found.text)
+    failed, doubts, passed = texts.values()
     rest = [f"passed: {', '.join(passed)}"] if passed else []
     if failed:
         return f"Its residuals do not pass: {'; '.join([*failed, *doubts, *rest, LEVEL])}"
@@ -134,6 +103,4 @@ def tests_sentence(tests: ResidualTest) -> str:
         return f"The tests of its residuals have no power: {tests.powerless}"
     if doubts:
         return f"It is not clear that its residuals pass: {'; '.join([*doubts, *rest, LEVEL])}"
-    if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
-        return f"Residuals {tests.white}; {UNTESTED}"
     return f"Its residuals pass: {', '.join(passed)}; {LEVEL}"

@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.finding import Finding
+from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
@@ -19,19 +19,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_DYNAMICS = "no dynamics missing", "dynamics missing", "orders or delay"
-_FEEDBACK = (
-    "no feedback",
-    "feedback, or a delay too large",
-    "experiment (was u held between samples, and recorded at the time of y?)",
-)
+_DYNAMICS = "dynamics missing", "the orders or the delay"
+_HYPOTHESES = {
+    "dynamics": ("no dynamics missing", *_DYNAMICS),
+    "linear dynamics": ("no dynamics missing that are linear in u", *_DYNAMICS),
+    "feedback": (
+        "no feedback",
+        "feedback, or a delay too large",
+        "the experiment (was u held between samples, and recorded at the time of y?)",
+    ),
+}
+"""Result of a passed test, result of a failed test, and what to look at then."""
+UNKNOWN = "the data do not show whether dynamics are missing"
+_NOT_VALID = "until the dynamics are modelled, the test of feedback (p {}) is not valid"
 _OLDER = (
     "the model's file contains no noise, so the noise is that of these residuals: misfit is partly "
     "hidden. Estimate the model again"
 )
-NOT_LINEAR = "no dynamics missing that are linear in u"
-UNKNOWN = "the data do not show whether dynamics are missing"
-_NOT_VALID = "until the dynamics are modelled, the test of feedback is not valid"
 MAX_ALLOWANCE = 10.0
 """Largest factor by which uncertain parameters may widen the bands of a test. With a larger factor,
 the test has no power."""
@@ -63,8 +67,8 @@ class PairTest:
         return "\n".join(
             [
                 f"{self.input} to {self.output}",
-                f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
-                f"  {_verdict(*_FEEDBACK, self.feedback)}",
+                f"  {_result('dynamics', self.missing_dynamics).text}",
+                f"  {_result('feedback', self.feedback).text}",
             ]
         )
 
@@ -251,22 +255,17 @@ class ResidualTest:
         where = "estimation" if self.on_estimation_data else "validation"
         if self.powerless and not self.rejects:
             return [f"residuals on {where} data: no test has power: {self.powerless}"]
-        several = self.missing_dynamics_by_pair.size > 1
-        counts = np.isfinite(self.e).sum(axis=0)
-        look = ": look at the noise model or order" if self.white.coloured else ""
-        dynamics = (NOT_LINEAR, *_DYNAMICS[1:]) if self.white.doubtful else _DYNAMICS
-        unknown = self.blind and f"{UNKNOWN}: {self.blind}"
-        not_valid = several and self.missing_dynamics < WHITE_LEVEL
+        counts = np.atleast_1d(np.isfinite(self.e).sum(axis=0))
+        several = len(self.outputs) > 1
+        white, *others = (f.text for f in results(self))
         lines = [
-            f"residuals on {where} data, {listed([str(n) for n in np.atleast_1d(counts)])} samples",
-            f"  {'all outputs together: ' * (len(self.outputs) > 1)}{self.white}{look}",
-            f"  {unknown or _verdict(*dynamics, self.missing_dynamics)}",
-            f"  {_NOT_VALID if not_valid else _verdict(*_FEEDBACK, self.feedback)}",
+            f"residuals on {where} data, {listed([str(n) for n in counts])} samples",
+            f"  {'all outputs together: ' * several}{white}",
+            *(f"  {text}" for text in others),
         ]
-        lines += [f"  {self.larger}"] * bool(self.larger)
         if not (self.noise_of_estimation or self.on_estimation_data):
             lines.append(f"  {_OLDER}")
-        if len(self.outputs) > 1:
+        if several:
             each = zip(self.outputs, self.white_by_output, strict=True)
             lines += [f"  {name}: {white}" for name, white in each]
         return [*lines, *self.pair_lines(every=every)]
@@ -279,23 +278,52 @@ class ResidualTest:
         """
         if self.missing_dynamics_by_pair.size == 1:
             return
-        tests = [(self.missing_dynamics_by_pair, _DYNAMICS)]
+        tests = {"dynamics": self.missing_dynamics_by_pair}
         if not self.missing_dynamics < WHITE_LEVEL:
-            tests.append((self.feedback_by_pair, _FEEDBACK))
-        for p, (good, bad, _) in tests:
+            tests["feedback"] = self.feedback_by_pair
+        for about, p in tests.items():
             for (i, j), value in np.ndenumerate(p):
-                rejected = value < WHITE_LEVEL / p.size
-                if rejected or every:
-                    said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
-                    pair = f"{self.inputs[j]} to {self.outputs[i]}"
-                    yield f"  {pair}: {bad if rejected else good} {said}"
+                level, pair = WHITE_LEVEL / p.size, f"{self.inputs[j]} to {self.outputs[i]}"
+                if value < level or every:
+                    yield f"  {pair}: {_verdict(about, value, level)}"
 
 
-def _verdict(good: str, bad: str, look: str, p: float) -> str:
-    """Return the result of a test as text, with the setting to look at if the test rejects."""
-    if not p >= 0:
-        subject = bad.partition(",")[0]
-        return f"{subject}: not tested, because u is constant or the samples are few"
+def results(tests: ResidualTest) -> Iterator[Finding]:
+    """Yield the results of the joint tests: whiteness, dynamics, feedback and larger errors.
+
+    The level of a rejected hypothesis is "unusable", and that of an unclear result is "warning".
+    """
+    white, dynamics = tests.white, tests.missing_dynamics
+    if white.coloured:
+        yield unusable("white", f"{white}: look at the noise model or the orders")
+    elif white.unclear:
+        yield warning("white", f"{white}: estimate from more data, or with lower orders")
+    else:
+        yield (good if white.p_value >= 0 else warning)("white", str(white))
+    if tests.blind:
+        yield warning("dynamics", f"{UNKNOWN}: {tests.blind}")
+    else:
+        yield _result("linear dynamics" if white.doubtful else "dynamics", dynamics)
+    # If u is not white, missing dynamics also affect the lags at which feedback is tested.
+    if dynamics < WHITE_LEVEL and tests.feedback < WHITE_LEVEL:
+        yield warning("feedback", _NOT_VALID.format(p_relation(tests.feedback)))
+    else:
+        yield _result("feedback", tests.feedback)
+    if tests.larger:
+        yield unusable("errors", tests.larger)
+
+
+def _result(about: str, p: float) -> Finding:
+    text = _verdict(about, p)
     if p < WHITE_LEVEL:
-        return f"{bad} (p {p_relation(p)}): look at the {look}"
-    return f"{good} (p {p_relation(p)})"
+        return unusable(about, f"{text}: look at {_HYPOTHESES[about][2]}")
+    return (good if p >= WHITE_LEVEL else warning)(about, text)
+
+
+def _verdict(about: str, p: float, level: float = WHITE_LEVEL) -> str:
+    """Return the result of a test as text."""
+    passed, failed, _ = _HYPOTHESES[about]
+    if not p >= 0:
+        subject = failed.partition(",")[0]
+        return f"{subject}: not tested, because u is constant or the samples are few"
+    return f"{failed if p < level else passed} (p {p_relation(p)})"

@@ -91,6 +91,7 @@ def test_a_pair_fails_its_test_at_the_level_of_all_pairs_together() -> None:
     every = list(ResidualTest.pair_lines(_pairs(), every=True))
     missing = list(ResidualTest.pair_lines(_pairs(missing_dynamics=0.009), every=True))
 
+    untested = "not tested, because u is constant or the samples are few"
     assert brief == [
         "  w to y: dynamics missing (p < 0.001)",
         "  w to z: feedback, or a delay too large (p < 0.001)",
@@ -101,12 +102,12 @@ def test_a_pair_fails_its_test_at_the_level_of_all_pairs_together() -> None:
         "  w to y: dynamics missing (p < 0.001)",
         "  u to z: no dynamics missing (p = 0.020)",
         "  v to z: no dynamics missing (p = 1.000)",
-        "  w to z: no dynamics missing not tested",
+        f"  w to z: dynamics missing: {untested}",
     ]
     assert every[6:9] == [
         "  u to y: no feedback (p = 0.020)",
         "  v to y: no feedback (p = 1.000)",
-        "  w to y: no feedback not tested",
+        f"  w to y: feedback: {untested}",
     ]
     assert (len(every), missing) == (12, every[:6])
 
@@ -193,16 +194,22 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({}, "pass: white (p = 0.400, T), no dynamics missing (p = 0.300), no feedback seen (p"),
-        (
-            {"white": _white(0.001)},
-            "do not pass: they are coloured (p = 0.001, T): look at the noi",
-        ),
-        ({"missing_dynamics": 0.001}, "do not pass: dynamics are missing (p = 0.001): look at the"),
-        ({"feedback": 0.001}, "do not pass: there is feedback (p = 0.001): look at the experiment"),
+        ({}, "pass: white (p = 0.400, T), no dynamics missing (p = 0.300), no feedback (p"),
+        ({"white": _white(0.001)}, "do not pass: coloured (p = 0.001, T): look at the noise model"),
+        ({"missing_dynamics": 0.001}, "do not pass: dynamics missing (p = 0.001): look at the ord"),
+        ({"feedback": 0.001}, "do not pass: feedback, or a delay too large (p = 0.001): look at"),
         ({"feedback": 0.001, "missing_dynamics": 0.001}, "the test of feedback (p = 0.001) is not"),
+        ({"larger": "errors grow"}, "do not pass: errors grow; passed: white (p = 0.400, T), no"),
         ({"powerless": "u is constant"}, "tests of its residuals have no power: u is constant"),
-        ({"missing_dynamics": np.nan}, "Residuals white (p = 0.400, T); too few samples"),
+        ({"missing_dynamics": np.nan}, "residuals pass: dynamics missing: not tested, because u"),
+        (
+            {"white": _white(np.nan)},
+            "residuals pass: not tested (too few, or all zero); passed: no",
+        ),
+        (
+            {"blind": "u is slow"},
+            "residuals pass: the data do not show whether dynamics are mi",
+        ),
     ],
 )
 def test_a_sentence_names_the_failed_tests_of_the_residuals(
