@@ -345,8 +345,7 @@ def check(
 
     With several signals, each pair of an input and an output is tested.
     """
-    from armrig.validation.feedback_and_delay.open_loop import require_level
-    from armrig.validation.linearity import CHANCE_LEVEL
+    from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, require_level
 
     require_level(level)
     data = signals.of(file)
@@ -678,8 +677,7 @@ def _report_ignored(recordings: Sequence[Recording]) -> None:
     """Print the recordings that are not used for the models of the report."""
     from armrig.recordings.usability import NO_MODEL
 
-    kinds = [r.manifest.experiment.partition("-")[0] for r in recordings]
-    excited = [r for r, kind in zip(recordings, kinds, strict=True) if kind not in NO_MODEL]
+    excited = [r for r in recordings if r.manifest.kind not in NO_MODEL]
     for r in excited[2:]:
         tell(
             f"{r.path.name} is only listed in the report: the models are estimated from "

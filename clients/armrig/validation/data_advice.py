@@ -28,8 +28,8 @@ from armrig.models.fit import Fit
 from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
-from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
-from armrig.validation.linearity import CHANCE_LEVEL, in_open_loop
+from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, OpenLoop, open_loop
+from armrig.validation.linearity import in_open_loop
 
 ORDER = 4
 """Number of poles, and number of numerator coefficients, of the compared models; the arm has 4

@@ -22,7 +22,12 @@ from armrig.numerics.quantities import p_relation, percent, three_digits
 from armrig.numerics.regressors import LongArx, long_arx
 from armrig.numerics.whiteness import effects_p_value
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
-from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop, require_level
+from armrig.validation.feedback_and_delay.open_loop import (
+    CHANCE_LEVEL,
+    OpenLoop,
+    open_loop,
+    require_level,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,8 +59,6 @@ _TWO_LEVELS = (
     "{0} has two levels, which cannot show a dead zone or another static nonlinearity of {0}: "
     "record with several levels (staircase, white noise)"
 )
-CHANCE_LEVEL = 1e-3
-"""Level of findings without a test by name: 0.05 finds feedback in one of twenty recordings."""
 _MIN_LAGS, _MAX_LAGS = 30, 100  # 30 lags leave effects of a slow pole, which look nonlinear
 _MIN_ROWS_PER_PARAMETER = 4  # with fewer than 30 lags
 _ROWS_PER_PARAMETER = 10  # with more lags: the test then loses a tenth of the rows

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MIN_REPEAT_P = 1e-3  # for p from this number to the level, another recording is recommended
+CHANCE_LEVEL = 1e-3
+"""Level of findings without a test by name, and least p value for which another recording is
+recommended: the level 0.05 finds feedback in one of twenty recordings in open loop."""
 _MAX_EXACT_REST = 1e-5  # share of u that y(t) may leave unexplained: rounding in a file
 _MAX_FEW_LEVELS = 20  # a controller that carries the noise of y into u causes more levels of u
 _MAX_SHOWN_F = 1e6
@@ -112,7 +114,7 @@ class OpenLoop:
             "input free of the noise (OE, spectral analysis, correlation) is then biased: "
             "estimate with a noise model (ARMAX, BJ), or record with the controller off."
         ]
-        if self.p_value >= _MIN_REPEAT_P:
+        if self.p_value >= CHANCE_LEVEL:
             lines.append(
                 f"But one open-loop experiment in {1 / self.level:.0f} fails the test by chance, "
                 "and p is not far below the level: record again, and test that recording, too."
