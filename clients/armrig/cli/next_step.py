@@ -109,11 +109,7 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the command, or a later command if the result of this command already exists.
-
-    The result is a running rig, or a complete recording. A second complete recording with the same
-    --name would make the name ambiguous.
-    """
+    """Return the command, or a later command if the rig runs or the recording already exists."""
     words = shlex.split(line)
     if words[1:] == ["lab"] and _rig_runs():
         return _goes_on(AFTER["lab"].format(rig=""))
@@ -153,12 +149,12 @@ def recorded_pair(Ts: float | None = None) -> str:
 
 def own_recordings() -> list[Path]:
     """Return the paths in the recording folder, newest first; none if it cannot be read."""
+    from armrig.recordings.files import recording_names as names
     from armrig.recordings.files.catalogue import newest_first
-    from armrig.recordings.files.recording_names import NoSuchRecordingError, recording_folder
 
     try:
-        return newest_first(recording_folder())
-    except (NoSuchRecordingError, OSError):
+        return newest_first(names.recording_folder())
+    except (names.NoSuchRecordingError, OSError):
         return []
 
 
@@ -170,12 +166,11 @@ def step_again(recording: Recording) -> str:
     """
     from armrig.recordings.findings import hidden_step
 
-    manifest = recording.manifest
-    kind, _, name = manifest.experiment.partition("-")
-    hidden = hidden_step(recording) if kind == "step" else None
+    manifest, hidden = recording.manifest, hidden_step(recording)
     if hidden is None or not isfinite(hidden.at_s):
         return ""
-    named = f" --name {shlex.quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
+    name = manifest.experiment.partition("-")[2]
+    named = f" --name {quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
     when = f" --at {hidden.at_s:g} --seconds {hidden.seconds:g}"
     return f" --Ts {manifest.Ts:g}{when}{named}"
 
@@ -188,28 +183,21 @@ def opener() -> str:
 def naming(rig: str, connect: str | None = None) -> str:
     """Return the options that name a rig and its endpoint; "" for the defaults."""
     named = "" if rig == "1" else f" --rig {rig}"
-    return f"{named} --connect {shlex.quote(connect)}" if connect else named
+    return f"{named} --connect {quote(connect)}" if connect else named
 
 
 def typed(path: Path) -> str:
     """Return the @name of a recording, or its quoted path, as a user types it."""
+    from armrig.recordings.files import recording_names as names
     from armrig.recordings.files.catalogue import newest_first
-    from armrig.recordings.files.recording_names import (
-        NoSuchRecordingError,
-        matching,
-        recording_folder,
-        short_name,
-    )
     from armrig.recordings.files.recording_summary import summary_of
 
-    try:
-        folder = recording_folder()
+    with suppress(names.NoSuchRecordingError, DamageError, OSError):
+        folder = names.recording_folder()
         if path.absolute().parent == folder.absolute():
             paths = newest_first(folder)
-            return short_name(summary_of(path), lambda name: matching(name, paths))
-    except (NoSuchRecordingError, DamageError, OSError):
-        pass
-    return shlex.quote(str(path))
+            return names.short_name(summary_of(path), lambda name: names.matching(name, paths))
+    return quote(str(path))
 
 
 def estimation_of(path: Path) -> str:
@@ -227,15 +215,11 @@ def estimation_of(path: Path) -> str:
 
 def _chosen(text: str, folder: Path | None = None) -> RecordingSummary | None:
     """Return the recording that a name means; None if the name is unknown or ambiguous."""
-    from armrig.recordings.files.recording_names import (
-        NoSuchRecordingError,
-        chosen,
-        recording_folder,
-    )
+    from armrig.recordings.files import recording_names as names
 
     try:
-        return chosen(text, folder or recording_folder())
-    except NoSuchRecordingError:
+        return names.chosen(text, folder or names.recording_folder())
+    except names.NoSuchRecordingError:
         return None
 
 
@@ -315,10 +299,7 @@ def _newest(found: Iterator[RecordingSummary]) -> RecordingSummary | None:
 
 
 def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
-    """Return the complete estimation recording of a validation recording.
-
-    None if the sampling time or the calibration differs.
-    """
+    """Return the complete estimation recording with equal sampling time and calibration."""
     found = _chosen(f"@{validation.validation_of}", validation.folder)
     if found is None:
         return None
@@ -368,13 +349,15 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         columns = data.signals()
         output = (*signals.outputs, *columns.outputs)[0]
         channel = signals.of_channel(output, (*signals.inputs, *columns.inputs)[0], data)
+    # The next step after the validation of one output is known for theta_1 alone.
+    known = not one or fit.output == THETA_1
     # `armrig check` has no option --offset.
     checked = channel.options() + " --detrend" * (one and fit.offset and not signals.detrend)
     if options == CHECK:
         say_next("identify check", **values, given=checked)
     elif found.save is None or options != options_of(request):
         say_next("identify", **values)
-    elif found.validate is not None and tests is not None and signals.read and _has_physics(fit):
+    elif found.validate is not None and tests is not None and signals.read and known:
         after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)
     elif validation:
         # `armrig validate` has no option --assume.
@@ -383,25 +366,14 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         say_next("identify alone" if signals.read else "identify check", **values, given=checked)
 
 
-def _has_physics(fit: Fit) -> bool:
-    """Return True if the next step after a validation is known: one output must be theta_1."""
-    return (fit.ny, fit.nu) != (1, 1) or fit.output == THETA_1
-
-
 def _better_options(request: Request, data: Dataset | Signals, about: Set[str]) -> str:
-    """Return the options of the next estimation of several signals after coloured residuals.
-
-    If the data are not from a rig and have means far from 0, the means are subtracted, because the
-    orders may fit then. If an output is the rig's angle theta_1 and the request has no integrator,
-    the options request an OE model with an integrator. Otherwise the options request a search. If
-    the data show feedback, the result is `CHECK`.
-    """
+    """Return the options of the next estimation of several signals after coloured residuals."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     columns = data.signals()
     if not from_recording(data):
         outputs = [y for _, y in measured(columns)]
-        if far_from_zero([*outputs, *columns.u.T]):
+        if far_from_zero([*outputs, *columns.u.T]):  # without the means the orders may fit
             return f"{options_of(request)} --detrend"
     elif not INTEGRATING_OUTPUTS.isdisjoint(columns.outputs) and not request.integrator:
         return "--structure oe --integrator"

@@ -166,6 +166,7 @@ def residuals(
     shares, allowance = np.zeros(ny), sums.allowance
     if of_theta is not None:
         shares = _shares(parts, of_theta, fit)
+        # Outside of 0 to 1 (also by rounding), the data do not determine the parameters.
         allowance = allowance if np.all((shares >= 0) & (shares <= 1)) else float("inf")
     # The robust covariance would contain the colour that is tested, and an allowance for parameters
     # that are not determined would hide any colour.
@@ -290,11 +291,8 @@ def _input_sums(
 
 
 def _noise(fit: Fit, parts: Sequence[Part], *, own: bool) -> tuple[list[Autoregression], Array]:
-    """Return the noise of each output as found at the estimation, and its degrees of freedom.
-
-    On estimation data, and if the model's file is older than these numbers, the noise is that of
-    the residuals, and there are no degrees of freedom.
-    """
+    """Return the noise of each output as found at the estimation, and its degrees of freedom."""
+    # Otherwise, and for a model of an older file, the noise is that of the residuals.
     if own or not all(q.autoregression and q.loss > 0 for q in fit.quality):
         outputs = range(parts[0].e.shape[1])
         return [autoregression([p.e[:, i] for p in parts]) for i in outputs], np.zeros(0)
@@ -307,10 +305,7 @@ def _noise(fit: Fit, parts: Sequence[Part], *, own: bool) -> tuple[list[Autoregr
 
 
 def _shares(parts: Sequence[Part], theta_covariance: Array, fit: Fit) -> Array:
-    """Return the error of each output by uncertain parameters, as a share of the noise variance.
-
-    A share above 1, or a negative one (by rounding), belongs to parameters that are not determined.
-    """
+    """Return the error of each output by uncertain parameters, as a share of the noise variance."""
     Psi = np.concatenate([p.Psi for p in parts])
     caused = np.sum((Psi @ theta_covariance) * Psi, axis=(0, 2))
     known = np.sum([p.known.sum(axis=0) for p in parts], axis=0)

@@ -226,14 +226,12 @@ def _onset(
 
 
 def _quantisation(data: Dataset, response: ImpulseResponse, first: int) -> Quantisation:
-    """Return the quantisation, and the time for which quantisation hides the response.
-
-    The coefficient b solves y = b |Δu| t²/2 at the first sample of the response above 1 LSB.
-    """
+    """Return the quantisation, and the time for which quantisation hides the response."""
     step, change = quantum(data), float(np.max(np.abs(np.diff(data.u)), initial=0.0))
     rise = np.abs(np.cumsum(response.g[first:])) * change
     beyond = np.flatnonzero(rise >= step)
     at = int(beyond[0]) if beyond.size else rise.size - 1
+    # y = b |Δu| t²/2 at the first sample of the response above 1 LSB
     b = 2 * float(rise[at]) / (change * ((at + 1) * data.Ts) ** 2)
     hidden = sqrt(2 * step / (b * change)) if step * b * change > 0 else None
     t_q = hidden if data.output in SECOND_ORDER else None
