@@ -14,8 +14,8 @@ from math import sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import NDArray
 
+from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
@@ -23,8 +23,6 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import percent, plural
 from armrig.numerics.regressors import whitening
 from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
-
-Vector = NDArray[np.float64]
 
 NO_OPTION = "remove the means (detrend), or take a structure with the option offset, such as OE"
 """Remedy for an offset if the estimator cannot estimate an offset."""

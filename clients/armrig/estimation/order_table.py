@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dtrtrs
 
+from armrig.data.columns import Matrix, Vector
 from armrig.estimation.orders import require_samples
 from armrig.numerics.checks import require_integers, several
 from armrig.numerics.criteria import (
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Integers = NDArray[np.int_]
 Parts = Sequence[tuple[Array, Array]]
 """Inputs (N, nu) and output (N,) of each experiment; an unknown value is NaN."""

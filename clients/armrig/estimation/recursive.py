@@ -7,17 +7,14 @@ from math import sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
 from armrig.data.argument import takes_recordings
+from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
