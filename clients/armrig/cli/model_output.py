@@ -12,8 +12,8 @@ from armrig.cli.recorded_data import source_facts
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import listed, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
-from armrig.validation.advice import advice
-from armrig.validation.answer import OF_DATA, closest
+from armrig.validation.advice import advice, not_repeated
+from armrig.validation.answer import closest
 from armrig.validation.comparison import Comparison
 from armrig.validation.feedback_and_delay.by_channel import ByChannel
 from armrig.validation.residual_test import ResidualTest
@@ -30,18 +30,13 @@ _MAX_DIFFERENCES = 4
 
 
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
-    """Return lines with doubts about the data, warnings from the estimation, and advice."""
-    about = {f.about for f in doubts}
+    """Return lines with doubts about the data and with the advice on the model."""
     # The first sentence of the output already reports the residuals.
-    advised = [f for f in advice_on(fit) if f.level != "good"]
-    advised = [f for f in advised if f.about not in {"residuals", *about}]
-    if "integrator" in about or any(f.about == "level" for f in fit.findings):
-        # This finding already explains the pole and the zero at 1.
-        advised = [f for f in advised if f.about != "level"]
-    said = about | {f.about for f in advised}
-    warnings = [f.text for f in fit.findings if not said & _SAID_BY.get(f.about, set())]
-    lines = [f"! {f.about}: {f.text}" for f in doubts]
-    lines += [f"! {w}" for w in warnings] + [f"! {f.about}: {f.text}" for f in advised]
+    said = {"residuals"} | {f.about for f in doubts}
+    if "integrator" in said:  # explains a pole and a zero at 1, too
+        said.add("level")
+    advised = [f for f in advice_on(fit) if f.level != "good" and f.about not in said]
+    lines = [f"! {f.about.replace('_', ' ')}: {f.text}" for f in (*doubts, *advised)]
     return lines or ["nothing to act on"]
 
 
@@ -54,21 +49,14 @@ def advice_on(fit: Fit) -> tuple[Finding, ...]:
     for (output, input), of_channel in found.results.items():
         for f in of_channel.findings:
             channels.setdefault(f, []).append(f"{input} to {output}")
-    return tuple(replace(f, text=f"{listed(of)}: {f.text}") for f, of in channels.items())
+    of_channels = [replace(f, text=f"{listed(of)}: {f.text}") for f, of in channels.items()]
+    return (*not_repeated(fit.findings, channels), *of_channels)
 
 
 def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> list[Finding]:
-    """Return the findings about the data, the model and the estimation that are not good."""
+    """Return the findings about the data, the estimation and the model that are not good."""
+    # The advice leaves out a finding of the estimation that it repeats, but not its remedy.
     return [f for f in (*doubts, *advice_on(fit), *fit.findings) if f.level != "good"]
-
-
-_SAID_BY = {
-    **{name: {name} for name in OF_DATA},
-    "unstable": {"integrator", "unstable"},
-    "poorer_minimum": {"search"},
-    "not_converged": {"search"},
-}
-"""For each name of an estimation's finding: names of the findings of the advice that repeat it."""
 
 
 def lags_outside(tests: ResidualTest) -> str:

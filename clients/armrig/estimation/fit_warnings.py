@@ -24,17 +24,22 @@ _MIN_RISE_RATIO = 1e-3  # a smaller ratio is set to this value
 _MAX_CURVATURE = -float(np.log(_MIN_RISE_RATIO))
 
 
+def not_converged(steps: int, of: str = "") -> Finding:
+    """Return the warning about a search that ended without a minimum."""
+    text = f"the search{of} did not converge in {steps} steps: lower the orders, or record more "
+    return warning("search", f"{text}data", "order", steps=steps)
+
+
 def search_warnings(best: Optimum, starts: tuple[Start, ...], *, agreed: bool) -> Iterator[Finding]:
     """Yield warnings about a search that did not converge or that found several minima."""
     if not best.converged:
-        text = f"the search did not converge in {best.iterations} steps"
-        yield warning("not_converged", text, steps=best.iterations)
-    if not agreed:
+        yield not_converged(best.iterations)
+    elif not agreed:
         text = (
             f"the search from {starts[-1].name!r} ended in a poorer minimum "
-            f"(loss {starts[-1].loss:.4g})"
+            f"(loss {starts[-1].loss:.4g}): the best was taken, it may not be global"
         )
-        yield warning("poorer_minimum", text, loss=starts[-1].loss)
+        yield warning("search", text, loss=starts[-1].loss)
 
 
 def parameter_warnings(W: Array, white: Whiteness, C: Array, curved: float) -> Iterator[Finding]:

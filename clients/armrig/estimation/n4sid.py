@@ -208,7 +208,7 @@ def n4sid(
         covariance = _replicated(scaled, found, by, options, replicates, seed)
         inferred = replace(inferred, covariance=covariance, covariance_robust=covariance)
     notes = [] if found.model.steady else [warning("no_gain", _NO_GAIN_TEXT)]
-    notes += [] if found.settled else [warning("not_converged", _UNSETTLED_TEXT, steps=MAX_PASSES)]
+    notes += [] if found.settled else [warning("search", _UNSETTLED_TEXT, steps=MAX_PASSES)]
     if stable:
         both = (np.real(np.poly(A)) for A in (found.free, found.model.A))
         notes += reflection_warnings(*both)

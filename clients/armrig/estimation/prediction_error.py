@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Experiments
-from armrig.data.finding import Finding, warning
+from armrig.data.finding import Finding
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
     constant_input,
@@ -20,7 +20,12 @@ from armrig.estimation.data_faults import (
     require_informative,
 )
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
-from armrig.estimation.fit_warnings import curvature, parameter_warnings, search_warnings
+from armrig.estimation.fit_warnings import (
+    curvature,
+    not_converged,
+    parameter_warnings,
+    search_warnings,
+)
 from armrig.estimation.orders import (
     Shared,
     as_text,
@@ -174,9 +179,7 @@ def estimated(
     for one in found:
         of, best = ", ".join(data.outputs[i] for i in one.outputs), one.ends[0][1]
         starts_ += one.starts(f"{of}: ")
-        if not best.converged:
-            said = f"the search of {of} did not converge in {best.iterations} steps"
-            notes.append(warning("not_converged", said, steps=best.iterations))
+        notes += [] if best.converged else [not_converged(best.iterations, f" of {of}")]
     fit = fit_of_outputs(data, estimates, W, starts=tuple(starts_), **fields)
     return replace(fit, findings=(*notes, *instability(fit.form)))
 

@@ -10,9 +10,9 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_signals
 from armrig.data.dataset import Signals
-from armrig.data.finding import Finding, warning
 from armrig.estimation.data_faults import require_informative
 from armrig.estimation.estimated_outputs import origin
+from armrig.estimation.fit_warnings import not_converged
 from armrig.estimation.n4sid import order_of
 from armrig.estimation.orders import require_samples
 from armrig.estimation.search import ranked
@@ -194,10 +194,7 @@ def ss(
     by = derivatives(problem, predictor, V, fixed_predictor=gaps)
     form, T = matrices(predictor, by, su, sy, delays)
     found = inference(data, problem, Psi, states, residuals, sy).transformed(T)
-    notes, steps = list[Finding](), best.iterations
-    if not best.converged:
-        text = f"the search did not converge in {steps} steps"
-        notes.append(warning("not_converged", text, steps=steps))
+    notes = [] if best.converged else [not_converged(best.iterations)]
     return Fit(
         structure="ss",
         specification=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),

@@ -104,7 +104,7 @@ def with_stability_warning(fit: Fit) -> Fit:
     farthest = largest_unstable(fit)
     if not farthest:
         return fit
-    return replace(fit, findings=(*fit.findings, unstable(farthest, *_way_out(fit))))
+    return replace(fit, findings=(*fit.findings, unstable(farthest, *_way_out(fit, farthest))))
 
 
 def unstable(farthest: float, way_out: str, remedy: Remedy) -> Finding:
@@ -121,15 +121,15 @@ def instability(form: Form) -> Iterator[Finding]:
             "unstable",
             f"a pole of modulus {largest:.4g} is outside the unit circle: simulations grow without "
             "bound",
-            modulus=largest,
+            farthest=largest,
         )
 
 
-def _way_out(fit: Fit) -> tuple[str, Remedy]:
-    """Return the remedy for an unstable pole; the pole may be an integrator."""
+def _way_out(fit: Fit, farthest: float) -> tuple[str, Remedy]:
+    """Return the remedy for an unstable pole of this modulus; the pole may be an integrator."""
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
-        if z.imag != 0 or fit.integrator or abs(z) < 1 - CIRCLE_ROUNDING:
+        if z.imag != 0 or fit.integrator or abs(z) < farthest - CIRCLE_ROUNDING:
             continue
         if std > _MAX_POLE_STD:
             text = f"its standard deviation is {std:.2g}, so the data do not determine the model"

@@ -364,7 +364,7 @@ def estimation_lines(fit: Fit) -> list[str]:
     lines += _starts_lines(fit, squared)
     if fit.canonical_correlations.size:
         lines += [f"  {line}" for line in fit.explain().splitlines()]
-    return [*lines, *(f"  warning: {w}" for w in fit.warnings)]
+    return lines
 
 
 def _channel_lines(fit: Fit) -> Iterator[str]:
@@ -374,7 +374,6 @@ def _channel_lines(fit: Fit) -> Iterator[str]:
         yield f"{fit.inputs[j]} to {fit.outputs[i]}, delay {channel.nk} Ts"
         yield from coefficients(channel)
         yield from root_lines(channel)
-    yield from (f"  warning: {w}" for w in fit.warnings)
 
 
 def coefficients(fit: Fit) -> list[str]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding, good, warning
+from armrig.data.finding import Finding, Remedy, good, warning
 from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, may_be_one
 from armrig.models.characteristics import overlapping
 from armrig.models.equation import whiteness_sentence
@@ -46,11 +46,7 @@ class Advice:
 
     def explain(self) -> str:
         """Return a line for each finding; the findings that need action are first."""
-        ranked = sorted(self.findings, key=lambda f: f.level == "good")
-        width = max((len(f.about) for f in ranked), default=0)
-        return "\n".join(
-            f"{' ' if f.level == 'good' else '!'} {f.about:{width}}  {f.text}" for f in ranked
-        )
+        return _lines(self.findings)
 
     def __repr__(self) -> str:
         """Return a count and the findings."""
@@ -59,15 +55,25 @@ class Advice:
         return f"advice on {self.of}: {said}\n{self.explain()}"
 
 
+def _lines(findings: Iterable[Finding]) -> str:
+    ranked = sorted(findings, key=lambda f: f.level == "good")
+    names = [f.about.replace("_", " ") for f in ranked]
+    width = max(map(len, names), default=0)
+    return "\n".join(
+        f"{' ' if f.level == 'good' else '!'} {name:{width}}  {f.text}"
+        for name, f in zip(names, ranked, strict=True)
+    )
+
+
 @each_channel()
 def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Examine data or a model, and return the findings with their remedies.
 
     For data, the advice covers excitation, integrator, missing samples, outliers, drift, feedback,
-    and the agreement of ARX with OE. For a model, it covers the search, the residuals, and an
-    integrator that is not fixed. Poles and zeros may cancel (the order is too high), or be poles
-    that no sampled rig has (negative real, unstable). The first coefficient of B may be 0 (a
-    delay).
+    and the agreement of ARX with OE. For a model, it contains the findings of the estimation, and
+    covers the residuals and an integrator that is not fixed. Poles and zeros may cancel (the order
+    is too high), and a pole may be real and negative, which no sampled rig has. The first
+    coefficient of B may be 0 (a delay).
 
     Parameters
     ----------
@@ -104,51 +110,58 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
         data = as_dataset(data_or_fit)
         return Advice(of=f"{data.N} samples of {data.output}", findings=tuple(examine_data(data)))
     fit = data_or_fit
-    if (fit.ny, fit.nu) != (1, 1):
-        each = {
-            name: Advice(of=f"{fit[name].label} of {name[0]}", findings=findings)
-            for name, findings in examine_channels(fit).items()
-        }
-        return ByChannel(results=each, refused={})  # type: ignore[return-value]
-    return Advice(of=f"{fit.label} of {fit.output}", findings=tuple(examine_model(fit)))
-
-
-def examine_channels(fit: Fit) -> dict[tuple[str, str], tuple[Finding, ...]]:
-    """Return the findings of each channel of a model: of each output and input.
-
-    If the channels have the same poles, a pole is superfluous only if a zero cancels it in each.
-    """
-    channels = {
-        (fit.outputs[i], fit.inputs[j]): replace(one, starts=fit.starts)
-        for i, j, one in fit.channels()
+    each = {
+        name: Advice(of=f"{fit[name].label} of {name[0]}", findings=tuple(findings))
+        for name, findings in _examined_channels(fit)
     }
+    if (fit.ny, fit.nu) == (1, 1):
+        return each[fit.outputs[0], fit.inputs[0]]
+    advised = [f for one in each.values() for f in one.findings]
+    own = _lines(not_repeated(fit.findings, advised))
+    return ByChannel(results=each, refused={}, together=own)  # type: ignore[return-value]
+
+
+def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], Iterator[Finding]]]:
+    """Yield the names and the findings of each channel of a model: of each output and input."""
+    channels = {(fit.outputs[i], fit.inputs[j]): one for i, j, one in fit.channels()}
     pairs = {name: overlapping(one) for name, one in channels.items()}
+    # Of channels with the same poles, a pole is superfluous only if a zero cancels it in each.
     everywhere = [*pairs.values()] if fit.shared or fit.form.coupled else []
-    superfluous = {
-        name: [pair for pair in own if all(_cancels(pair[0], other) for other in everywhere)]
-        for name, own in pairs.items()
-    }
-    return {
-        name: tuple(_findings(one, pairs[name], superfluous[name], fit.structure))
-        for name, one in channels.items()
-    }
+    # The findings of the estimation of several signals are not about a single channel.
+    own = fit.findings if (fit.ny, fit.nu) == (1, 1) else ()
+    for name, one in channels.items():
+        superfluous = [p for p in pairs[name] if all(_cancels(p[0], of) for of in everywhere)]
+        channel = replace(one, starts=fit.starts, findings=own)
+        yield name, examine_channel(channel, pairs[name], superfluous, fit.structure)
 
 
 def _cancels(pole: complex, pairs: list[_Pair]) -> bool:
     return any(abs(pole - other) < _SAME_POLE for other, *_ in pairs)
 
 
-def examine_model(fit: Fit) -> Iterator[Finding]:
-    """Yield the findings of a model of one input and one output."""
-    pairs = overlapping(fit)
-    yield from _findings(fit, pairs, pairs, fit.structure)
-
-
-def _findings(
+def examine_channel(
     fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], structure: str
 ) -> Iterator[Finding]:
-    """Yield the findings of a channel of a model with this structure."""
-    yield _about_search(fit)
+    """Yield the findings of the estimation and the advice on a channel of a model."""
+    found, known = [*_advised(fit, pairs, superfluous, structure)], {f.about for f in fit.findings}
+    yield from not_repeated(fit.findings, found)
+    yield from (f for f in found if f.about not in known)
+
+
+def not_repeated(own: Iterable[Finding], advised: Iterable[Finding]) -> Iterator[Finding]:
+    """Yield the findings of an estimation that the advice does not repeat: those on a pole at 1."""
+    explained = any(f.about in ("integrator", "level") for f in advised)
+    for f in own:
+        at_1 = f.numbers.get("farthest", 1.0) < 1 + _MAX_DISTANCE_FROM_ONE
+        if not (explained and at_1 and f.about in ("unstable", "pole_at_1", "pole_near_1")):
+            yield f
+
+
+def _advised(
+    fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], structure: str
+) -> Iterator[Finding]:
+    if fit.converged and fit.agreed:
+        yield good("search", "one minimum" if fit.starts else "closed form")
     text = whiteness_sentence(fit, *_DEVIATIONS)
     if fit.trusts_robust:
         yield warning("residuals", f"{text}; {COLOURED}", "search")
@@ -160,7 +173,7 @@ def _findings(
     else:
         yield _about_overlap(apart, structure)
     yield from _about_pair_at_one(fit, at_one)
-    yield from _about_poles(fit)
+    yield from _about_negative_poles(fit)
     if not _by_distance_from_one(pairs)[1]:
         yield from _about_integrator(fit)
     yield from _about_first_coefficient(fit)
@@ -178,16 +191,6 @@ def _by_distance_from_one(pairs: list[_Pair]) -> tuple[list[_Pair], list[_Pair]]
         if abs(p[0] - 1) < _MAX_DISTANCE_FROM_ONE and abs(p[1] - 1) < _MAX_DISTANCE_FROM_ONE
     ]
     return [p for p in pairs if p not in at_one], at_one
-
-
-def _about_search(fit: Fit) -> Finding:
-    if not fit.converged:
-        text = "the search did not converge: lower the orders, or record more data"
-        return warning("search", text, "order")
-    if not fit.agreed:
-        text = "start values led to different minima: the best was taken, it may not be global"
-        return warning("search", text)
-    return good("search", "one minimum" if fit.starts else "closed form")
 
 
 def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:
@@ -216,17 +219,9 @@ def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
     yield warning("level", text, "level")
 
 
-def _about_poles(fit: Fit) -> Iterator[Finding]:
+def _about_negative_poles(fit: Fit) -> Iterator[Finding]:
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
-        if abs(z) > 1 + max(_STD_99 * std, 1e-3) and z.imag >= 0:
-            text = (
-                f"pole {_z(z)} is outside the unit circle, and a simulation grows without bound: "
-            )
-            text += (
-                "if a controller holds an unstable rig, take ARMAX or ARX and predict; if the rig "
-            )
-            yield warning("unstable", text + "settles, look at delay and orders", "check")
         if abs(z.imag) < _MAX_IMAGINARY and z.real + _STD_99 * std < 0:
             text = f"pole {_z(z)} is real and negative: no rig in continuous time has such a pole "
             text += "after sampling (exp(s Ts) > 0), so it models noise; lower the order"
@@ -237,6 +232,9 @@ def _about_integrator(fit: Fit) -> Iterator[Finding]:
     if fit.integrator:
         return
     poles, known = fit.poles(), fit.output in INTEGRATING_OUTPUTS
+    described = DESCRIBED.get(fit.structure)
+    without = described is not None and "integrator" not in described.takes
+    remedy: Remedy = "structure" if without else "integrator"
     for z, std in zip(poles.values, poles.std, strict=True):
         near = (
             abs(z.real - 1) < _STD_99 * std < _MAX_POLE_WIDTH
@@ -245,11 +243,11 @@ def _about_integrator(fit: Fit) -> Iterator[Finding]:
         )
         if abs(z.imag) < _MAX_IMAGINARY and near:
             text = f"pole {near_one(z.real, std)} is 1 within its accuracy: {_FIX_POLE}"
-            yield warning("integrator", text, "integrator")
+            yield warning("integrator", text, remedy)
             return
     if known:
         text = f"{fit.output} integrates, and no pole of the model is 1: {_FIX_POLE}"
-        yield warning("integrator", text, "integrator")
+        yield warning("integrator", text, remedy)
 
 
 def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:

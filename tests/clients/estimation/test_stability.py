@@ -133,6 +133,7 @@ def test_a_stable_model_is_unchanged(name: str) -> None:
         ({-1.002: 0.001}, {}, "if the rig is unstable, predict"),
         ({0.9: 0.001, 1.0: 0.001}, {}, "the pole is 1 within its accuracy"),
         ({0.999: 0.05, 1.5: 0.01}, {}, "if the rig is unstable, predict"),
+        ({1.0001: 0.001, 1.2: 0.01}, {}, "if the rig is unstable, predict"),
         ({1.0 + 0.01j: 0.05, 1.0 - 0.01j: 0.05}, {}, "if the rig is unstable, predict"),
     ],
 )
@@ -142,7 +143,8 @@ def test_the_remedy_depends_on_which_polynomial_has_the_unstable_pole(
     found = SimpleNamespace(values=np.array([*poles], complex), std=np.array([*poles.values()]))
     fit = {"structure": "arx", "integrator": False, "output": "y", "poles": lambda: found} | of
 
-    text, found_remedy = _way_out(SimpleNamespace(**fit))  # type: ignore[arg-type]
+    farthest = max(map(abs, poles))
+    text, found_remedy = _way_out(SimpleNamespace(**fit), farthest)  # type: ignore[arg-type]
 
     assert text.startswith(remedy)
     expected = "structure" if "use OE" in text else ""

@@ -439,7 +439,7 @@ def test_missing_outputs_are_estimated_until_they_settle(seed: int) -> None:
     # Interpolated values alone move the real pole by 0.05.
     assert np.abs(found - expected).max() < 0.003
     assert gaps.converged
-    assert not any(f.about == "not_converged" for f in gaps.findings)
+    assert not any(f.about == "search" for f in gaps.findings)
 
 
 def test_a_predictor_does_not_need_the_value_of_a_missing_output() -> None:

@@ -10,8 +10,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.data.finding import warning
 from armrig.numerics.polynomial import filtered
-from armrig.validation.advice import Advice, _about_integrator, _about_poles
+from armrig.validation.advice import Advice, _about_integrator, _about_negative_poles
 from armrig.validation.data_advice import examine_fit_of
 
 from tests.clients.validation.plants import (
@@ -84,7 +85,7 @@ def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant
     found = armrig.advice(armrig.arx(plant.dataset(1), na=4, nb=4))
 
     assert {"residuals", "poles", "integrator", "structure"} <= told(found)
-    assert {"search", "order", "integrator", "structure"} <= remedies(found)
+    assert {"search", "order", "structure"} <= remedies(found)
 
 
 def test_an_argument_that_is_neither_data_nor_a_model_is_refused() -> None:
@@ -180,7 +181,8 @@ def test_no_integrator_is_suggested_for_data_without_one() -> None:
 def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, said: str) -> None:
     """The pole differs by more than 2.58 of its deviations."""
     poles = SimpleNamespace(values=np.array([pole], complex), std=np.array([std]))
-    fit: Any = SimpleNamespace(integrator=False, output="theta_1", poles=lambda: poles)
+    of = {"integrator": False, "output": "theta_1", "structure": "oe"}
+    fit: Any = SimpleNamespace(poles=lambda: poles, **of)
 
     [found] = _about_integrator(fit)
 
@@ -191,38 +193,18 @@ def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, sai
 @pytest.mark.parametrize(("pole", "std"), [(0.857, 0.069), (0.9998971, 3.8e-6)])
 def test_neither_a_wide_interval_nor_a_slow_pole_is_an_integrator(pole: float, std: float) -> None:
     poles = SimpleNamespace(values=np.array([pole], complex), std=np.array([std]))
-    fit: Any = SimpleNamespace(integrator=False, output="y", N=4000, poles=lambda: poles)
+    of = {"integrator": False, "output": "y", "structure": "oe", "N": 4000}
+    fit: Any = SimpleNamespace(poles=lambda: poles, **of)
 
     assert not [*_about_integrator(fit)]
 
 
-@pytest.mark.parametrize(
-    ("poles", "about"),
-    [
-        ([1.1], ["unstable"]),
-        ([0.6 + 0.9j, 0.6 - 0.9j], ["unstable"]),
-        ([0.6 + 0.7j, 0.6 - 0.7j, 1.0005], []),
-        ([-0.5], ["poles"]),
-        ([-1.1], ["unstable", "poles"]),
-    ],
-)
-def test_a_pole_that_is_impossible_for_the_rig_is_reported_once(
-    poles: list[complex], about: list[str]
-) -> None:
-    found = SimpleNamespace(values=np.array(poles, complex), std=np.full(len(poles), 1e-4))
-    fit: Any = SimpleNamespace(poles=lambda: found)
+def test_a_real_negative_pole_is_impossible_for_the_rig() -> None:
+    for poles, told in (([0.6 + 0.7j, 0.6 - 0.7j, 1.0005], []), ([-0.5], ["order"])):
+        found = SimpleNamespace(values=np.array(poles, complex), std=np.full(len(poles), 1e-4))
+        fit: Any = SimpleNamespace(poles=lambda found=found: found)
 
-    findings = [*_about_poles(fit)]
-
-    assert [finding.about for finding in findings] == about
-    ways_out = {
-        "unstable": ("look at delay and orders", "check"),
-        "poles": ("lower the order", "order"),
-    }
-    for finding in findings:
-        text, remedy = ways_out[finding.about]
-        assert finding.text.endswith(text)
-        assert finding.remedy == remedy
+        assert [f.remedy for f in _about_negative_poles(fit)] == told
 
 
 def test_a_name_with_a_colon_is_complete_in_the_text() -> None:
@@ -234,6 +216,25 @@ def test_a_name_with_a_colon_is_complete_in_the_text() -> None:
 
     [text] = [f.text for f in found.findings if f.about == "integrator"]
     assert text.startswith("lift: left behaves as an integrating output")
+
+
+def test_the_advice_reports_what_the_estimation_found_and_says_it_once() -> None:
+    """The advice on a level or an integrator would repeat the findings of the estimation."""
+    u = switched()
+    integrating = Dataset(u=u, y=np.cumsum(u) + of_second_order(u).y, Ts=0.1)
+    level = armrig.oe(of_second_order(u, level=5.0), nb=3, nf=3, starts="few")
+    at_1 = armrig.arx(integrating, na=1, nb=1)
+    own = warning("level", "text"), warning("poor_fit", "more")
+    poles = (warning("unstable", f"pole {z}", farthest=z) for z in (1.0, 2.0))
+
+    of_level = repr(armrig.advice(replace(level, findings=own)))
+    of_poles = repr(armrig.advice(replace(at_1, findings=tuple(poles))))
+
+    assert "they model a constant" not in of_level
+    assert all(text in of_level for text in ("level ", "text", "! poor fit ", "more"))
+    assert "is 1 within its accuracy" in of_poles
+    assert "pole 2.0" in of_poles
+    assert "pole 1.0\n" not in of_poles
 
 
 def test_each_channel_of_several_signals_has_advice() -> None:
