@@ -1174,25 +1174,6 @@ def both_ways() -> armrig.Dataset:
 
 
 @variants
-def inverse_dynamics() -> Variants:
-    whole = chassis_data()
-    yield "plain", armrig.inverse_dynamics(whole)
-    yield "two", armrig.inverse_dynamics(armrig.merge([whole[:450], chassis_data(3, 500)]))
-    yield "friction", armrig.inverse_dynamics(rubbing(), friction="coulomb")
-    more = {"width": 0.02, "fixed_std": {"R_m": 0.05}, "friction": "viscous"}
-    yield "width", armrig.inverse_dynamics(holed(whole, 200), OTHER, **more)
-
-
-@variants
-def agreement() -> Variants:
-    for name, d in {"plain": chassis_data(), "friction": rubbing()}.items():
-        friction = None if name == "plain" else "coulomb"
-        a, b = armrig.greybox(d, friction=friction), armrig.inverse_dynamics(d, friction=friction)
-        yield name, armrig.agreement(a, b)
-        yield f"{name} back", armrig.agreement(b, a)
-
-
-@variants
 def split_study() -> Variants:
     yield "plain", armrig.split_study(chassis_data())
     yield "three", armrig.split_study(holed(chassis_data(), 200), (1, 3))

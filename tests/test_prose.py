@@ -43,7 +43,6 @@ ALLOWED = {
     (_USAGE, "No such command '(.+?)'"): _OTHERS,
     ("clients/armrig/models/equation.py", "thin +"): _TYPST,
     ("clients/armrig/models/equation.py", "thin ="): _TYPST,
-    ("clients/armrig/physics/grey_box/fit.py", "inverse dynamics"): _OWN,
     ("clients/armrig/recordings/files/verification.py", "held in a gap"): _OWN,
     ("clients/armrig/report/identification_sections.py", "armrig collect greybox"): _OWN,
     ("clients/armrig/validation/linearity.py", "dead zone"): _OWN,

@@ -53,8 +53,6 @@ from armrig.models.fit import Fit as Fit
 from armrig.models.model_file import load_fit as load_fit
 from armrig.physics.grey_box.estimate import greybox as greybox
 from armrig.physics.grey_box.fit import GreyFit as GreyFit
-from armrig.physics.grey_box.inverse_dynamics import inverse_dynamics as inverse_dynamics
-from armrig.physics.grey_box.split_study import agreement as agreement
 from armrig.physics.grey_box.split_study import split_study as split_study
 from armrig.physics.integrators.accuracy import convergence as convergence
 from armrig.physics.integrators.accuracy import recommend_step as recommend_step

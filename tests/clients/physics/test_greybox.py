@@ -269,11 +269,10 @@ def test_frictions_are_listed_once_after_the_other_parameters(
 def test_data_of_another_output_are_refused(make: Make) -> None:
     velocity = armrig.difference(make(N=200))
 
-    for estimator in (armrig.greybox, armrig.inverse_dynamics):
-        with pytest.raises(
-            ValueError, match="the data contain velocity, the model's output is theta_1"
-        ):
-            estimator(velocity)  # type: ignore[operator]
+    with pytest.raises(
+        ValueError, match="the data contain velocity, the model's output is theta_1"
+    ):
+        armrig.greybox(velocity)
 
 
 def test_a_custom_model_is_estimated(make: Make) -> None:

@@ -272,7 +272,6 @@ def _fit(
     has_friction = bool({"b_1", COULOMB} & {*names})
     quality, steps = found.quality[i], [quantum(data.dataset(name)) for name in data.outputs]
     return GreyFit(
-        method="output error",
         names=names,
         values=values,
         std=std,

@@ -47,8 +47,6 @@ class GreyFit:
     (('J_1',), True, True)
     """
 
-    method: str
-    """"output error" or "inverse dynamics"."""
     names: tuple[str, ...]
     """Estimated parameters, in the order of the covariance."""
     values: dict[str, float]
@@ -79,14 +77,13 @@ class GreyFit:
     """Input u0 of each experiment at which the rig is at rest, in the input's unit."""
     noise_variance: float
     """Variance of the noise in the squared unit of y, from the residuals and their degrees of
-    freedom. For inverse dynamics, it is the variance of the residuals, in rad²/s⁴."""
+    freedom."""
     loss: float
-    """Mean squared residual, in the squared unit of y; in rad²/s⁴ for inverse dynamics."""
+    """Mean squared residual, in the squared unit of y."""
     fit_percent: float
     """Fit of the simulated output to the estimation data, 100 (1 - |y - ŷ| / |y - mean y|)."""
     whiteness: float
-    """p value of the hypothesis that the residuals are white. For inverse dynamics, the hypothesis
-    is that the residuals are smoothed white noise."""
+    """p value of the hypothesis that the residuals are white."""
     whiteness_test: str
     """Name of the test of `whiteness`."""
     quantum: float
@@ -99,10 +96,6 @@ class GreyFit:
     """True if the search met its tolerance."""
     physics: Physics
     """Physical model with its fixed parameters."""
-    width: float = np.nan
-    """Standard deviation of the smoothing kernel in s; NaN without smoothing."""
-    bias: dict[str, float] = field(default_factory=dict)
-    """Bias of each estimate, by name, due to the noise of the smoothed velocity; not subtracted."""
     by_output: Mapping[str, OutputQuality] = field(default_factory=dict)
     """Quality for each output, if several outputs were used.
 
@@ -253,12 +246,6 @@ class GreyFit:
             if moved:
                 shares = ", ".join(f"{k} {v:+.2f} %" for k, v in moved.items())
                 parts.append(f"If a fixed parameter is 1 % larger, {name} changes: {shares}.")
-        if np.isfinite(self.width):
-            added = ", ".join(f"{v:+.2g} to {k}" for k, v in self.bias.items())
-            parts.append(
-                f"The data were smoothed over {self.width:.3g} s (one standard deviation of the "
-                f"kernel); the noise of the velocity adds {added}."
-            )
         if any(self.fixed_std.values()):
             noise = ", ".join(f"{k} {v:.2g}" for k, v in self.std_noise.items())
             parts.append(f"Standard deviations due to the noise only: {noise}.")
@@ -266,10 +253,9 @@ class GreyFit:
 
     def __repr__(self) -> str:
         """Return a table of the estimates with classic and robust standard deviations."""
-        unit = f"{self.unit}/s²" if self.method == "inverse dynamics" else self.unit
         lines = [
-            f"grey box ({self.method}), {self.output}, {self.N} samples at {self.Ts:g} s, "
-            f"fit {self.fit_percent:.2f} %, rms {np.sqrt(self.loss):.3g} {unit}",
+            f"grey box (output error), {self.output}, {self.N} samples at {self.Ts:g} s, "
+            f"fit {self.fit_percent:.2f} %, rms {np.sqrt(self.loss):.3g} {self.unit}",
             f"  {'':6} {'estimate':>12} {'std':>10} {'robust':>10}",
         ]
         lines += [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import erfc, isfinite, sqrt
+from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_recordings
 from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset
-from armrig.data.treatment.wrong_samples import too_quiet
 from armrig.numerics.checks import require_integers, several
 from armrig.numerics.quantities import p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
@@ -299,72 +298,3 @@ def _estimated(
             f"{name} = {value:g} ± {std:g} in a part: there is no standard deviation to study"
         )
     return name, value, std
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Agreement:
-    """Difference of two estimates of one parameter."""
-
-    name: str
-    """Name of the parameter."""
-    difference: float
-    """The other estimate minus the efficient estimate, in the parameter's unit."""
-    std: float
-    """Standard deviation of the difference, if both estimates are consistent."""
-    p_value: float
-    """Probability of a difference at least as large, if both estimates are consistent."""
-    note: str = ""
-    """Reason not to trust the p value, or ""."""
-
-    def __repr__(self) -> str:
-        """Return the difference as one line of text."""
-        z = self.difference / self.std
-        text = (
-            f"{self.name}: {self.difference:+.3g} apart, {z:+.2f} sd, p {p_relation(self.p_value)}"
-        )
-        return f"{text} ({self.note})" if self.note else text
-
-
-def agreement(efficient: GreyFit, other: GreyFit) -> tuple[Agreement, ...]:
-    """Compare another estimate with the efficient estimate, for each common parameter.
-
-    Both estimates are from the same data. An efficient estimate is not correlated with its
-    difference from another consistent estimate. The variance of the difference is therefore the
-    difference of the variances. The sum of the variances would be too large: inconsistent estimates
-    would then seem to agree.
-
-    Parameters
-    ----------
-    efficient : GreyFit
-        Estimate of `greybox`.
-    other : GreyFit
-        Estimate of `inverse_dynamics` from the same data.
-
-    References
-    ----------
-    .. [1] J. A. Hausman, Econometrica 46 (1978) 1251-1271.
-
-    Examples
-    --------
-    >>> import armrig, control, numpy as np
-    >>> u = armrig.telegraph(1000, 0.05)
-    >>> chassis = armrig.chassis(armrig.ArmParameters()).sample(0.01)
-    >>> theta_1 = control.forced_response(chassis, inputs=u).outputs
-    >>> theta_1 += 0.003 * np.random.default_rng(1).standard_normal(1000)
-    >>> data = armrig.Dataset(u=u, y=theta_1, Ts=0.01, output="theta_1", unit="rad")
-    >>> armrig.agreement(armrig.greybox(data), armrig.inverse_dynamics(data))
-    (J_1: -1.5...e-06 apart, -0.7... sd, p = 0.47...,)
-    """
-    rows = []
-    note = too_quiet(efficient.quantum, efficient.noise_variance)
-    for name in efficient.names:
-        if name not in other.names:
-            continue
-        variance = other.std_noise[name] ** 2 - efficient.std_noise[name] ** 2
-        std = sqrt(max(variance, (0.1 * other.std_noise[name]) ** 2))
-        difference = other.values[name] - efficient.values[name]
-        p_value = erfc(abs(difference) / std / sqrt(2))
-        rows.append(
-            Agreement(name=name, difference=difference, std=std, p_value=p_value, note=note)
-        )
-    return tuple(rows)
