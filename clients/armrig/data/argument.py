@@ -136,11 +136,8 @@ def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..
 
 
 def _require_visible(data: Signals) -> None:
-    """Refuse a signal so small that powers of its values can underflow; allow a signal of zeros.
-
-    The constructor of Signals does not make this check, because a slice of valid data can consist
-    of a decayed response only.
-    """
+    """Refuse a signal so small that powers of its values can underflow; allow a signal of zeros."""
+    # Not a check of Signals: a slice of valid data can consist of a decayed response only.
     for names, x, default in ((data.inputs, data.u, "u"), (data.outputs, data.y, "y")):
         largest = np.fmax.reduce(np.abs(x), axis=0, initial=0.0)
         for name, size in zip(names, largest.tolist(), strict=True):

@@ -219,12 +219,9 @@ def predicted_std(
 def _gradient(
     model: Fit | PlannedModel, part: Dataset, variance: float, *, estimate: bool
 ) -> Iterator[Array]:
-    """Yield blocks of rows Psi for one experiment.
-
-    The sum of Psi^T Psi over all blocks of all experiments is lambda M. The columns belong to a, b,
-    c, d and f, without the factor of an integrator. An integrator in A is removed by differencing
-    y. An integrator in F is removed by summing u.
-    """
+    """Yield blocks of rows Psi for one experiment; the sum of Psi^T Psi is lambda M."""
+    # The columns belong to a, b, c, d and f, without the factor of an integrator.
+    # An integrator in A is removed by differencing y, an integrator in F by summing u.
     A, B, C, D = model.A, model.B, model.C, model.D
     F, u, N = model.F, part.u, part.N
     inside = integrating_polynomial(model)
@@ -265,11 +262,9 @@ def _gradient(
 
 
 def _by_noise(model: Fit | PlannedModel, weight: Vector, width: int) -> Array:
-    """Return the impulse responses from e to the gradient; row j is multiplied by `weight[j]`.
-
-    Let psi_e(t) = sum_j s_j e(t-j). Over N samples from rest, the expected sum of psi_e psi_e^T is
-    lambda times the sum of (N - j) s_j s_j^T.
-    """
+    """Return the impulse responses from e to the gradient; row j is multiplied by `weight[j]`."""
+    # psi_e(t) = sum_j s_j e(t-j): over N samples from rest, psi_e psi_e^T is expected to add up to
+    # lambda times the sum of (N - j) s_j s_j^T.
     pulse = np.zeros(weight.size)
     pulse[0] = 1.0
     s = np.zeros((weight.size, width))

@@ -247,11 +247,8 @@ def _response(
 
 
 def _phase(G: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the phase without jumps by 360°, beginning between -360° and 0°.
-
-    At a weakly damped zero the phase jumps by 180°, and the sign of the jump is arbitrary. The
-    function chooses the sign for which the phase stays between -360° and 0°.
-    """
+    """Return the phase without jumps by 360°, beginning between -360° and 0°."""
+    # At a weakly damped zero the sign of a jump by 180° is arbitrary.
     phase = np.degrees(np.angle(G)) % 360 - 360
     for k in range(1, phase.size):
         step = (phase[k] - phase[k - 1] + 180) % 360 - 180

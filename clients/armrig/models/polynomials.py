@@ -162,14 +162,9 @@ class Polynomials:
         return form, np.eye(self.theta.size)[at]
 
     def _coupled_channel(self, i: int, j: int) -> tuple[Polynomials, Matrix]:
-        """Return B/F with F = det A and B = row i of adj A times column j of B.
-
-        F and B are interpolated from their values at points on a circle in q^-1. With X = inv(A)
-        the derivatives are ::
-
-            d det A = det A tr(X dA)
-            d (adj A B) = (d det A) X B + det A (X dB - X dA X B)
-        """
+        """Return B/F with F = det A and B = row i of adj A times column j of B."""
+        # F and B are interpolated from points on a circle. With X = inv(A), the derivatives are
+        # d det A = det A tr(X dA) and d (adj A B) = (d det A) X B + det A (X dB - X dA X B).
         ny = len(self.A)
         degrees = [max(a.size - 1 for a in row) for row in self.A]
         degree = sum(degrees)
@@ -271,12 +266,8 @@ def _stacked(blocks: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _with_sum(block: dict[str, Any]) -> dict[str, Any]:
-    """Return a block with the sum of all states as its first state; F of the block has a root 1.
-
-    The new first state only accumulates the inputs, so its root is exactly 1. In the original
-    coordinates each rounding error would move the root, and the error of the integral would grow
-    with time.
-    """
+    """Return a block with the sum of all states as its first state; F of the block has a root 1."""
+    # In the original coordinates each rounding error would move this root.
     n = block["C"].size
     T, inverse = np.eye(n), np.eye(n)
     T[0], inverse[0, 1:] = 1.0, -1.0

@@ -123,12 +123,8 @@ def _arx_predicted(model: Fit, part: Dataset, horizon: int) -> Vector:
 
 
 def _known_past(model: Fit, part: Dataset) -> Array:
-    """Return E[y(t-1) … y(t-na) | data to t-1], (N, na); NaN before na successive measurements.
-
-    If all na samples were measured, the result contains the measured samples. During and after a
-    gap, a Kalman filter estimates the samples, starting from the na samples before the gap. If y is
-    missing, the filter is not updated.
-    """
+    """Return E[y(t-1) … y(t-na) | data to t-1], (N, na); NaN before na successive measurements."""
+    # A Kalman filter estimates samples during and after a gap.
     na = model.A.size - 1
     a = model.A[1:]
     known = past(part.y, range(1, na + 1))
@@ -283,10 +279,7 @@ def findings_on_own_data(
 
 
 def _overlap(model: Any, data: Dataset | Signals) -> tuple[float, float] | None:
-    """Return start and end, in s of the file, of the overlap of a model's data with these data.
-
-    The result is None without an overlap, for different files, and for merged parts.
-    """
+    """Return start and end, in s of the file, of the overlap of a model's data with these data."""
     source = getattr(model, "source", "")
     if not source or source != data.source or data.Ts is None:
         return None

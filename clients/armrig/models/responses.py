@@ -204,11 +204,8 @@ def standard_deviations(J: Matrix, covariance: Matrix) -> Vector:
 
 
 def _factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a factor L of the covariance C = L L'; NaN if C is not known.
-
-    A variance from J L L' J' is never negative. If roots nearly coincide, a variance from J C J'
-    can be negative by rounding.
-    """
+    """Return a factor L of the covariance C = L L^T; NaN if C is not known."""
+    # J L L^T J^T is never negative; J C J^T can be, by rounding, if roots nearly coincide.
     if not np.isfinite(covariance).all():
         return np.full_like(covariance, np.nan)
     variances, axes = np.linalg.eigh(covariance)

@@ -168,13 +168,9 @@ def _responses(
 
 
 def _initial(responses: Array, errors: Array) -> Array:
-    """Return least-squares coefficients of the responses, without undetermined combinations.
-
-    Channels with nearly the same poles have states with nearly the same responses. Estimates of
-    such states would be large, with opposite signs, and would spoil the predictions of missing
-    samples. Such a combination of states is used only if its contribution to the errors exceeds
-    five standard deviations of the noise.
-    """
+    """Return least-squares coefficients of the responses, without undetermined combinations."""
+    # States of channels with nearly the same poles have nearly the same responses. Their estimates
+    # would be large, with opposite signs, and spoil the predictions of missing samples.
     scale = np.maximum(column_norms(responses), 1e-100)
     U, s, V = np.linalg.svd(responses / scale, full_matrices=False)
     z = U.T @ errors

@@ -209,10 +209,8 @@ def infer(
 
 
 def _consistent(outputs: Sequence[Sequence[OutputResiduals]]) -> list[tuple[Array, float]]:
-    """Return the autoregression of each output by MDL, for tests on other data.
-
-    In short data AIC often finds one in white residuals, whose variance is too small.
-    """
+    """Return the autoregression of each output by MDL, for tests on other data."""
+    # In short data AIC often finds one in white residuals, whose variance is too small.
     return [autoregression([r.e for r in of], mdl) for of in outputs]
 
 

@@ -331,11 +331,8 @@ def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray
 
 
 def _reason(rig: Rig, err: RigError, way_out: str) -> str:
-    """Return the reason why a collection failed.
-
-    After a safety trip, `err` reports only that the lease was lost. The reason is therefore taken
-    from the status of the rig.
-    """
+    """Return the reason why a collection failed."""
+    # After a safety trip, `err` reports only the loss of the lease.
     try:
         status = rig.status()
     except NoReplyError as gone:

@@ -267,11 +267,7 @@ def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
 
 
 def _local_ways(rig: str) -> list[_Way]:
-    """Return connections to the sockets of this user's daemon and of this machine's service.
-
-    If no socket exists, return the service's socket if the service is installed, otherwise the
-    user's socket.
-    """
+    """Return connections to the sockets of this user's daemon and of this machine's service."""
     own, services = Path(_socket_directory()), Path(SERVICES)
     ways = []
     for directory, above, owners in (

@@ -197,10 +197,7 @@ class _Experiment:
 
 
 def _whitened(model: list[_Experiment], D: Vector, columns: list[Array]) -> tuple[Array, Vector]:
-    """Return the columns and y of all experiments, filtered by D, where y is known.
-
-    A column that D removes, such as a constant by a difference, is 0 without rounding.
-    """
+    """Return the columns and y of all experiments, filtered by D, where y is known."""
     rows, targets = [], []
     for part, M in zip(model, columns, strict=True):
         y = np.convolve(part.y, D)[: part.y.size]
@@ -260,11 +257,9 @@ def _unstable(noise: Whitening) -> bool:
 
 
 def _denominators(parts: list[tuple[Array, Vector]], order: int) -> Iterator[Array]:
-    """Yield the denominator of ARX, and that of the method of Steiglitz and McBride.
-
-    ARX takes the noise of a measurement for dynamics, and misses poles of the plant near 1. The
-    other method fails for noise that drifts. The smaller loss decides.
-    """
+    """Yield the denominators of ARX and of Steiglitz and McBride; the smaller loss decides."""
+    # ARX takes the noise of a measurement for dynamics, and misses poles of the plant near 1. The
+    # other method fails for noise that drifts.
     A = whitening(parts, order).A
     yield A
     if any(np.isnan(y).any() for _, y in parts):

@@ -106,12 +106,8 @@ def _lacks_past(y: Vector, n: int) -> Mask:
 
 
 def _marked(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[_Found]:
-    """Return a mask of the outliers of each experiment, and y with model values at the outliers.
-
-    Samples of another order of magnitude would dominate the first model. Such samples are therefore
-    marked before the model is estimated. The search is then repeated without these initial marks,
-    and the result with fewer outliers is used.
-    """
+    """Return a mask of the outliers of each experiment, and y with model values at the outliers."""
+    # Samples of another order of magnitude would dominate the first model.
     gross = [_gross(y) for _, y in parts]
     none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
     most = int(MOST * sum(y.size for _, y in parts))
@@ -180,11 +176,7 @@ def _bridged(y: Vector, wrong: Mask) -> Vector:
 
 
 def _robust_stds(x: Vector, levels: Array, parts: Sequence[tuple[Array, Vector]]) -> Vector:
-    """Return the robust standard deviation of x at each sample, (N,).
-
-    `levels` (N, k) contains the inputs and the predicted y. If the noise grows with one of these
-    levels, the standard deviation at this level is used; if not, that of all samples.
-    """
+    """Return the robust std of x (N,), at each level (N, k) if the noise grows with a level."""
     from scipy.ndimage import maximum_filter1d
     from scipy.stats import chi2
 
@@ -257,12 +249,8 @@ def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: Vector) 
 
 
 def _surely_wrong(columns: Array, e: Vector, least: Vector) -> tuple[Indices, Vector]:
-    """Return the columns j with |b_j| / sqrt(P_jj) >= `least[j]`, and their coefficients b_j.
-
-    The covariance of the coefficients b is P times the residual variance. The column with the least
-    |b_j| / sqrt(P_jj) / least[j] is removed until all remaining columns reach `least`.
-    Without column j, b becomes b - P_j b_j / P_jj, and P becomes P - P_j P_j^T / P_jj.
-    """
+    """Return the columns j with |b_j| / sqrt(P_jj) >= `least[j]`, and their coefficients b_j."""
+    # Without column j, b becomes b - P_j b_j / P_jj, and P becomes P - P_j P_j^T / P_jj.
     basis = orthonormal(columns)
     kept, b, P = np.arange(columns.shape[1]), basis.coefficients(e), basis.W @ basis.W.T
     while kept.size:

@@ -361,11 +361,8 @@ def _noise_variance(pairs: Sequence[Transforms], at: NDArray[np.int_]) -> Vector
 
 
 def _share_of_mean(n_k: NDArray[np.intp], periods: int) -> float:
-    """Return the variance of the mean over periods, divided by the variance between periods.
-
-    For complete y the ratio is 1/periods. For incomplete y the ratio is larger, because values
-    that replace missing samples do not scatter.
-    """
+    """Return the variance of the mean over periods, divided by the variance between periods."""
+    # The ratio is 1/periods for complete y; values that replace missing samples do not scatter.
     free = float(np.mean(n_k)) - 1
     return (periods - 1) / free * float(np.mean(1 / n_k)) if free > 0 else float("nan")
 

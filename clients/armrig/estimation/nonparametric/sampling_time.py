@@ -264,11 +264,8 @@ def nearest_125(x: float) -> float:
 
 
 def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
-    """Return the step analysis if u consists of a few long holds in which y settles, else None.
-
-    The longest hold of a telegraph signal looks like a step. However, the signal switches again
-    before the transient has ended, so that the response is a sum of several transients.
-    """
+    """Return the step analysis if u consists of a few long holds in which y settles, else None."""
+    # The longest hold of a telegraph signal is no step: its response is a sum of transients.
     lengths = [[s.stop - s.start for s in constant(part.u)] for part in data.experiments()]
     switches = sum(len(n) - 1 for n in lengths)
     if switches == 0 or (switches + len(lengths)) * 50 > data.N:
@@ -311,10 +308,7 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
 
 
 def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
-    """Return the dead time L and its interval, from a fit of s (t - L)^p to the rise up to 50 %.
-
-    The power p is 1 or 2, whichever fits better.
-    """
+    """Return L and its interval from a fit of s (t - L)^p to the rise up to 50 %, p = 1 or 2."""
     rise = (t <= half + Ts) & np.isfinite(y)
     t, y = t[rise], y[rise]
     delays = np.linspace(0.0, half, 201)
@@ -333,12 +327,8 @@ def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tup
 
 
 def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:
-    """Return the frequency response (of the rate, if y integrates).
-
-    For steps, the impulse response is estimated and transformed, because the low-frequency power of
-    steps leaks through any lag window. For other data the method is spectral analysis. For steps,
-    `transient` is the length of the transient in s; for other data `transient` is None.
-    """
+    """Return the frequency response (of the rate, if y integrates)."""
+    # With `transient`, in s, u are steps, whose low-frequency power leaks through any lag window.
     if transient is None:
         estimate = spa(data, "log", integrator=integrates)
     else:

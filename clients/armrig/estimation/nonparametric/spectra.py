@@ -112,12 +112,9 @@ def _hann(k: Integers, gamma: Integers | int) -> Vector:
 
 
 def _noise_covariance(R: Vector, N: int, samples: int) -> Vector:
-    """Return R_v from Phi_y - |Phi_yu|²/Phi_u, at the lags -L … L of the covariances R.
-
-    L is the longer lag window. With the shorter window of G, the variation of G within the
-    resolution of this window would count as noise. Bands near a resonance would then be far too
-    wide, with a coverage of 100 %.
-    """
+    """Return R_v from Phi_y - |Phi_yu|²/Phi_u, at the lags -L … L of the covariances R."""
+    # L is the longer lag window. With the shorter window of G, the variation of G within its
+    # resolution would count as noise, and bands near a resonance would be far too wide.
     L = R.shape[1] // 2
     k = np.arange(-L, L + 1)
     w = _hann(k, L)
@@ -134,12 +131,8 @@ def _noise_covariance(R: Vector, N: int, samples: int) -> Vector:
 
 
 def _covariances(data: Dataset, L: int) -> Vector:
-    """Return the biased covariances (1/N) sum over t of x(t + k) z(t), |k| <= L, (3, 2 L + 1).
-
-    The rows are those of u and u, y and y, y and u. The means of each experiment are subtracted. No
-    sample of the data may be missing (see `filled`). The spectrum of these covariances is positive
-    if the spectrum of the lag window is positive.
-    """
+    """Return (1/N) sum_t x(t + k) z(t), |k| <= L, for (u, u), (y, y), (y, u), (3, 2 L + 1)."""
+    # Biased, so that the spectrum is positive if that of the lag window is; `filled` has no gaps.
     total = np.zeros((3, 2 * L + 1))
     for part in data.experiments():
         size = 1 << int(np.ceil(np.log2(part.N + L + 1)))

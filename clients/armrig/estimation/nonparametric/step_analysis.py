@@ -298,12 +298,9 @@ def _before(at: int, pre: int) -> slice:
 def _averaged(
     data: Dataset, steps: _Steps, *, slope: bool
 ) -> tuple[NDArray[np.int_], Vector, Vector]:
-    """Return sample numbers relative to the step, the mean response to a unit step, and weights.
-
-    The numbers are negative before the step. The noise variance of a sample of the mean is
-    inversely proportional to its weight. With `slope`, the straight line before each step is
-    subtracted; otherwise the level before each step is subtracted.
-    """
+    """Return sample numbers from the step on, the mean response to a unit step, and weights."""
+    # With `slope`, the line before each step is subtracted; otherwise the level. The weight is
+    # inversely proportional to the noise variance of the mean.
     k = np.arange(-steps.pre, steps.post)
     total, weight = np.zeros(k.size), np.zeros(k.size)
     parts = list(data.experiments())
@@ -323,10 +320,7 @@ def _averaged(
 
 
 def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: float) -> float:
-    """Return the error of the response due to motion of y before the step; 0 if y was at rest.
-
-    The error is the slope before the step times the 63 % time in samples, `crossing`.
-    """
+    """Return the error of the response due to motion of y before the step; 0 if y was at rest."""
     near = (k < 0) & (k >= -(steps.pre // 2) - 1) & np.isfinite(y)
     if np.count_nonzero(near) <= 2:
         return 0.0

@@ -305,11 +305,8 @@ class _Record:
 
 
 def _penalty(cost: Vector, d: int) -> Vector:
-    """Return the banded matrix P (d + 1, M) with z' P z = sum_j cost_j (D^d z)_j².
-
-    Up to the onset z is 0. For d = 3 the sum has one more term, because the rate is 0 at the onset
-    and z begins as a parabola.
-    """
+    """Return the banded matrix P (d + 1, M) with z' P z = sum_j cost_j (D^d z)_j²."""
+    # z is 0 up to the onset. For d = 3 there is one more term: z begins as a parabola.
     row = np.array([-1.0, 3.0, -3.0, 1.0]) if d == 3 else np.array([1.0, -2.0, 1.0])
     banded = np.zeros((d + 1, cost.size))
     for a in range(d + 1):
@@ -424,10 +421,6 @@ def _spaced(first: float, last: float) -> list[int]:
 
 
 def _rng(setting: Setting) -> np.random.Generator:
-    """Return the random generator for the curves of a setting.
-
-    Each setting has its own generator, so that its curves do not depend on the number of curves of
-    other settings. Rounding differs from one processor to another, and can change the number of
-    curves of a setting by one.
-    """
+    """Return the random generator for the curves of a setting."""
+    # Each setting has its own: rounding can change the number of curves of another setting by one.
     return np.random.default_rng((1, *setting))

@@ -109,13 +109,9 @@ def _held(model: Sampled, by: Sampled, x: Matrix, u: Vector, speed: int) -> Matr
 def _reversed(
     model: Sampled, S: Matrix, w: Matrix, x: Vector, u: float, V: float, speed: int
 ) -> Matrix:
-    """Return the derivatives after a step in which the chassis turns back.
-
-    v is the speed at the beginning of the step, and s is its sign. v' is the speed at the end of
-    the step if the friction were s V during the whole step. The chassis turns back after the share
-    f = v / (v - v') of the step. The mean friction is s V (2 f - 1), and f depends on all
-    parameters.
-    """
+    """Return the derivatives after a step in which the chassis turns back."""
+    # With the friction s V in the whole step, the speed v of sign s would become v'. The chassis
+    # turns back after the share f = v / (v - v'), so that the mean friction is s V (2 f - 1).
     row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
     s = np.sign(v)
     ahead = row @ x + gain * (u - s * V)
@@ -140,16 +136,9 @@ REVERSAL = 2
 def _walk(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Matrix, Vector, list[tuple[int, int, int]]]:
-    """Return the states (N, n), the friction of each step in volts, and the intervals of motion.
-
-    An interval of slip, stick or reversal is its first step, its last step + 1 and its motion: the
-    sign of the speed (0 during stick), or REVERSAL.
-
-    If the speed reaches 0 within a step, the driving voltage at standstill is compared with V. If
-    the voltage is between -V and V, the chassis sticks, and the friction of the step makes the
-    speed 0 at the end of the step. Otherwise the chassis turns back within the step, and the
-    friction is its mean over the step. If a search tries a V below 0, the chassis never sticks.
-    """
+    """Return the states (N, n), the friction of each step in volts, and the intervals of motion."""
+    # An interval is its first step, its last step + 1, and its motion as returned by `_step`.
+    # If a search tries a V below 0, the chassis never sticks.
     alone = not np.delete(model.Phi[speed], speed).any()
     frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
     signs = np.array(steps, dtype=np.int_)
@@ -160,11 +149,8 @@ def _walk(
 
 
 def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[float, int]:
-    """Return the friction in volts, and the motion in a step that begins with the speed v.
-
-    The motion is the sign of the speed, 0 during stick, or REVERSAL. `ahead` is the speed at
-    the end of the step without friction, and `pull` is the driving voltage at standstill.
-    """
+    """Return the friction in volts, and the sign of the speed v, 0 during stick, or REVERSAL."""
+    # `ahead` is the speed after the step without friction, `pull` the voltage at standstill.
     if v == 0.0:
         if abs(pull) <= V:
             return ahead / gain, 0

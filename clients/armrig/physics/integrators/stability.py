@@ -121,13 +121,10 @@ def _along_ray(method: Method, eigenvalue: complex) -> float:
 
 
 def _boundaries(pi: Array, direction: complex) -> list[float]:
-    """Return all r > 0, in rising order, at which pi(zeta; r direction) may have a root |zeta| = 1.
-
-    All roots of a polynomial p of degree k in zeta are inside the unit circle if and only if two
-    conditions hold. |p_k|² - |p_0|² must be > 0, and all roots of the reduction of p must be inside
-    the unit circle. The reduction, of degree k - 1, is conj(p_k) p - p_0 p*, divided by zeta. p*
-    has the conjugated coefficients in reverse order. The coefficients here are polynomials in r.
-    """
+    """Return all r > 0, rising, at which pi(zeta; r direction) may have a root |zeta| = 1."""
+    # All roots of p of degree k are inside the unit circle if and only if |p_k|² > |p_0|² and all
+    # roots of the reduction (conj(p_k) p - p_0 p*) / zeta are inside. p* has the conjugated
+    # coefficients in reverse order. The coefficients here are polynomials in r.
     p = [row * direction ** np.arange(pi.shape[1]) for row in pi]
     found: list[float] = []
     while len(p) > 1:

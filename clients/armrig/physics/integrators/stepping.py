@@ -207,10 +207,7 @@ def _input(u: Input, t: Vector, m: int) -> Matrix:
 
 
 def _runge_kutta_step(method: RungeKutta, A: Matrix, h: float) -> tuple[Matrix, list[Matrix]]:
-    """Return M and W_i of x(k+1) = M x(k) + sum W_i B u(t + c_i h).
-
-    The stages are linear in x and in the inputs: K_i = A (x + h sum a_ij K_j) + B u_i.
-    """
+    """Return M and W_i of x(k+1) = M x(k) + sum W_i B u(t + c_i h)."""
     size = A.shape[0]
     by_x: list[Matrix] = []
     by_u: list[list[Matrix]] = []

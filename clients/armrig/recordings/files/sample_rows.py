@@ -169,12 +169,8 @@ def _copy_fields(data: bytes, samples: NDArray[np.void]) -> None:
 
 
 def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.uint8]]:
-    """Return the layout of a message record (opcode, length, head, message) with one sample.
-
-    For each block of consecutive fields of one size: the number of fields, their size, and the
-    place of the first field in the row and in a sample. Then the places of the tag bytes before the
-    fields, and the values of these bytes.
-    """
+    """Return the blocks of fields of a record, and the places and values of its tag bytes."""
+    # A block of consecutive fields of one size: their number, size, and places in row and sample.
     at, place = len(_HEAD), 0
     blocks: list[tuple[int, int, int, int]] = []
     places: list[int] = []
@@ -189,12 +185,9 @@ def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.ui
 
 
 def _run() -> re.Pattern[bytes]:
-    """Return a pattern that matches consecutive records of one channel, each as long as a sample.
-
-    There are only about 35 samples between two messages of other streams. For so few samples, a
-    pattern is four times as fast as numpy. The pattern never backtracks (`*+`), so that it needs no
-    memory.
-    """
+    """Return a pattern of consecutive records of one channel, each as long as a sample."""
+    # Of about 35 samples between two messages of other streams, a pattern is four times as fast as
+    # numpy. It never backtracks (`*+`), so that it needs no memory.
     head = re.escape(RECORD_HEAD.pack(Opcode.MESSAGE, ROW_LENGTH))
     rest = b".{%d}" % (ROW_LENGTH - 2)  # after the channel
     return re.compile(head + b"(..)" + rest + b"(?:" + head + rb"\1" + rest + b")*+", re.DOTALL)
