@@ -12,7 +12,8 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig.physics.systems import transfer
+from armrig_core.rig.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -61,17 +62,25 @@ class HandoutPlant:
         return float(np.sqrt(np.mean(np.abs(G / truth - 1) ** 2)))
 
 
+def sampled_arm(Ts: float) -> tuple[Vector, Vector]:
+    """Return B and F of the handout's arm from a held u to theta_1."""
+    A, B, C = arm_matrices(ArmParameters())
+    return transfer(A, B, C[0], Ts)
+
+
+def converted(data: Dataset, seed: int) -> Dataset:
+    """Return the angle as a 10-bit converter of 352° gives it; the dead band is missing."""
+    resolution = POTENTIOMETER_RANGE / 1024
+    noise = 0.5 * np.random.default_rng(seed).standard_normal(data.N)
+    y = np.round(data.y / resolution + noise) * resolution
+    return data.replaced(step=None, y=y, valid=np.mod(data.y, 2 * np.pi) < POTENTIOMETER_RANGE)
+
+
 @pytest.fixture(scope="session")
 def plant() -> HandoutPlant:
     """Return the exactly discretised handout plant."""
-    A, B, C = arm_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, 0.01)
-    F = np.real(np.poly(Phi))
-    markov, x = [0.0], Gamma
-    for _ in range(4):
-        markov.append(float((C @ x)[0, 0]))
-        x = Phi @ x
-    return HandoutPlant(B=np.convolve(markov, F)[:5], F=F)
+    B, F = sampled_arm(0.01)
+    return HandoutPlant(B=B, F=F)
 
 
 @pytest.fixture(scope="session")

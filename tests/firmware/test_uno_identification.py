@@ -8,10 +8,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig_core.commands.commands import Run
-from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import VirtualService
 
+from tests.clients.handout_plant import sampled_arm
 from tests.firmware.uno_host import switch_on
 from tests.sampling import sampled
 from tests.tools import needs
@@ -41,8 +41,7 @@ def error_of_oe(pacing: str, folder: Path) -> float:
     data = armrig.load(path).dataset(output="theta_1")
     fit = armrig.oe(data, nb=4, nf=4, nk=1, integrator=True)
 
-    A, B, C = arm_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, Ts)
-    z = np.exp(1j * OMEGA * Ts)
-    true = np.array([(C[:1] @ np.linalg.solve(zi * np.eye(4) - Phi, Gamma))[0, 0] for zi in z])
+    B, F = sampled_arm(Ts)
+    x = np.exp(-1j * OMEGA * Ts)
+    true = np.polyval(B[::-1], x) / np.polyval(F[::-1], x)
     return float(np.sqrt(np.mean(np.abs(fit.frequency_response(OMEGA).G / true - 1) ** 2)))

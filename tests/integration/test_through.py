@@ -11,10 +11,11 @@ import armrig
 import numpy as np
 import pytest
 from armrig_core.commands.commands import Run
-from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from numpy.typing import NDArray
+
+from tests.clients.handout_plant import sampled_arm
 
 SEEDS = range(10)
 N, Ts = 3000, 0.01
@@ -31,15 +32,9 @@ def _recorded(seed: int, folder: Path) -> armrig.Dataset:
 
 def _true() -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Return b1 … b4, f1 … f4 of the exactly discretised plant, and its frequency response."""
-    A, B, C = arm_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, Ts)
-    F = np.poly(Phi)
-    # Markov parameters times F give the numerator.
-    g = [(C[:1] @ np.linalg.matrix_power(Phi, i) @ Gamma)[0, 0] for i in range(4)]
-    b = np.convolve(g, F)[:4]
-    z = np.exp(1j * OMEGA * Ts)
-    G = [(C[:1] @ np.linalg.solve(zi * np.eye(4) - Phi, Gamma))[0, 0] for zi in z]
-    return np.r_[b, F[1:]], np.array(G)
+    B, F = sampled_arm(Ts)
+    x = np.exp(-1j * OMEGA * Ts)
+    return np.r_[B[1:], F[1:]], np.polyval(B[::-1], x) / np.polyval(F[::-1], x)
 
 
 @pytest.fixture(scope="module")

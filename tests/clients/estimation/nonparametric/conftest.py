@@ -10,8 +10,9 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
+
+from tests.clients.handout_plant import sampled_arm
 
 Vector = NDArray[np.float64]
 
@@ -52,14 +53,8 @@ class Arm:
 
 
 def arm_sampled(Ts: float) -> Arm:
-    A, G, C = arm_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, G, Ts)
-    F = np.real(np.poly(Phi))
-    markov, x = [0.0], Gamma
-    for _ in range(4):
-        markov.append(float((C @ x)[0, 0]))
-        x = Phi @ x
-    return Arm(B=np.convolve(markov, F)[:5], F=F, Ts=Ts)
+    B, F = sampled_arm(Ts)
+    return Arm(B=B, F=F, Ts=Ts)
 
 
 @pytest.fixture(scope="session")

@@ -26,6 +26,7 @@ from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import times
 from numpy.typing import NDArray
 
+from tests.clients.handout_plant import converted
 from tests.sampling import sampled
 
 
@@ -79,12 +80,7 @@ def test_a_step_through_converter_and_dead_band_gives_the_sampling_time_of_the_a
     sampled: Callable[[float], Any], seed: int
 ) -> None:
     """At 2 ms the rate of a 10-bit angle is mostly noise."""
-    resolution = np.radians(352) / 1024
-    rng = np.random.default_rng(seed)
-    exact = sampled(0.002).dataset(step(5000, at=500))
-    y = np.round(exact.y / resolution + 0.5 * rng.standard_normal(exact.N)) * resolution
-    shown = np.mod(exact.y, 2 * np.pi) < np.radians(352)
-    data = exact.replaced(step=None, y=y, valid=shown)
+    data = converted(sampled(0.002).dataset(step(5000, at=500)), seed)
 
     found = sampling_time(data)
 

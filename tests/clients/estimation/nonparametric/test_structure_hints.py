@@ -18,18 +18,10 @@ from armrig.validation.structure_hints import _extremes, call_of_all, structure_
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
+from tests.clients.handout_plant import converted
 from tests.plants import delayed_plant
 from tests.same_numbers_calls import REAL, holed, of_a_system, switching
 from tests.sampling import sampled
-
-
-def through_potentiometer(data: Dataset, seed: int) -> Dataset:
-    """Return the angle as a 10-bit converter gives it, without the dead band."""
-    resolution = np.radians(352) / 1024
-    rng = np.random.default_rng(seed)
-    y = np.round(data.y / resolution + 0.5 * rng.standard_normal(data.N)) * resolution
-    shown = np.mod(data.y, 2 * np.pi) < np.radians(352)
-    return data.replaced(step=None, y=y, valid=shown)
 
 
 @pytest.mark.parametrize("output", sampled(["theta_1", "angle"]))
@@ -73,7 +65,7 @@ def test_a_response_longer_than_its_lags_causes_no_false_resonance(
 ) -> None:
     """At 5 ms the arm swings for longer than 100 lags."""
     u = telegraph(6000, 0.05, seed=seed)
-    data = through_potentiometer(sampled(0.005).dataset(u), seed)
+    data = converted(sampled(0.005).dataset(u), seed)
 
     found = structure_hints(data)
 
