@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,6 @@ from armrig.estimation.subspace_estimate import _without_past
 from armrig.estimation.subspace_horizon import Innovations, companion
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
-from armrig.models.model_file import load_fit
 from armrig.models.structure_table import Focus, Weights
 from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.comparison import compare
@@ -105,16 +103,6 @@ def test_the_dead_band_of_a_potentiometer_hardly_increases_the_error(
     fit = n4sid(data, 4, integrator=True)
 
     assert plant.relative_error(OMEGA, fit.frequency_response(OMEGA).G) < 0.02
-
-
-def test_an_input_offset_does_not_matter_to_an_integrating_output(plant: HandoutPlant) -> None:
-    """The offset makes a ramp, which the projection removes."""
-    one = plant.dataset(1)
-    shifted = Dataset(u=one.u + 0.7, y=one.y, Ts=one.Ts, output="theta_1", unit="rad")
-
-    a, b = (n4sid(x, 4, integrator=True) for x in (one, shifted))
-
-    np.testing.assert_allclose(a.theta, b.theta, atol=1e-6)
 
 
 def test_an_integrating_angle_without_an_integrator_causes_a_warning(plant: HandoutPlant) -> None:
@@ -261,18 +249,6 @@ def test_a_model_of_two_outputs_has_the_correlations_of_its_projection() -> None
     assert "   3   0.5" in fit.explain()
 
 
-def test_a_saved_subspace_model_is_loaded_unchanged(tmp_path: Path) -> None:
-    fit = n4sid(_data(1), 2)
-    fit.save(tmp_path / "m.json")
-
-    back = load_fit(tmp_path / "m.json")
-
-    assert isinstance(back, Fit)
-    np.testing.assert_array_equal(back.singular_values, fit.singular_values)
-    np.testing.assert_array_equal(back.theta, fit.theta)
-    assert back.orders == {"order": 2, "nk": 1}
-
-
 A4, B4, C4 = (
     np.convolve([1.0, -1.658, 0.81], [1.0, -0.113, 0.64]),
     [0.0, 1.0, 0.5, 0.3, -0.2],
@@ -317,15 +293,6 @@ def test_noise_on_the_output_keeps_the_long_horizon() -> None:
 
 def _mean_excess(fits: list[Fit]) -> float:
     return float(np.mean([_excess(fit, [1.0], [1.0]) for fit in fits]))
-
-
-def test_replicates_have_the_deviations_of_many_runs() -> None:
-    spread = np.std([n4sid(_data(seed, 500), 2).theta for seed in range(60)], axis=0)
-
-    fit = n4sid(_data(60, 500), 2, replicates=60)
-
-    assert np.abs(fit.std / spread - 1).max() < 0.4
-    assert not any(f.about == "bound" for f in fit.findings)
 
 
 @pytest.mark.parametrize("integrator", [False, True])

@@ -35,22 +35,6 @@ def test_the_figures_of_the_physics_follow_from_its_parameters(plant: HandoutPla
     assert set(t.std.values()) == {0.0}
 
 
-def test_a_first_order_system_has_its_textbook_figures() -> None:
-    """Gain 2, time constant 0.1 s, bandwidth 10 rad/s, neither resonance nor overshoot."""
-    Ts, tau = 1e-3, 0.1
-    pole = np.exp(-Ts / tau)
-    fit = made(B=(0.0, 2 * (1 - pole)), F=(1.0, -pole), Ts=Ts)
-
-    t = model_characteristics(fit)
-
-    assert t.gain == pytest.approx(2.0)
-    assert t.rise_time == pytest.approx(tau, rel=0.01)
-    assert t.bandwidth == pytest.approx(1 / tau, rel=0.01)
-    assert np.isnan([t.resonance, t.antiresonance]).all()
-    assert t.overshoot == pytest.approx(0.0, abs=0.2)
-    assert t.poles == pytest.approx([-1 / tau])
-
-
 def test_only_the_deviations_of_real_poles_are_sampled() -> None:
     F = np.real(np.poly([0.97 * np.exp(1j), 0.97 * np.exp(-1j), 0.9, 0.86]))
     fit = made(F=F.tolist(), std=[1e-3] * 5)
@@ -212,4 +196,5 @@ def test_a_claimed_integrator_has_the_gain_of_its_rate(letter: str) -> None:
     assert t.gain == pytest.approx(0.3 / 0.1 / 0.02)
     assert t.poles == pytest.approx([0.0, np.log(0.9) / 0.02])
     assert t.slowest_time == pytest.approx(-0.02 / np.log(0.9))
+    assert np.isnan([t.resonance, t.antiresonance]).all()
     assert t.overshoot == pytest.approx(0, abs=1e-6)

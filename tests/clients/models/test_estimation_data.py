@@ -68,14 +68,6 @@ def test_a_treatment_does_not_hide_the_overlap() -> None:
         assert finding.numbers == pytest.approx(dict(zip(("start", "stop"), times, strict=True)))
 
 
-def test_identical_data_have_a_separate_code() -> None:
-    data = dataset()
-
-    [finding] = found(data, armrig.arx(data, na=1, nb=1))
-
-    assert finding.about == "own data"
-
-
 def test_models_of_identical_and_overlapping_data_have_separate_findings() -> None:
     """Each overlap has its model's name and its own times; the end is that of the shorter."""
     data = dataset()
@@ -100,16 +92,6 @@ def test_data_of_another_file_or_of_merged_parts_have_no_finding() -> None:
     assert found(data[100:300], fit) == []
     assert found(dataset(source="b"), armrig.arx(data[:200], na=1, nb=1)) == []
     assert found(dataset(source=""), armrig.arx(dataset(source="")[:200], na=1, nb=1)) == []
-
-
-def test_a_saved_model_contains_its_part(tmp_path: Path) -> None:
-    data = dataset()
-    armrig.arx(data[:200], na=1, nb=1).save(tmp_path / "m.json")
-
-    fit = armrig.load_fit(tmp_path / "m.json")
-
-    assert isinstance(fit, Fit)
-    assert [f.about for f in found(data[150:], fit)] == ["overlap"]
 
 
 def test_several_signals_have_the_same_findings(tmp_path: Path) -> None:

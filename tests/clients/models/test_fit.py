@@ -31,15 +31,6 @@ def fit() -> Fit:
     return oe(data(1), nb=2, nf=2, nk=2)
 
 
-def test_names_values_and_deviations_have_the_same_order(fit: Fit) -> None:
-    assert fit.names == ("b1", "b2", "f1", "f2")
-    np.testing.assert_array_equal(fit.theta, [*fit.B[2:], *fit.F[1:]])
-    np.testing.assert_array_equal(fit.B[:2], 0)
-    np.testing.assert_array_equal(fit.A, [1])
-    np.testing.assert_allclose(fit.std**2, np.diag(fit.covariance))
-    assert fit.orders == {"nb": 2, "nf": 2, "nk": 2}
-
-
 def test_a_fit_cannot_be_changed(fit: Fit) -> None:
     with pytest.raises(AttributeError):
         fit.loss = 0.0  # type: ignore[misc]
@@ -77,17 +68,6 @@ def test_the_criteria_equal_the_formulas_of_the_textbook(fit: Fit) -> None:
     assert fit.mdl == pytest.approx(deviance + 4 * np.log(400))
 
 
-def test_an_oe_model_predicts_by_simulation_at_every_horizon(fit: Fit) -> None:
-    """The noise is white, so past outputs determine only the initial state."""
-    fresh = data(2, noise=0.0)[37:]
-
-    ahead, simulated = fit.predict(fresh, horizon=1), fit.predict(fresh, horizon=None)
-
-    np.testing.assert_array_equal(ahead, simulated)
-    truth = oe(fresh, nb=2, nf=2, nk=2).predict(fresh)
-    np.testing.assert_allclose(truth, fresh.y, atol=1e-8)
-
-
 @settings(max_examples=25)
 @given(st.integers(1, 6), st.integers(0, 1000))
 def test_an_arx_model_predicts_k_samples_by_its_difference_equation(k: int, seed: int) -> None:
@@ -104,14 +84,6 @@ def test_an_arx_model_predicts_k_samples_by_its_difference_equation(k: int, seed
         assert y[t] == pytest.approx(known[t])
     assert np.isnan(y[: 2 + k - 1]).all()
     assert np.isfinite(y[2 + k - 1 :]).all()
-
-
-def test_the_deviation_of_a_white_spectrum_is_that_of_its_variance(fit: Fit) -> None:
-    """An output-error model has the spectrum lambda Ts, with the relative deviation sqrt(2/N)."""
-    spectrum = fit.noise_spectrum([0.1, 10.0])
-
-    np.testing.assert_allclose(spectrum.Phi, fit.noise_variance * fit.Ts)
-    np.testing.assert_allclose(spectrum.std, spectrum.Phi * np.sqrt(2 / fit.N))
 
 
 def test_the_trusted_covariance_depends_on_the_residuals(fit: Fit) -> None:

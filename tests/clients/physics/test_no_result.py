@@ -81,10 +81,3 @@ def test_a_search_without_convergence_has_no_result(make: Make) -> None:
 
     with pytest.raises(InputError, match="J_1 did not converge, so there is no result"):
         replace(fit, converged=False).require_result()
-
-
-def test_a_friction_of_zero_is_a_valid_result(make: Make) -> None:
-    fit = armrig.greybox(make(N=2000), friction="viscous")
-
-    assert fit.undetermined == ()
-    fit.require_result()

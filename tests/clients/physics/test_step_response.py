@@ -72,15 +72,6 @@ def test_a_pair_of_roots_is_written_once() -> None:
     assert _roots(z) == "0, -2.500, -1.000 ± 3.000i, ±4.000i"
 
 
-def test_an_explanation_gives_the_reasons() -> None:
-    text = armrig.characteristics().explain()
-
-    assert "1.8623 rad/s per V" in text
-    assert "accelerates J_1 only" in text
-    assert "nor on R_m" in text
-    assert "nor on R_m" not in armrig.characteristics(ArmParameters(b_1=0.1)).explain()
-
-
 def test_impossible_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="equidistant from 0"):
         armrig.step_sensitivities(P, [0.0, 0.1, 0.3])

@@ -113,11 +113,6 @@ def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
     assert daemon.names() == ["arm"]
 
 
-def test_a_reset_returns_whether_a_fault_was_latched(daemon: BusyDaemon) -> None:
-    with Rig(connect=daemon.endpoint) as rig:
-        assert rig.reset() is True
-
-
 def test_a_permanent_refusal_stops_the_run_of_its_client(daemon: BusyDaemon) -> None:
     daemon.refusals["status"] = "not for you"
 

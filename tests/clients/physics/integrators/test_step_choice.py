@@ -55,10 +55,3 @@ def test_a_step_too_small_to_be_run_is_reported_as_unverified() -> None:
 def test_a_system_without_a_stable_step_is_refused() -> None:
     with pytest.raises(ValueError, match="not stable on this system at any step"):
         recommend_step([[0.0, 1.0], [-1.0, 0.0]], [0.0, 1.0], omega=2.0, methods=["heun"])
-
-
-def test_the_table_shows_every_method() -> None:
-    text = repr(recommend_step(A, B, omega=5.0, tolerance=2e-2))
-
-    assert text.count("\n") == len(METHODS)
-    assert "0.04515" in text
