@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 import msgspec
 import numpy as np
 import zenoh
 from armrig.rig.collection import Plan
+from armrig.rig.replies import Progress
 from armrig_core.commands import commands
 from armrig_core.commands.codes import TRY_AGAIN, OutcomeCode
 from armrig_core.commands.commands import LastRun, Rehearsal, StatusReport
@@ -27,6 +29,12 @@ def step_plan(owner: str, seconds: float = 1.0) -> Plan:
         pacing="scheduled",
         owner=owner,
     )
+
+
+@contextmanager
+def unseen(*_: object) -> Iterator[Progress]:
+    """Show no progress of a run."""
+    yield lambda done, total: None
 
 
 def status_report(**of: Any) -> StatusReport:

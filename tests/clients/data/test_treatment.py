@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -100,22 +99,11 @@ def test_an_integrator_without_a_name_is_found_by_test(seed: int) -> None:
 def test_a_drift_under_a_stable_output_may_be_removed(seed: int) -> None:
     rng = np.random.default_rng(seed)
     u = telegraph(1000, 0.1, seed=rng)
-    y = filtered([0, 0.1], [1, -0.9], u) + 0.1 * rng.standard_normal(1000)
+    t = np.arange(1000)
+    y = filtered([0, 0.1], [1, -0.9], u) + 0.1 * rng.standard_normal(1000) + 0.02 * t
 
-    treated = detrend(Dataset(u=u, y=y + 0.02 * np.arange(1000), Ts=0.01), order=1)
+    treated = detrend(Dataset(u=u, y=y, Ts=0.01), order=1)
 
-    assert abs(np.mean(treated.y)) < 1e-9
-
-
-def test_real_data_with_a_stable_output_cause_no_warning(
-    reference: Callable[[str], NDArray[np.float64]],
-) -> None:
-    """The hair dryer does not integrate."""
-    u, y = reference("dryer.dat").T
-
-    treated = detrend(Dataset(u=u, y=y, Ts=0.08), order=1)
-
-    t = np.arange(y.size) * 0.08
     np.testing.assert_allclose(treated.y, y - np.polyval(np.polyfit(t, y, 1), t), atol=1e-9)
 
 

@@ -244,29 +244,16 @@ def test_an_arx_model_with_equal_regressors_is_ordinary_least_squares() -> None:
 
 @pytest.mark.exhaustive
 def test_a_shared_denominator_gains_from_the_second_output() -> None:
-    rng = np.random.default_rng(5)
-    u = np.repeat(np.sign(rng.standard_normal(N // 5)), 5)
-    den = np.real(np.poly([0.9 * np.exp(0.3j), 0.9 * np.exp(-0.3j), 0.8]))
-    y = np.column_stack(
-        [
-            filtered([0, 0.01, 0.02, 0.03, 0.01], np.convolve([1, -1], den), u) + 3.0,
-            filtered([0, 0.1, -0.15, 0.05], den, u),
-        ]
-    )
-    y += 0.05 * rng.standard_normal((N, 2))
-    data = Signals(u=u, y=y, Ts=0.01, outputs=["theta_1", "alpha"])
+    drawn = chassis_and_arm(5)
+    data = drawn.signals(N, 0.0, (5, N, 0))
 
-    fit = armrig.oe(
-        data, nb={("theta_1", "u"): 4, ("alpha", "u"): 3}, nf=3, shared="denominator",
-        integrator="theta_1",
-    )  # fmt: skip
-    alone = armrig.oe(data.dataset("theta_1"), nb=4, nf=4, integrator=True)
+    fit = drawn.fit(data)
+    alone = armrig.oe(data.dataset("chassis"), nb=4, nf=4, integrator=True)
 
-    assert fit["alpha"].F.size == 4
-    np.testing.assert_array_equal(fit["theta_1"].F, np.convolve([1, -1], fit["alpha"].F))
-    np.testing.assert_allclose(fit["alpha"].F, den, atol=0.01)
-    pair = [np.sqrt(np.trace(f.poles().covariance[0])) for f in (fit["theta_1"], alone)]
-    assert pair[0] < pair[1]
+    np.testing.assert_array_equal(fit["chassis"].F, np.convolve([1, -1], fit["arm"].F))
+    np.testing.assert_allclose(fit["arm"].F, np.real(np.poly(drawn.poles)), atol=0.05)
+    both, one = (f.poles().std.sum() for f in (fit["chassis"], alone))
+    assert both < 0.95 * one
     assert len(fit.poles()) == 4
 
 

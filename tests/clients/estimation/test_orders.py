@@ -257,6 +257,13 @@ def test_given_delays_hold_for_the_validation_data_too() -> None:
         select_orders(data, [1], [1], [1], validation=signals(Ts=0.25))
 
 
+def two_plants(N: int) -> Signals:
+    """Return the outputs a and b of two plants, each with one input of its own."""
+    u, e = np.random.default_rng(3).standard_normal((2, N, 2))
+    y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0]), filtered([0, 0.3], [1], u[:, 1])])
+    return Signals(u=u, y=y + [0.3, 0.1] * e, Ts=1.0, outputs=["a", "b"])
+
+
 @pytest.mark.parametrize(
     ("nc", "nd", "score"),
     [(0, 0, "exogenous"), ([1, 0], 0, "correlated"), (0, [0, 1], "correlated")],
@@ -265,10 +272,7 @@ def test_all_outputs_have_one_score_and_converge_together(
     nc: Any, nd: Any, score: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If the noise of one output is coloured, the past of it is in the regressors."""
-    rng = np.random.default_rng(3)
-    u, e = rng.standard_normal((2, 120, 2))
-    y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0]), filtered([0, 0.3], [1], u[:, 1])])
-    data = Signals(u=u, y=y + 0.1 * e, Ts=1.0, outputs=["a", "b"])
+    data = two_plants(120)
     scores, one_of = list[str](), prediction_error._chosen
 
     def infer(*of: Any, score: Any, **options: Any) -> Any:
@@ -295,12 +299,8 @@ def test_all_outputs_have_one_score_and_converge_together(
 
 def test_the_loss_of_a_start_value_is_that_of_its_errors() -> None:
     """The errors of an output alone have no weights."""
-    rng = np.random.default_rng(3)
-    u, e = rng.standard_normal((2, 200, 2))
-    y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0]), filtered([0, 0.3], [1], u[:, 1])])
-    y += [0.3, 0.1] * e
     valid = np.arange(400).reshape(200, 2) % 37 > 0
-    data = Signals(u=u, y=y, Ts=1.0, valid=valid, outputs=["a", "b"])
+    data = two_plants(200).replaced(step=None, valid=valid)
 
     fit: Any = armrig.oe(data, nb=1, nf=[[1, 0], [0, 1]])
 

@@ -312,18 +312,22 @@ def test_a_prediction_ahead_leaves_the_noise_of_its_horizon() -> None:
     np.testing.assert_allclose(left[40:], expected[40:], atol=1e-3)
 
 
-def test_the_ramp_of_an_integrating_output_is_estimated_with_the_model() -> None:
-    """An offset of the inputs makes the ramp in a alone."""
+@pytest.mark.parametrize(("level", "offset"), [(0.0, False), (7.0, True)])
+def test_the_ramp_of_an_integrating_output_and_a_level_are_estimated_with_the_model(
+    level: float, offset: bool
+) -> None:
+    """An offset of the inputs makes the ramp in a, and a level in b if the model has an offset."""
     form = apart((True, False))
-    rng = np.random.default_rng(7)
-    u = rng.standard_normal((60, 3))
+    u = np.random.default_rng(7).standard_normal((60, 3))
     clean = form.realised().deterministic.simulated(u)
-    ramp = np.column_stack([3.0 + 0.5 * np.arange(60), np.zeros(60)])
-    data = Signals(u=u, y=clean + ramp, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
-    fit = fit_of_form(form)
+    trend = np.column_stack([3.0 + 0.5 * np.arange(60), np.full(60, level)])
+    data = Signals(u=u, y=clean + trend, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
+    fit = fit_of_form(form, offset=offset)
 
     for horizon in (1, 4, None):
         np.testing.assert_allclose(fit.predict(data, horizon)[4:], data.y[4:], atol=1e-6)
+    without = fit_of_form(form).predict(data, None)
+    assert (np.abs(without - data.y).max() > 0.1) == offset
     with pytest.raises(InputError, match="horizon=0 must be an integer >= 1"):
         fit.predict(data, 0)
     with pytest.raises(InputError, match=r"u has shape \(5, 2\); give \(N, 3\), .* u, v, w"):
@@ -335,20 +339,6 @@ def test_the_ramp_of_an_integrating_output_is_estimated_with_the_model() -> None
         [sum(filtered(b, f, x) for b, f, x in zip(*row, u.T, strict=True)) for row in rows]
     )
     np.testing.assert_allclose(clean, expected, atol=1e-9)
-
-
-def test_the_levels_of_outputs_are_estimated_if_the_input_has_an_offset() -> None:
-    """The output of alpha has a level; the ramp is that of the integrating output."""
-    form = apart((True, False))
-    u = np.random.default_rng(8).standard_normal((60, 3))
-    trend = np.column_stack([3.0 + 0.5 * np.arange(60), np.full(60, 7.0)])
-    y = form.realised().deterministic.simulated(u) + trend
-    data = Signals(u=u, y=y, Ts=0.1, inputs=["u", "v", "w"], outputs=["a", "b"])
-
-    for horizon in (1, 4, None):
-        found = fit_of_form(form, offset=True).predict(data, horizon)
-        np.testing.assert_allclose(found[4:], data.y[4:], atol=1e-6)
-    assert np.abs(fit_of_form(form).predict(data, None) - data.y).max() > 0.1
 
 
 def test_signals_with_other_names_are_refused() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.numerics import covariance
-from armrig.numerics.covariance import correlated_score, exogenous_score, joint_exogenous_score
+from armrig.numerics.covariance import correlated_score, joint_exogenous_score
 from armrig.numerics.inference import infer, least_squares_residuals
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
@@ -40,27 +40,6 @@ def test_newey_and_west_weigh_the_pairs_of_each_experiment(sizes: tuple[int, int
         for k in range(1, L + 1):
             pairs = scores[k:].T @ scores[:-k]
             expected += (1 - k / (L + 1)) * (pairs + pairs.T)
-    np.testing.assert_allclose(M, expected, rtol=1e-10)
-
-
-@pytest.mark.parametrize("rows", [1 << 16, 37])
-def test_an_exogenous_score_has_the_covariance_of_the_noise(
-    rows: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Psi^T R Psi, with R of the autoregression, in blocks of rows as in one piece."""
-    blocks, residuals = two_experiments(2, [1.0, -0.8])
-    monkeypatch.setattr(covariance, "_FILTER_ROWS", rows)
-
-    C, s2 = autoregression(residuals)
-
-    M = exogenous_score(blocks, (C, s2))
-
-    assert C.size > 1
-    expected = np.zeros((3, 3))
-    for Psi in blocks:
-        n = Psi.shape[0]
-        H = np.tril(toeplitz(filtered([1.0], C, np.eye(1, n)[0])))
-        expected += s2 * Psi.T @ H @ H.T @ Psi
     np.testing.assert_allclose(M, expected, rtol=1e-10)
 
 
@@ -122,12 +101,16 @@ def test_the_order_of_the_experiments_does_not_matter(outputs: int) -> None:
     np.testing.assert_allclose(turned, found, rtol=1e-9)
 
 
-@pytest.mark.parametrize("outputs", [1, 2])
-def test_the_covariance_of_several_outputs_contains_their_common_noise(outputs: int) -> None:
+@pytest.mark.parametrize(("outputs", "rows"), [(1, 1 << 16), (1, 37), (2, 1 << 16)])
+def test_the_covariance_of_several_outputs_contains_their_common_noise(
+    outputs: int, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The sum of H_i^T L_i L_k^T H_k S_ik over the outputs; L are the autoregressions' responses.
 
-    S has the variances of the autoregressions, and the correlation of their errors.
+    S has the variances of the autoregressions, and the correlation of their errors. Blocks of rows
+    give the same sum.
     """
+    monkeypatch.setattr(covariance, "_FILTER_ROWS", rows)
     H, e = coloured(outputs)
     models = noise_of(e)
     assert all(C.size > 1 for C, _ in models)

@@ -19,7 +19,7 @@ from armrig_core.commands.codes import OutcomeCode
 from armrig_core.commands.commands import Arm, LastRun, Run, Status, StatusReport
 from msgspec.structs import replace
 
-from tests.clients.fake_daemon import FakeDaemon, step_plan
+from tests.clients.fake_daemon import FakeDaemon, step_plan, unseen
 from tests.clients.made_recordings import sample, timing
 
 NEW = LastRun(run_id="new", recording="new.mcap", finished=True, samples=7, outcome="stopped")
@@ -43,11 +43,6 @@ def test_an_interrupted_run_is_reported_with_its_own_recording(
     assert _interrupted_sentence(rig, before) == (
         f"interrupted: a stop (0 V) was sent to rig 1; {said}"
     )
-
-
-@contextmanager
-def _unseen(*_: object) -> Iterator[Progress]:
-    yield lambda done, total: None
 
 
 class _SlowDisk(FakeDaemon):
@@ -109,7 +104,7 @@ class _CutOff(FakeDaemon):
 def test_a_daemon_that_ends_during_a_run_leaves_its_partial_recording(where: str) -> None:
     plan = step_plan("Ada", seconds=3.0)
     with _CutOff(where), pytest.raises(NoReplyError) as told:
-        collect(plan, rig="1", connect=where, tell=print, shown=_unseen)
+        collect(plan, rig="1", connect=where, tell=print, shown=unseen)
 
     text = str(told.value)
     assert text.startswith("the run was cut off after 200 or more of 300 samples: no reply from")

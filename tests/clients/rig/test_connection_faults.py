@@ -31,6 +31,15 @@ def made(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.fixture
+def password(tmp_path: Path) -> Path:
+    """Give a file with the password of one user."""
+    path = tmp_path / "password"
+    path.write_text("ada:a long enough password\n")
+    path.chmod(0o600)
+    return path
+
+
 def _port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
@@ -129,19 +138,15 @@ def test_a_certificate_not_yet_valid_by_the_listener_s_clock_is_reported(
     )
 
 
-def test_a_wrong_password_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "password"
-    file.write_text("ada:a long enough password\n")
-    file.chmod(0o600)
-    monkeypatch.setenv("ARMRIG_CLIENT_PASSWORD", str(file))
+def test_a_wrong_password_is_reported(password: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMRIG_CLIENT_PASSWORD", str(password))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         where = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
         monkeypatch.setattr(session.zenoh, "open", _refused)
         told = _told_over(where)
 
-    assert (
-        told == f"the listener does not accept user ada: check the name and the password in {file}"
-    )
+    said = "the listener does not accept user ada: check the name and the password in "
+    assert told == f"{said}{password}"
     assert _told_over(where).startswith("nobody listens at port ")
 
 
@@ -193,15 +198,6 @@ def test_a_missing_certificate_is_reported_with_where_to_configure_it(made: Path
 TCP = "tcp/lab:7447"
 
 
-@pytest.fixture
-def password(tmp_path: Path) -> Path:
-    """Give a file with the password of one user."""
-    path = tmp_path / "password"
-    path.write_text("ada:a long enough password\n")
-    path.chmod(0o600)
-    return path
-
-
 def test_a_password_is_sent_only_over_tcp(password: Path) -> None:
     settings = ClientSettings(password=str(password))
 
@@ -225,11 +221,9 @@ def test_a_file_with_the_passwords_of_others_is_refused_with_their_number(
     assert str(refused.value) == f"{password} has {n} users: keep only your own line"
 
 
-def test_an_explicit_credential_has_precedence_over_the_configured_one(tmp_path: Path) -> None:
-    folder = tmp_path / "pki"
-    pki.make_authority(folder)
+def test_an_explicit_credential_has_precedence_over_the_configured_one(made: Path) -> None:
     given, configured = (
-        str(pki.issue_to_person(folder, name, "operators").path) for name in ("ada", "bob")
+        str(pki.issue_to_person(made, name, "operators").path) for name in ("ada", "bob")
     )
     settings, where = ClientSettings(certificate=configured), "tls/lab:7447"
 

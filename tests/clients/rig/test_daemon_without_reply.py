@@ -6,7 +6,6 @@ import fcntl
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +18,6 @@ from armrig.rig.client import Rig
 from armrig.rig.collection import collect
 from armrig.rig.remote_recording import RemoteRecorder, RemoteRecording
 from armrig.rig.remote_source import Piece
-from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError, default_endpoint
 from armrig_core.access import daemon_lock
 from armrig_core.access.daemon_lock import (
@@ -34,21 +32,14 @@ from armrig_core.commands.commands import StatusReport
 from armrig_core.telemetry.history import Past
 from msgspec.structs import replace
 
-from tests.clients.fake_daemon import FakeDaemon, step_plan
+from tests.clients.fake_daemon import FakeDaemon, step_plan, unseen
 from tests.clients.told import told
 
 SAID = (
     "the service of rig 1 has stopped; `systemctl status armrigd@1`; what was recorded is in "
     "`armrig ls`"
 )
-
-
 PLAN = step_plan("a student")
-
-
-@contextmanager
-def _unseen(*_: object) -> Iterator[Progress]:
-    yield lambda done, total: None
 
 
 class Service(FakeDaemon):
@@ -137,7 +128,7 @@ def test_a_collection_reports_the_outcome_and_the_stopped_service(service: Servi
     service.outcome, service.dies_with_its_run = "the daemon was ended", True
 
     with pytest.raises(RigError) as told:
-        collect(PLAN, rig="1", connect=None, tell=lambda _: None, shown=_unseen)
+        collect(PLAN, rig="1", connect=None, tell=lambda _: None, shown=unseen)
 
     assert str(told.value) == (
         "the run ended after 100 of 100 samples: the daemon was ended; recorded in "

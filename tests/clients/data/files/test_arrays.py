@@ -14,11 +14,12 @@ from zipfile import ZipFile
 import numpy as np
 import pyarrow
 import pytest
-from armrig import FileError, load_data, load_signals
+from armrig import Dataset, FileError, load_data, load_signals
 from armrig.data.files import table
 from pyarrow import parquet
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
+from scipy.sparse import csc_array
 
 U, Y = np.random.default_rng(1).standard_normal((2, 30))
 
@@ -58,6 +59,20 @@ def _cell(value: Any) -> Any:
     return cell
 
 
+def assert_read(data: Dataset, Ts: float) -> None:
+    """Check that the data are U and Y, to the last bit."""
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(data.y, Y)
+    assert data.Ts == Ts
+
+
+COLUMN = {"u": U.reshape(-1, 1), "y": Y.reshape(-1, 1)}
+NAMES = {"InputName": "heater", "OutputName": "temperature", "InterSample": "zoh"}
+IDDATA = iddata(InputData=COLUMN["u"], OutputData=COLUMN["y"], Ts=np.array([[0.5]]), **NAMES)
+MATRIX = np.column_stack([0.5 * np.arange(30), U, Y])
+BY_NUMBER = {"input": "2", "signal": "X:3", "time": "1"}
+
+
 @pytest.mark.parametrize("how", [{}, {"do_compression": True}, {"format": "4"}], ids=str)
 @pytest.mark.parametrize("shape", [(30, 1), (1, 30)], ids=str)
 def test_vectors_of_matlab_are_columns_by_name(
@@ -65,52 +80,27 @@ def test_vectors_of_matlab_are_columns_by_name(
 ) -> None:
     values = {"volt": U.reshape(shape), "y": Y.reshape(shape), "Ts": 0.08}
 
-    data = load_data(mat(tmp_path, values, **how), input="volt")
-
-    np.testing.assert_array_equal(data.u, U)
-    np.testing.assert_array_equal(data.y, Y)
-    assert data.Ts == 0.08
+    assert_read(load_data(mat(tmp_path, values, **how), input="volt"), 0.08)
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_matrix_is_columns_by_number(turned: bool, tmp_path: Path) -> None:
-    X = np.column_stack([0.5 * np.arange(30), U, Y])
+@pytest.mark.parametrize(
+    ("values", "columns"),
+    [
+        ({"X": MATRIX}, BY_NUMBER),
+        ({"X": MATRIX.T}, BY_NUMBER),
+        ({"z": {"u": U, "y": Y, "Ts": 0.5}, "note": "heater"}, {}),
+        ({"z": {"u": U, "y": Y, "Ts": 0.5}}, {"input": "z.u"}),
+        ({"dryer": IDDATA}, {}),
+    ],
+    ids=["a matrix", "a matrix of rows", "a structure", "a field", "iddata of older MATLAB"],
+)
+def test_a_matrix_a_structure_and_an_object_are_columns(
+    values: dict[str, Any], columns: dict[str, str], tmp_path: Path
+) -> None:
+    data = load_data(mat(tmp_path, values), **columns)
 
-    path = mat(tmp_path, {"X": X.T if turned else X})
-    data = load_data(path, input="2", signal="X:3", time="1")
-
-    np.testing.assert_array_equal(data.u, U)
-    np.testing.assert_array_equal(data.y, Y)
-    assert data.Ts == 0.5
-
-
-def test_the_fields_of_a_structure_are_columns(tmp_path: Path) -> None:
-    path = mat(tmp_path, {"z": {"u": U, "y": Y, "Ts": 2.0}, "note": "heater"})
-
-    data = load_data(path)
-
-    np.testing.assert_array_equal(data.y, Y)
-    assert (data.output, data.Ts) == ("z.y", 2.0)
-    np.testing.assert_array_equal(load_data(path, input="z.u").u, U)
-
-
-def test_an_iddata_object_of_older_matlab_is_read(tmp_path: Path) -> None:
-    column = U.reshape(-1, 1), Y.reshape(-1, 1)
-    names = {"InputName": "heater", "OutputName": "temperature", "InterSample": "zoh"}
-    path = mat(
-        tmp_path,
-        {
-            "dryer": iddata(
-                InputData=column[0], OutputData=column[1], Ts=np.array([[0.08]]), **names
-            )
-        },
-    )
-
-    data = load_data(path)
-
-    np.testing.assert_array_equal(data.u, U)
-    np.testing.assert_array_equal(data.y, Y)
-    assert data.Ts == 0.08
+    assert_read(data, 0.5)
+    assert data.output == "z.y" or "z" not in values
 
 
 def test_arrays_of_numpy_are_columns_by_name(tmp_path: Path) -> None:
@@ -126,9 +116,7 @@ def test_arrays_of_numpy_are_columns_by_name(tmp_path: Path) -> None:
 
 
 def test_a_name_that_is_a_number_has_precedence_over_a_place(tmp_path: Path) -> None:
-    data = load_data(npz(tmp_path, **{"2": U, "1": Y, "Ts": 0.5}), input="2", signal="1")
-
-    assert (data.u.tolist(), data.y.tolist(), data.Ts) == (U.tolist(), Y.tolist(), 0.5)
+    assert_read(load_data(npz(tmp_path, **{"2": U, "1": Y, "Ts": 0.5}), input="2", signal="1"), 0.5)
 
 
 class Bomb:
@@ -312,6 +300,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
             {"u": U, "y": np.zeros(2, dtype=[("a", float)])},
             "signal y: is an array of 2 structures; save one of them",
         ),
+        ({"u": U, "y": csc_array(COLUMN["y"])}, r"signal y: is sparse; save full\(…\) of it"),
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
@@ -320,15 +309,6 @@ def test_an_array_that_is_not_a_column_is_reported_with_the_remedy(
 ) -> None:
     with pytest.raises(FileError, match=said):
         load_data(mat(tmp_path, values), Ts=1)
-
-
-def test_a_sparse_matrix_is_reported(tmp_path: Path) -> None:
-    from scipy.sparse import csc_array
-
-    path = mat(tmp_path, {"u": U, "y": csc_array(Y.reshape(-1, 1))})
-
-    with pytest.raises(FileError, match=r"signal y: is sparse; save full\(…\) of it"):
-        load_data(path, Ts=1)
 
 
 def test_damage_is_reported_in_one_line(tmp_path: Path) -> None:
@@ -413,29 +393,24 @@ T = 0.5 * np.arange(30).reshape(-1, 1)
 
 
 def test_a_structure_with_time_of_simulink_is_columns_by_label(tmp_path: Path) -> None:
-    column = U.reshape(-1, 1), Y.reshape(-1, 1)
-    scope = logged(T, (column[0], "u"), (column[1], "<y>"), (np.column_stack([U, Y]), "u"))
+    both_columns = (np.column_stack([U, Y]), "u")
+    scope = logged(T, (COLUMN["u"], "u"), (COLUMN["y"], "<y>"), both_columns)
 
     path = mat(tmp_path, {"ScopeData": scope})
     data = load_data(path)
     both = load_signals(path, inputs="signals:3", outputs="y")
 
-    np.testing.assert_array_equal(data.u, U)
-    np.testing.assert_array_equal(data.y, Y)
-    assert (data.Ts, data.output) == (0.5, "ScopeData.y")
+    assert_read(data, 0.5)
+    assert data.output == "ScopeData.y"
     np.testing.assert_array_equal(both.u, np.column_stack([U, Y]))
 
 
 def test_two_structures_with_the_same_times_are_read_together(tmp_path: Path) -> None:
     cube = Y.reshape(1, 1, -1)  # as Simulink logs a signal that is a matrix
-    values = {"yout": logged(T, (cube, "")), "uout": logged(T, (U.reshape(-1, 1), ""))}
+    values = {"yout": logged(T, (cube, "")), "uout": logged(T, (COLUMN["u"], ""))}
     path = mat(tmp_path, values, do_compression=True)
 
-    data = load_data(path, input="uout", signal="yout")
-
-    np.testing.assert_array_equal(data.u, U)
-    np.testing.assert_array_equal(data.y, Y)
-    assert data.Ts == 0.5
+    assert_read(load_data(path, input="uout", signal="yout"), 0.5)
     other = mat(tmp_path, values | {"yout": logged(2 * T, (cube, ""))})
     with pytest.raises(FileError, match=r"sampling time is not known.*1 yout\.time"):
         load_data(other, input="uout", signal="yout")
@@ -458,12 +433,7 @@ def test_a_field_that_was_never_assigned_does_not_shift_the_others(tmp_path: Pat
     struct.pack_into("<I", parts, 132, struct.unpack_from("<I", whole, 132)[0] - 48)
     path.write_bytes(parts)
 
-    data = load_data(path)
-
-    assert (data.u.tolist(), data.y.tolist(), data.Ts) == (U.tolist(), Y.tolist(), 2.0)
-
-
-U, Y = np.random.default_rng(1).standard_normal((2, 30))
+    assert_read(load_data(path), 2.0)
 
 
 def written(path: Path, **columns: Any) -> Path:

@@ -40,6 +40,13 @@ def log(
     return path
 
 
+def saved(folder: Path, u: Vector, y: Vector) -> Path:
+    """Write t, u and y every 0.1 s."""
+    table = np.column_stack([0.1 * np.arange(u.size), u, y])
+    np.savetxt(folder / "a.csv", table, "%.3f", ",", header="t,u,y", comments="")
+    return folder / "a.csv"
+
+
 def good(data: armrig.Dataset, Ts: float, *, starts: Sequence[int] = (0,)) -> None:
     """Fail unless the data have this grid and the rows of the plant, to the digits of the log."""
     u, y = plant(200)
@@ -297,10 +304,10 @@ def test_the_separator_is_the_one_that_splits_the_lines(
 def test_a_counter_that_wraps_is_named_and_unwrapped(modulus: float, tmp_path: Path) -> None:
     u, rate = plant(400)
     counts = np.cumsum(rate - 10) * modulus / 150
-    np.savetxt(tmp_path / "a.txt", np.column_stack([0.1 * np.arange(400), u, counts % modulus]))
+    np.savez(tmp_path / "a.npz", u=u, y=counts % modulus, Ts=0.1)
 
-    found = armrig.load_data(tmp_path / "a.txt", time="1", input="2", signal="3")
-    mended = armrig.load_data(tmp_path / "a.txt", time="1", input="2", signal="3", unwrap=modulus)
+    found = armrig.load_data(tmp_path / "a.npz")
+    mended = armrig.load_data(tmp_path / "a.npz", unwrap=modulus)
 
     assert f"y jumps by {modulus:g} at " in found.history[0]
     np.testing.assert_allclose(np.diff(mended.y), np.diff(counts), atol=1e-6 * modulus)
@@ -309,10 +316,8 @@ def test_a_counter_that_wraps_is_named_and_unwrapped(modulus: float, tmp_path: P
 def test_an_unusual_range_is_not_guessed(tmp_path: Path) -> None:
     u, rate = plant(400)
     counts = np.cumsum(rate - 10) * 9
-    table = np.column_stack([0.1 * np.arange(400), u, np.floor(counts % 1337)])
-    np.savetxt(tmp_path / "a.csv", table, "%.1f", ",", header="t,u,y", comments="")
 
-    (note,) = armrig.load_data(tmp_path / "a.csv").history
+    (note,) = armrig.load_data(saved(tmp_path, u, np.floor(counts % 1337))).history
 
     assert "y jumps by about 13" in note
     assert note.endswith("give --unwrap with the range of the counter")
@@ -343,12 +348,10 @@ def test_an_option_that_contradicts_the_file_is_refused(
 def test_samples_at_a_rail_are_named_and_masked(low: float, high: float, tmp_path: Path) -> None:
     u, y = plant(400)
     scaled = np.clip((y - y.mean()) / 2 * (high - low) * 1.2 + (low + high) / 2, low, high)
-    table = np.column_stack([0.1 * np.arange(400), u, scaled])
-    np.savetxt(tmp_path / "a.csv", table, "%.3f", ",", header="t,u,y", comments="")
     rails = np.count_nonzero((scaled == low) | (scaled == high))
+    path = saved(tmp_path, u, scaled)
 
-    found = armrig.load_data(tmp_path / "a.csv")
-    masked = armrig.load_data(tmp_path / "a.csv", mask_rails=True)
+    found, masked = armrig.load_data(path), armrig.load_data(path, mask_rails=True)
 
     assert f"{rails} of 400 samples of y are exactly " in found.history[0]
     assert (found.missing, masked.missing) == (0, rails)
@@ -357,10 +360,8 @@ def test_samples_at_a_rail_are_named_and_masked(low: float, high: float, tmp_pat
 def test_a_slow_signal_at_a_rail_is_named(tmp_path: Path) -> None:
     u, y = plant(400)
     counts = np.clip(np.rint(20 * (y - y.mean())), None, 5)
-    table = np.column_stack([0.1 * np.arange(400), u, counts])
-    np.savetxt(tmp_path / "a.csv", table, "%.1f", ",", header="t,u,y", comments="")
 
-    (note,) = armrig.load_data(tmp_path / "a.csv").history
+    (note,) = armrig.load_data(saved(tmp_path, u, counts)).history
 
     assert f"{np.count_nonzero(counts == 5)} of 400 samples of y are exactly 5" in note
 
@@ -382,14 +383,10 @@ def test_values_that_are_read_less_often_than_written_are_named(
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_a_settled_level_of_y_is_not_a_rail(noise: float, tmp_path: Path) -> None:
     u = np.repeat([1.0, 3.0, 1.0, 3.0], 100)
-    x = np.zeros(400)
-    for k in range(1, 400):
-        x[k] = 0.9 * x[k - 1] + 0.2 * u[k - 1]
+    x = filtered([0, 0.2], [1, -0.9], u)
     x += noise * np.random.default_rng(1).standard_normal(400)
-    table = np.column_stack([0.1 * np.arange(400), u, x])
-    np.savetxt(tmp_path / "a.csv", table, "%.3f", ",", header="t,u,y", comments="")
 
-    assert armrig.load_data(tmp_path / "a.csv").history == ()
+    assert armrig.load_data(saved(tmp_path, u, x)).history == ()
 
 
 def test_an_input_logged_at_its_changes_is_held_on_request(tmp_path: Path) -> None:

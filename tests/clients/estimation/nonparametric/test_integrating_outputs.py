@@ -31,6 +31,7 @@ ESTIMATES: dict[str, tuple[Callable[..., Any], str]] = {
     "impulse_response": (lambda d, **k: impulse_response(d, 20, **k), "g"),
     "spa": (spa, "magnitude"),
     "etfe": (etfe, "magnitude"),
+    "bla": (bla, "magnitude"),
     "correlation": (correlation, "g"),
     "step_analysis": (step_analysis, "y"),
     "sampling_time": (sampling_time, "response"),
@@ -40,23 +41,17 @@ ESTIMATES: dict[str, tuple[Callable[..., Any], str]] = {
 @pytest.mark.parametrize("name", ESTIMATES)
 def test_an_unnamed_output_is_found_to_integrate(arm: Any, name: str) -> None:
     estimate, of = ESTIMATES[name]
-    data = unnamed(arm.steps() if name == "step_analysis" else arm.telegraph(N=1500))
+    of_input = {
+        "step_analysis": arm.steps,
+        "bla": lambda: arm.dataset(multisine(1200, seed=1, periods=6), 1e-3),
+    }
+    data = unnamed(of_input.get(name, lambda: arm.telegraph(N=1500))())
 
     found, said = estimate(data), estimate(data, integrator=True)
 
     np.testing.assert_array_equal(getattr(found, of), getattr(said, of))
     assert REASON in repr(found)
     assert REASON not in repr(said)
-
-
-def test_realisations_of_a_multisine_are_found_to_integrate(arm: Any) -> None:
-    u = multisine(1200, seed=1, periods=6)
-    data = unnamed(arm.dataset(u, 1e-3))
-
-    found = bla(data)
-
-    assert found.integrator
-    assert REASON in repr(found)
 
 
 def test_the_data_decide_on_an_integrator_without_a_name_or_argument(arm: Any) -> None:

@@ -511,11 +511,7 @@ def test_a_dead_time_lies_inside_its_interval() -> None:
 @pytest.mark.parametrize(("zeros", "shown"), [(2, True), (10, False), (30, False)])
 def test_the_interval_excludes_0_only_if_a_dead_time_is_shown(zeros: int, shown: bool) -> None:
     delays = np.append(np.zeros(zeros), np.linspace(7, 12, DRAWS - zeros))
-    ones = np.ones(DRAWS)
-    answer = Answer(
-        t=ones, y=ones, std=ones, crossings=ones, delays=delays, settlings=ones, peaks=ones,
-        none=zeros / DRAWS,
-    )  # fmt: skip
+    answer = _answer_of(delays, zeros / DRAWS)
 
     low, high = answer.dead_time_interval
 
