@@ -102,14 +102,11 @@ def test_markup_in_an_answer_is_text(tmp_path: Path) -> None:
     wild = '#image("/etc/passwd") *a* $x$ \\ #panic() `b'
     given = Answers(
         students=(Student(name="#panic()", registration_number="*1*"),),
-        reasons={"2.1": f"{wild}\nsame\n\nnext", "3.5": "no recording"},
+        reasons={"2.1": wild},
     )
 
     handout_report(handout_study(), tmp_path / "r.pdf", answers=given, source=tmp_path / "source")
 
     values = json.loads((tmp_path / "source" / "data.json").read_text(encoding="utf-8"))
-    reasons = {s["number"]: s["reasons"] for s in values["sections"]}
-    assert reasons["2.1"] == [f"{wild} same", "next"]
-    assert reasons["3.5"] == ["no recording"]
-    assert reasons["2.2"] == []
+    assert [s["reasons"] for s in values["sections"] if s["number"] == "2.1"] == [[wild]]
     assert [text for _, text in values["cover"]["fields"]] == ["#panic()", "*1*", "", "", ""]

@@ -364,7 +364,7 @@ def test_the_values_of_the_report_contain_names_and_reasons(
     step = three[0]
     given = Answers(
         students=(Student(name="Ada", registration_number="1"), Student(name="Bo")),
-        reasons={"2.1": "why\nnot\n \t\n\nfor  all\n", "4.4": "so"},
+        reasons={"2.1": "why\nnot\n \t\n\nfor  all\n", "3.5": "none", "4.4": "so"},
     )
     source = tmp_path / "source"
 
@@ -373,7 +373,7 @@ def test_the_values_of_the_report_contain_names_and_reasons(
 
     told = json.loads((source / "data.json").read_text())
     reasons = {s["number"]: s["reasons"] for s in told["sections"] if s["reasons"]}
-    assert reasons == {"2.1": ["why not", "for all"], "4.4": ["so"]}
+    assert reasons == {"2.1": ["why not", "for all"], "3.5": ["none"], "4.4": ["so"]}
     assert [s["number"] for s in told["sections"] if s["level"] == 2] == ASSIGNMENTS
     assert [text for _, text in told["cover"]["fields"]] == ["Ada", "1", "Bo", "", ""]
     about = [f"200 at 10{NBSP}ms", "0", str(step.hidden), step.short_hash]

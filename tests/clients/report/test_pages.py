@@ -120,6 +120,7 @@ def test_figures_and_tables_are_numbered_in_their_order_and_mentioned(either: Ma
 def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_study: Made) -> None:
     account, values = of_study.account, of_study.values
 
+    assert 3 <= len(of_study.pages) <= 6
     headings = {text.strip("[]"): page for text, page in account["headings"]}
     assert list(headings) == [
         *("Results", "Data", "Models", "Validation", "Comparison with the physics"),
