@@ -353,28 +353,44 @@ def _say_next(kind: str, first: Path, rig: str) -> None:
         say_next(f"collect {kind}", file=typed(first))
 
 
-def record(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Remote:
+    """Rigs to record, and the files to write."""
+
     source: str | None = chosen(
         None,
         "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
         "[client] connect, or for one rig the daemon on this machine",
         names="--from --connect ENDPOINT",
-    ),
-    rigs: list[str] | None = chosen(None, "Id of a rig; repeatable.", "1", names="--rig"),
-    every: bool = chosen(
-        False, "Record every rig, including rigs that start later.", names="--all"
-    ),
+    )
+    rigs: list[str] | None = chosen(None, "Id of a rig; repeatable.", "1", names="--rig")
+    every: bool = chosen(False, "Record every rig, including rigs that start later.", names="--all")
     out: Path | None = chosen(
         None,
         "File to write; for several rigs, folder for the files.",
         "RIG-remote-TIME.mcap, here",
         names="-o FILE",
-    ),
+    )
     seconds: float | None = chosen(
         None, "Length of the recording, in s.", "until Ctrl-C", metavar="S"
-    ),
-    json: Json = False,
-) -> None:
+    )
+    json: Json = False
+
+    def __post_init__(self) -> None:
+        """Refuse a wrong length, wrong ids, and --all with --rig."""
+        from armrig_core.telemetry.topics import check_own_id
+
+        if self.seconds is not None and not self.seconds > 0:
+            raise InputError(f"--seconds {self.seconds:g}: must be more than 0")
+        for name in self.rigs or ():
+            check_own_id(name)
+        if self.every and self.rigs:
+            raise InputError(
+                f"--all with --rig {self.rigs[0]}: give only one; --all records every rig"
+            )
+
+
+def record(remote: Annotated[_Remote, group(_Remote)]) -> None:
     """Record all that a rig publishes, until Ctrl-C.
 
     The connection to the rig's daemon may be a socket or a network.
@@ -389,35 +405,20 @@ def record(
     A new file begins if the daemon restarts or the sampling time changes. A new file also begins
     after 8 388 608 samples, or if more than 200 000 samples of the current file are missing.
     """
-    from armrig_core.telemetry.topics import check_own_id
-
-    if seconds is not None and not seconds > 0:
-        raise InputError(f"--seconds {seconds:g}: must be more than 0")
-    for name in rigs or ():
-        check_own_id(name)
-    if every and rigs:
-        raise InputError(f"--all with --rig {rigs[0]}: give only one; --all records every rig")
     with until_signal() as ended:
-        if every or len(rigs or ()) > 1:
-            record_many(source, rigs, out, seconds, ended, json=json)
+        if remote.every or len(remote.rigs or ()) > 1:
+            record_many(remote, ended)
         else:
-            _record_one(source, (rigs or ["1"])[0], out, seconds, ended, json=json)
+            _record_one(remote, ended)
 
 
-def _record_one(
-    source: str | None,
-    rig: str,
-    out: Path | None,
-    seconds: float | None,
-    ended: SignalPipe,
-    *,
-    json: bool,
-) -> None:
+def _record_one(remote: _Remote, ended: SignalPipe) -> None:
     from armrig.rig.remote_recording import RemoteRecorder, RemoteRecording, recorder_ended
     from armrig.rig.session import no_reply, open_connection
 
-    path = _new_file(out or Path(default_name(rig)))
-    connection = open_connection(source, rig=rig)
+    rig = (remote.rigs or ["1"])[0]
+    path = _new_file(remote.out or Path(default_name(rig)))
+    connection = open_connection(remote.source, rig=rig)
     where = connection.endpoint
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
     how = COMPLETE
@@ -429,7 +430,7 @@ def _record_one(
             if not recorder.begin():
                 raise no_reply(rig, where)
             inform(f"recording rig {rig} from {where}; Ctrl-C ends it")
-            recorder.record(ended, seconds)
+            recorder.record(ended, remote.seconds)
         except (RuntimeError, OSError) as err:
             how = recorder_ended(err)
             raise
@@ -438,8 +439,8 @@ def _record_one(
     if not recording.done:
         raise OperationError(f"rig {rig} at {where} published no sample, so there is no recording")
     facts = {"recordings": [*map(_recorded_facts, recording.done)]}
-    print_result(facts, *map(_recorded_line, recording.done), json=json)
-    if not json:
+    print_result(facts, *map(_recorded_line, recording.done), json=remote.json)
+    if not remote.json:
         say_next("record", file=typed(recording.done[-1].path))
 
 
@@ -478,25 +479,17 @@ def default_name(rig: str) -> str:
     return f"{rig}-remote-{time.strftime('%Y%m%dT%H%M%S')}.mcap"
 
 
-def record_many(
-    source: str | None,
-    rigs: list[str] | None,
-    out: Path | None,
-    seconds: float | None,
-    ended: SignalPipe,
-    *,
-    json: bool,
-) -> None:
-    """Record rigs at an endpoint into files in the folder `out`; `rigs` is None for all rigs."""
+def record_many(remote: _Remote, ended: SignalPipe) -> None:
+    """Record several rigs at an endpoint into files in a folder."""
     from armrig.lab.fleet_recorder import FleetRecorder
     from armrig.rig.session import configured_connect, open_endpoint
 
-    where = source or configured_connect()
+    where, rigs = remote.source or configured_connect(), remote.rigs
     if not where:
         raise InputError(
             "--from is missing: give the endpoint of a router, such as tls/lab.local:7447"
         )
-    folder = out or Path()
+    folder = remote.out or Path()
     folder.mkdir(parents=True, exist_ok=True)
     with open_endpoint(where).session as session:
         if ended.is_set():  # during loading and connecting
@@ -506,14 +499,14 @@ def record_many(
         )
         named = "all rigs" if rigs is None else f"rigs {', '.join(rigs)}"
         inform(f"recording {named} from {where}; Ctrl-C ends it")
-        recorded = recorder.record(ended, seconds, rigs)
+        recorded = recorder.record(ended, remote.seconds, rigs)
     files = [(one.rig, file) for one in recorded for file in one.files]
     failed = [one for one in recorded if one.why]
     facts = {
         "recordings": [{"rig": rig} | _recorded_facts(file) for rig, file in files],
         "failed": [fields_of(one, "rig why") for one in failed],
     }
-    print_result(facts, *(_recorded_line(file) for _, file in files), json=json)
+    print_result(facts, *(_recorded_line(file) for _, file in files), json=remote.json)
     if failed:
         names = ", ".join(one.rig for one in failed)
         raise OperationError(

@@ -251,7 +251,7 @@ def test_a_remote_recording_reports_the_reason_of_its_end(
     stopped: Any = SimpleNamespace(is_set=lambda: False)
 
     def run() -> None:
-        runs._record_one("E", "7", None, 2.5, stopped, json=False)
+        runs._record_one(runs._Remote(source="E", rigs=["7"], seconds=2.5), stopped)
 
     if error is None:
         run()
