@@ -170,9 +170,9 @@ def test_every_message_published_before_the_end_is_recorded(where: str, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["-o", "a.txt"], "-o a.txt: the name of a recording ends in .mcap"),
+        (["-o", "a.txt"], "-o a.txt: a recording is an MCAP file; give a name that ends in .mcap"),
         (["-o", "there.mcap"], "there.mcap exists; give another name"),
-        (["-o", "none/a.mcap"], "No such file or directory"),
+        (["-o", "none/a.mcap"], "-o none/a.mcap: there is no directory none; create it first"),
         (["--rig", "9"], "no reply from rig 9"),
     ],
 )
