@@ -196,17 +196,6 @@ def test_a_number_that_is_too_large_or_too_small_is_refused_by_its_name() -> Non
     assert as_dataset(hidden) is hidden
 
 
-def test_the_repr_of_a_dataset_has_one_line() -> None:
-    """Missing samples are a share of all samples."""
-    data = ramp(8, valid=np.arange(8) > 1, output="alpha", unit="rad", history=("made",))
-
-    alone = "<Dataset: 8 samples at 0.1 s; output alpha [rad]; 2 missing (25.0 %); history: made>"
-    assert repr(data) == alone
-    assert repr(merge([ramp(2), ramp(3)])).startswith(
-        "<Dataset: 5 samples at 0.1 s; output y; 2 experiments; history: merged 2 parts"
-    )
-
-
 @SHAPES
 def test_many_merged_parts_are_listed_up_to_the_eighth(make: Make) -> None:
     parts = [make(n + 1, source=f"{n % 2}{n % 2}") for n in range(1, 10)]

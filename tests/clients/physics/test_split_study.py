@@ -15,20 +15,6 @@ from matplotlib.figure import Figure
 from tests.clients.chassis_data import Make, Ts, angle
 
 
-@pytest.mark.exhaustive
-def test_the_standard_deviation_follows_the_law(make: Make) -> None:
-    """The mean of sd sqrt(N) over 5 runs is the same for 1, 2 and 4 parts within 10 %."""
-    scaled = np.mean(
-        [
-            [s.scaled_std for s in armrig.split_study(make(seed), (1, 2, 4)).splits]
-            for seed in range(5)
-        ],
-        axis=0,
-    )
-
-    np.testing.assert_allclose(scaled / scaled[0], 1.0, atol=0.1)
-
-
 def test_each_part_has_the_estimate_of_its_slice(make: Make) -> None:
     data = make(N=2000)
     valid = np.arange(2000) >= 100

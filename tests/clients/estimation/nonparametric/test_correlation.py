@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.correlation import Correlation, correlation
 from armrig.numerics.polynomial import filtered
-from numpy.typing import NDArray
 
 from tests.sampling import sampled
 
@@ -93,17 +91,6 @@ def test_correlations_outside_the_band_are_counted_before_and_after_lag_0(
         f"  first lag >= 0 outside: {first}; {before} of 3 negative lags outside (feedback, if "
         "more than chance)",
     ]
-
-
-def test_the_response_of_the_dryer_begins_at_lag_3(
-    reference: Callable[[str], NDArray[np.float64]],
-) -> None:
-    u, y = reference("dryer.dat").T
-
-    found = correlation(Dataset(u=u, y=y, Ts=0.08))
-
-    assert found.lags[np.abs(found.g) > found.band()][0] == 3
-    assert "first lag >= 0 outside: 3" in repr(found)
 
 
 def test_a_constant_input_and_too_many_lags_are_refused() -> None:

@@ -90,22 +90,6 @@ def test_a_step_through_converter_and_dead_band_gives_the_sampling_time_of_the_a
     assert 50 < found.omega_spectrum < 80
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("Ts", "N"), sampled([(0.002, 5000), (0.001, 5000)]))
-def test_a_telegraph_signal_is_not_analysed_as_steps(
-    sampled: Callable[[float], Any], Ts: float, N: int
-) -> None:
-    """Most holds end before the arm settles."""
-    seed = 1 if Ts < 0.002 else 2
-
-    found = sampling_time(sampled(Ts).dataset(telegraph(N, 5 * Ts, seed=seed), 1e-3, seed))
-
-    assert not found.from_step
-    assert found.Ts in (0.002, 0.005)
-    assert found.tau == pytest.approx(0.0205, rel=0.2)
-    assert 0.3 < found.settling < 0.5
-
-
 def test_data_with_gaps_and_steps_give_the_sampling_time_of_the_arm(arm: Any) -> None:
     data = arm.telegraph()
     holed = data.replaced(step=None, valid=np.random.default_rng(1).random(data.N) > 0.1)

@@ -132,13 +132,6 @@ def test_only_real_roots_determine_the_limit() -> None:
     assert _positive_roots(np.array([-4.0, 6.0, -4.0, 1.0])) == pytest.approx([2.0])
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_system_twice_as_fast_needs_half_the_step(method: str, params: ArmParameters) -> None:
-    A, _, _ = arm_matrices(params)
-
-    assert stability_limit(2 * A, method) == pytest.approx(stability_limit(A, method) / 2)
-
-
 @pytest.mark.parametrize("name", ["A", "B", "x0"])
 def test_a_complex_system_is_refused(name: str) -> None:
     """The imaginary parts were dropped, which doubled the step."""
