@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armrig.data.columns import Vector
+from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.criteria import Criterion
 from armrig.plots.captions import NAMES, legend, sign
 from armrig.plots.layout import (
@@ -220,9 +221,3 @@ def _about(ax: Axes, y: Vector) -> None:
 
 def _name(output: str) -> str:
     return NAMES.get(output, output)
-
-
-def gain_unit(result: Any, *, rate: bool = False) -> str:
-    """Return the unit of y per unit of u."""
-    unit = f"{result.unit}/s" if rate and result.unit else result.unit
-    return f"{unit or '–'}/{result.input_unit}" if result.input_unit else unit or "–"

@@ -43,6 +43,12 @@ def labels(of: Any) -> dict[str, Any]:
     return {name: getattr(of, name) for name in ("Ts", "output", "unit", "input_unit", "source")}
 
 
+def gain_unit(result: Any, *, rate: bool = False) -> str:
+    """Return the unit of y, or of its rate, per unit of u."""
+    unit = f"{result.unit}/s" if rate and result.unit else result.unit
+    return f"{unit or '–'}/{result.input_unit}" if result.input_unit else unit or "–"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SpectralEstimate:
     """Estimate of G(exp(i omega Ts)) at some frequencies, with standard deviations if known."""
@@ -251,7 +257,7 @@ def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes
         ticks = 90 * np.arange(np.floor(phase.min() / 90), np.ceil(phase.max() / 90) + 1)
         below.set_yticks(ticks[:: max(1, ticks.size // 6)])
         below.set_ylim(phase.min() - 60, phase.max() + 60)
-    ax.set_ylabel(f"$|G|$ [dB re 1 {_gain(estimate)}]")
+    ax.set_ylabel(f"$|G|$ [dB re 1 {gain_unit(estimate)}]")
     below.set_ylabel("arg $G$ [°]")
     decibel_ticks(ax)
     below.set_xlabel(r"$\omega$ [rad/s]")
@@ -271,8 +277,3 @@ def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes
 
 def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.full(int(np.count_nonzero(known)), np.nan) if x is None else np.asarray(x[known])
-
-
-def _gain(estimate: SpectralEstimate) -> str:
-    unit = estimate.unit or "–"
-    return f"{unit}/{estimate.input_unit}" if estimate.input_unit else unit

@@ -9,8 +9,8 @@ import numpy as np
 
 from armrig.data.dataset import Signals
 from armrig.data.figures import without_ramp
-from armrig.estimation.figures import gain_unit
 from armrig.models.equation import Labels
+from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.quantities import NBSP, error, minus, p_relation
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
 from armrig.plots.captions import legend, named, sign

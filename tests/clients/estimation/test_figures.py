@@ -2,30 +2,8 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
-import pytest
-from armrig.estimation.figures import (
-    _with_gaps,
-    gain_unit,
-)
-
-
-@pytest.mark.parametrize(
-    ("unit", "input_unit", "rate", "text"),
-    [
-        ("rad", "V", False, "rad/V"),
-        ("rad", "V", True, "rad/s/V"),
-        ("rad", "", True, "rad/s"),
-        ("", "V", True, "–/V"),
-        ("", "", False, "–"),
-    ],
-)
-def test_the_unit_of_again_unit_is_that_of_y_per_unit_of_u(
-    unit: str, input_unit: str, rate: bool, text: str
-) -> None:
-    assert gain_unit(SimpleNamespace(unit=unit, input_unit=input_unit), rate=rate) == text
+from armrig.estimation.figures import _with_gaps
 
 
 def test_lines_of_a_figure_are_interrupted_by_gaps() -> None:

@@ -2,12 +2,37 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from armrig.models.spectral_estimate import high_band, high_slope, log_slope, low_slope, phase_delay
+from armrig.models.spectral_estimate import (
+    gain_unit,
+    high_band,
+    high_slope,
+    log_slope,
+    low_slope,
+    phase_delay,
+)
 from matplotlib.figure import Figure
 
 from tests.clients.models.made_fits import made_estimate
+
+
+@pytest.mark.parametrize(
+    ("unit", "input_unit", "rate", "text"),
+    [
+        ("rad", "V", False, "rad/V"),
+        ("rad", "V", True, "rad/s/V"),
+        ("rad", "", True, "rad/s"),
+        ("", "V", True, "–/V"),
+        ("", "", False, "–"),
+    ],
+)
+def test_the_unit_of_a_gain_is_that_of_y_per_unit_of_u(
+    unit: str, input_unit: str, rate: bool, text: str
+) -> None:
+    assert gain_unit(SimpleNamespace(unit=unit, input_unit=input_unit), rate=rate) == text
 
 
 def test_the_phase_continues_after_an_unknown_frequency() -> None:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.estimation.figures import gain_unit, label_coefficients
+from armrig.estimation.figures import label_coefficients
+from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.plots.captions import NAMES, legend, sign
