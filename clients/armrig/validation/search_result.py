@@ -92,17 +92,19 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scored:
-    """A candidate and its error on the validation data."""
+    """A candidate and its errors on data that did not estimate it."""
 
     candidate: Candidate
     """Structure and orders."""
     fit: Fit | None
-    """The model; None if the estimate failed."""
+    """The model, estimated from the first half if the data were halved; None if this failed."""
     reason: str
     """Reason why there is no usable model, or ""."""
     error: Vector
-    """y - ŷ on the validation data, (N,) or (N, ny), NaN where it is unknown; empty without a
-    model."""
+    """y - ŷ on other data, (N,) or (N, ny), NaN where it is unknown; empty without a model. If the
+    data were halved, these are the errors on both halves."""
+    ahead: Vector
+    """The same errors one step ahead."""
 
     @property
     def model(self) -> Fit:
@@ -140,7 +142,7 @@ class SearchResult:
     >>> [scored.candidate.name for scored in found.ranked]
     ['OE[3 3 1]', 'OE[2 2 1]', 'ARX[3 3 1]', 'ARX[2 2 1]']
     >>> found.rms.round(3)
-    array([0.004, 0.034, 0.072, 0.11 ])
+    array([0.004, 0.034, 0.075, 0.115])
     """
 
     ranked: tuple[Scored, ...]
@@ -153,7 +155,7 @@ class SearchResult:
     excess_std: Vector
     """Standard error of `excess`, computed from the means of batches of samples, (n,)."""
     chosen_index: int
-    """Index of the simplest candidate within one standard error of the best."""
+    """Index of the chosen candidate."""
     failed: tuple[Scored, ...]
     """Candidates without a usable model."""
     doubts: tuple[Finding, ...]
@@ -163,8 +165,8 @@ class SearchResult:
     """Sentences on decisions that the search based on the data, such as an integrator or an
     offset."""
     halved: bool
-    """True if the first half of the data was used for estimation, the second for the ranking. The
-    chosen model was then estimated from all the data."""
+    """True if each half of the data estimated models that were ranked on the other half. The chosen
+    model was then estimated from all the data."""
     tests: ResidualTest
     """Tests of the chosen model's residuals on the validation data."""
     horizon: int | None
@@ -174,7 +176,7 @@ class SearchResult:
 
     @property
     def chosen(self) -> Scored:
-        """Simplest candidate within one standard error of the best."""
+        """The chosen candidate."""
         return self.ranked[self.chosen_index]
 
     @property
@@ -206,7 +208,7 @@ class SearchResult:
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).explain())
         - best simulation of the validation data: OE[3 3 1], rms error 0.0035... rad
         - chosen: the best, since no simpler model is within one standard error of it
-        - fewer parameters are not enough: OE[2 2 1] has 4, rms error 0.0341..., ...
+        - fewer parameters are not enough: OE[2 2 1] has 4, rms error 0.0338..., ...
         """
         doubts = [f"doubt about the data, {f.about}: {f.text}" for f in self.doubts]
         reasons = _reasons(self, warnings=warnings)
@@ -225,17 +227,17 @@ class SearchResult:
         >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).table())
-        4 models, simulated, ranked by their error on the second part of the data; the first ...
+        4 models, simulated, ranked by their error on the part of the data that did not ...
           model      parameters   rms [rad]  excess mean square ± se [rad²]
           OE[3 3 1]           6   0.0035...                                  <- chosen
-          OE[2 2 1]           4     0.0341...               0.0011... ± 0.00011
-          ARX[3 3 1]          6    0.072...
+          OE[2 2 1]           4     0.0338...               0.0011... ± 9.4e-05
+          ARX[3 3 1]          6    0.075...
         """
         what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)
         where = "validation data"
         if self.halved:
-            where = "second part of the data; the first estimated them"
+            where = "part of the data that did not estimate them"
         lines = [f"{count} models, {what}, ranked by their error on the {where}"]
         width = max(len(j.candidate.name) for j in self.ranked)
         unit = f" [{self.unit}]" if self.unit else ""
@@ -270,6 +272,8 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
     what = "simulation" if found.horizon is None else f"prediction {_ahead(found.horizon)}"
     of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
     yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
+    fewer = [k for k, j in enumerate(found.ranked) if j.parameters < chosen.parameters]
+    as_good = bool(found.within[fewer].any())
     if i:
         yield (
             f"chosen: {chosen.candidate.name}, {plural(chosen.parameters, 'parameter')} instead of "
@@ -277,9 +281,11 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
             f"{found.excess_std[i]:.2g}, within its standard error"
         )
     else:
-        yield "chosen: the best, since no simpler model is within one standard error of it"
-    fewer = [k for k, j in enumerate(found.ranked) if j.parameters < chosen.parameters]
-    if fewer:
+        why = "" if as_good else ", since no simpler model is within one standard error of it"
+        yield f"chosen: the best{why}"
+    if as_good:
+        yield "simpler models are within one standard error, but predict worse one step ahead"
+    elif fewer:
         k = fewer[0]
         yield (
             f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "

@@ -244,7 +244,7 @@ def test_unknown_families_and_impossible_orders_are_refused(
 def test_models_without_a_sample_in_common_are_not_compared() -> None:
     candidate = Candidate(family="arx", orders=(("na", 1), ("nb", 1)))
     scored = [
-        Scored(candidate=candidate, fit=None, reason="", error=np.array(error))
+        Scored(candidate=candidate, fit=None, reason="", error=np.array(error), ahead=np.ones(2))
         for error in ([0.1, np.nan], [np.nan, 0.1])
     ]
 
@@ -292,9 +292,10 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert found.chosen.candidate.order <= 3
     assert found.halved
     assert found.fit.estimated_from(data)
+    assert found.chosen.error.size == data.N  # each half was predicted by the other half's model
     again = armrig.oe(data, **dict(found.chosen.candidate.orders))
     assert [s.name for s in found.fit.starts] == [s.name for s in again.starts]
-    assert "the second part of the data" in found.table()
+    assert "the part of the data that did not estimate them" in found.table()
 
 
 def test_a_level_of_only_the_validation_data_is_estimated() -> None:

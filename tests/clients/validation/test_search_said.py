@@ -35,7 +35,9 @@ def scored(family: str, order: int, *, reason: str = "", **fields: Any) -> Score
     orders = (*((name, order) for name in names), ("nk", 1))
     candidate = Candidate(family=family, orders=orders)  # type: ignore[arg-type]
     none = np.zeros(0)
-    return Scored(candidate=candidate, fit=None if reason else fit, reason=reason, error=none)
+    return Scored(
+        candidate=candidate, fit=None if reason else fit, reason=reason, error=none, ahead=none
+    )
 
 
 def of_residuals(**fields: Any) -> Any:
@@ -172,11 +174,29 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict(outputs: int)
     np.testing.assert_allclose(excess_, excess)
     d = squares[order[1]] - squares[order[0]]
     means = np.asarray(batch_means(d))
-    expected = means.std(ddof=1) / np.sqrt(means.size)
+    batches = [means, means.reshape(-1, 2).mean(axis=1), means[:28].reshape(-1, 4).mean(axis=1)]
+    expected = max(m.std(ddof=1) / np.sqrt(m.size) for m in batches)
     assert excess_std[1] == pytest.approx(expected)
     assert excess_std[0] == pytest.approx(1e-18 * np.mean((y / std) ** 2))
     with pytest.raises(ValueError, match="read-only"):
         usable[0].error[0] = 1.0
+
+
+@pytest.mark.parametrize(("rate", "chosen"), [(1.0, 1), (2.0, 0)])
+def test_of_equally_good_simulations_the_best_predictor_is_chosen(rate: float, chosen: int) -> None:
+    """The errors one step ahead of the simpler model are `rate` times those of the other."""
+    rng = np.random.default_rng(4)
+    judged = Dataset(u=np.zeros(300), y=rng.standard_normal(300), Ts=1.0)
+    e = rng.standard_normal(300)
+    ranked = [replace(scored("oe", n), ahead=a * e) for n, a in ((3, 1.0), (1, rate))]
+
+    index = model_search._chosen(ranked, np.array([0.0, 0.1]), np.array([0.0, 0.2]), judged)
+
+    assert index == chosen
+    many = {"rms": np.array([0.5, 0.51]), "excess": np.array([0.0, 0.1])}
+    found = result(ranked=tuple(ranked), chosen_index=index, excess_std=np.array([0, 0.2]), **many)
+    told = "simpler models are within one standard error, but predict worse one step ahead"
+    assert (told in found.reasons) == (index == 0)
 
 
 def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendation:
