@@ -19,7 +19,7 @@ from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import infer, least_squares_residuals
 from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
-from armrig.numerics.regressors import ArxRows, arx_rows, complete
+from armrig.numerics.regressors import arx_rows, complete
 from armrig.numerics.stretches import Mask
 from armrig.numerics.whiteness import autoregression
 
@@ -38,15 +38,8 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     ----------
     data : Dataset
         N samples.
-    na : int
-        Number of a's, >= 0.
-    nb : int
-        Number of b's, >= 1.
-    nk : int, default 1
-        Number of samples before u reaches y; 0 means a direct term.
-    stable : bool, default False
-        Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
-        the fit reports the reflection.
+    na, nb, nk, stable
+        As in `arx`, for one output.
 
     Returns
     -------
@@ -85,8 +78,10 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
     inputs = [part.u for part in data.experiments()]
     whole = [p.block for p in parts]  # NaN in incomplete rows
-    y, theta = _by_least_squares(parts, orders)
+    d, y = na + nb, np.concatenate([p.y[p.usable] for p in parts])
     N = y.size
+    require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=N)
+    theta, *_ = _solved([p.Phi for p in parts], whole, orders)  # least squares
     Z = _instruments(inputs, theta, na=na, nb=nb, nk=nk)
     theta, *_ = _solved(Z, whole, orders)
     L, _ = autoregression(_left(whole, theta))
@@ -113,7 +108,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         nk=nk,
         covariance=found.covariance,
         covariance_robust=found.covariance_robust,
-        noise_covariance=np.array([[sse / (N - na - nb)]]),
+        noise_covariance=np.array([[sse / (N - d)]]),
         quality=(replace(found.quality[0], loss=sse / N, N=N, fit_percent=fit_percent(y, sse)),),
         Ts=data.Ts,
         findings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
@@ -122,26 +117,8 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     return with_stability_warning(fit)
 
 
-def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Array]:
-    """Return y of the complete rows, and the least-squares theta in y = Phi theta + e."""
-    Phi = np.vstack([p.Phi[p.usable] for p in parts])
-    y = np.concatenate([p.y[p.usable] for p in parts])
-    d = Phi.shape[1]
-    require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=y.size)
-    basis = orthonormal(Phi)
-    if basis.rank < d:
-        raise InputError(
-            f"{orders}: the data determine only {basis.rank} of {d} parameters; "
-            "lower the orders or excite with a richer input"
-        )
-    return y, basis.coefficients(y)
-
-
 def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:
-    """Return theta and residuals for a given A.
-
-    B is estimated by least squares, because u contains no noise.
-    """
+    """Return theta and residuals for a given A, with B by least squares, as u has no noise."""
     na = A.size - 1
     known = np.vstack([block[complete(block)] for block in blocks])
     left = known[:, -1] - known[:, :na] @ A[1:]
@@ -180,11 +157,7 @@ def _filtered(L: Array, block: Array) -> Array:
 def _solved(
     Z: Sequence[Array], blocks: Sequence[Array], orders: str
 ) -> tuple[Array, Array, Array, list[Array]]:
-    """Return theta with Z^T (y - Phi theta) = 0; NaN in a block [Phi, y] is an unknown value.
-
-    With Z = Q R the function also returns (Q^T Phi)^-1, Q with zeros in rows that are not used, and
-    the residuals.
-    """
+    """Return theta with Z^T (y - Phi theta) = 0, (Q^T Phi)^-1 and Q of Z = Q R, and residuals."""
     rows = [complete(z, block) for z, block in zip(Z, blocks, strict=True)]
     basis = orthonormal(np.vstack([z[r] for z, r in zip(Z, rows, strict=True)]))
     known = np.vstack([block[r] for block, r in zip(blocks, rows, strict=True)])
@@ -193,13 +166,11 @@ def _solved(
     scale = np.maximum(column_norms(projected[:, :-1]), np.finfo(float).tiny)
     if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1] / scale) < d:
         raise InputError(
-            f"{orders}: the instruments determine fewer than {d} parameters; "
+            f"{orders}: the data determine fewer than {d} parameters; "
             "lower the orders or excite with a richer input"
         )
     inverse = np.linalg.inv(projected[:, :-1])
     theta = inverse @ projected[:, -1]
-    e = [
-        np.where(r, block[:, -1] - block[:, :-1] @ theta, np.nan)
-        for block, r in zip(blocks, rows, strict=True)
-    ]
+    left = zip(rows, _left(blocks, theta), strict=True)
+    e = [np.where(r, v, np.nan) for r, v in left]
     return theta, inverse, basis.spread(np.concatenate(rows)).Q, e

@@ -365,5 +365,5 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
     with pytest.raises(ValueError, match=r"nk=2 with the gaps left out needs at least 9 .*, got 8"):
         iv4(seen[:11], na=2, nb=2, nk=2)
     assert iv4(seen, na=2, nb=2, nk=2).N == 9
-    with pytest.raises(ValueError, match=r"determine only|instruments determine"):
+    with pytest.raises(ValueError, match="the data determine fewer than 3 parameters"):
         iv4(Dataset(u=np.ones(50), y=bj_data(1).y[:50], Ts=1), na=1, nb=2)
