@@ -162,10 +162,8 @@ class GapProblem:
         The first entries of t move (Abar, C) along the tangent space V. The other entries change
         Bbar and K signal by signal, D row by row, and the initial states.
         """
-        n, ny = at.K.shape
-        nu = at.Bbar.shape[1]
-        sizes = [V.shape[1], n * (nu + ny), ny * nu * self.direct]
-        along, signals, direct, states = np.split(t, np.cumsum(sizes))
+        (n, ny), nu = at.K.shape, at.Bbar.shape[1]
+        along, signals, direct, states = np.split(t, self._ends(at, V)[:-1])
         change = V @ along
         columns = signals.reshape(nu + ny, n).T
         return Predictor(
@@ -176,6 +174,11 @@ class GapProblem:
             D=at.D + direct.reshape(ny, nu) if self.direct else at.D,
             x0=tuple(x + d for x, d in zip(at.x0, states.reshape(-1, n), strict=True)),
         )
+
+    def _ends(self, at: Predictor, V: Array) -> list[int]:
+        """Return the end in t of the changes of (Abar, C), (Bbar, K), D and the initial states."""
+        sizes = V.shape[1], at.Bbar.size + at.K.size, self.direct * at.D.size
+        return [*map(int, np.cumsum([*sizes, len(at.Abar) * len(at.x0)]))]
 
     def linearise(self, at: Predictor, V: Array, t: Array) -> tuple[Array, Array, Array, Array]:
         """Return the errors, their negative derivatives, the mean log det, and its derivatives.
@@ -196,13 +199,12 @@ class GapProblem:
             scale = np.exp(log / 2)
             return scale * z, scale * (J - 0.5 * np.outer(z, by_log))
 
-        def stable(t: Array) -> bool:
-            predictor = self.moved(at, V, t)
-            return stable_matrix(predictor.Abar)
-
-        n = at.Abar.shape[0]
-        size = V.shape[1] + at.Bbar.size + at.K.size + self.direct * at.D.size + n * len(at.x0)
-        found = levenberg_marquardt(linearise, np.zeros(size), admissible=stable, most=most)
+        found = levenberg_marquardt(
+            linearise,
+            np.zeros(self._ends(at, V)[-1]),
+            admissible=lambda t: stable_matrix(self.moved(at, V, t).Abar),
+            most=most,
+        )
         return self.moved(at, V, found.theta), found
 
     def residuals(self, at: Predictor) -> list[Array]:
@@ -224,14 +226,12 @@ class GapProblem:
         states, which are projected out. The covariance S(t) of the errors is held constant.
         """
         V = tangent(at.Abar, at.C)
-        states = at.Abar.shape[0] * len(self.parts)
-        size = V.shape[1] + at.Bbar.size + at.K.size + self.direct * at.D.size
-        _, J, _, _ = self.linearise(at, V, np.zeros(size + states))
-        sizes = np.cumsum([part.y.size for part in self.parts])[:-1]
-        free = np.split(J[:, size:], sizes)
-        bases = tuple(orthonormal(Z[:, Z.any(axis=0)]) for Z in free)
-        pairs = zip(bases, np.split(J[:, :size], sizes), strict=True)
-        return np.vstack([Z.without(by) for Z, by in pairs]), bases
+        *_, d, size = self._ends(at, V)
+        _, J, _, _ = self.linearise(at, V, np.zeros(size))
+        parts = np.split(J, np.cumsum([part.y.size for part in self.parts])[:-1])
+        bases = tuple(orthonormal(of[:, d:][:, of[:, d:].any(axis=0)]) for of in parts)
+        pairs = zip(bases, parts, strict=True)
+        return np.vstack([Z.without(of[:, :d]) for Z, of in pairs]), bases
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,21 +252,17 @@ def searched(
     signals: Sequence[tuple[Array, Array]], at: Predictor, Lambda: Array, *, direct: bool
 ) -> GapSearch:
     """Search from the predictor `at`, and estimate Lambda again after every few steps."""
-    last, iterations = np.inf, 0
+    problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)
+    value, iterations = np.inf, 0
     for _ in range(_MAX_ROUNDS):
-        problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)
         at, found = problem.minimise(at, most=_STEPS)
         iterations += found.iterations
-        e = np.vstack(problem.residuals(at))
+        e, (_, logs) = np.vstack(problem.residuals(at)), problem.errors([at])
         Lambda = pairwise_covariance(e)
-        value = np.isfinite(e).sum() * np.linalg.slogdet(Lambda)[1] / e.shape[1]
-        _, logs = problem.errors([at])
-        value += float(logs[0]) * np.isfinite(e).sum()
-        if abs(last - value) <= _LIKELIHOOD_TOLERANCE:
+        problem = replace(problem, parts=parts_of(signals, Lambda), Lambda=Lambda)
+        logdet = np.linalg.slogdet(Lambda)[1] / len(Lambda)
+        before, value = value, float((logdet + logs[0]) * np.isfinite(e).sum())
+        converged = abs(before - value) <= _LIKELIHOOD_TOLERANCE
+        if converged:
             break
-        last = value
-    converged = abs(last - value) <= _LIKELIHOOD_TOLERANCE
-    problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)
-    return GapSearch(
-        problem=problem, predictor=at, iterations=iterations, converged=bool(converged)
-    )
+    return GapSearch(problem=problem, predictor=at, iterations=iterations, converged=converged)

@@ -163,7 +163,9 @@ def test_the_filter_of_a_subspace_estimate_has_the_errors_of_the_search() -> Non
     np.testing.assert_allclose(scaled, gaps.residuals(model)[0], atol=2e-3)
 
 
-def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps() -> None:
+def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The search begins with a covariance that is nine times too large."""
     rng = np.random.default_rng(4)
     u, e = rng.standard_normal((2, 60, 1))
@@ -179,6 +181,9 @@ def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps() -> None:
     assert found.iterations > 0
     assert found.problem.Lambda[0, 0] == pytest.approx(np.nanmean(left**2), rel=1e-2)
     assert found.problem.Lambda[0, 0] == pytest.approx(1.0, abs=0.5)
+
+    monkeypatch.setattr("armrig.estimation.state_space_gaps._MAX_ROUNDS", 1)
+    assert not searched([(u, y)], at, 9.0 * one, direct=False).converged
 
 
 def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
