@@ -16,6 +16,7 @@ from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, integrating, 
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative
 from armrig.estimation.error_process import error_process
 from armrig.estimation.estimated_outputs import origin
+from armrig.estimation.orders import as_text
 from armrig.estimation.stability import REFLECT, instability, reflection_warnings, unstable
 from armrig.estimation.state_space_fit import (
     Derivatives,
@@ -122,11 +123,10 @@ def n4sid(
         stable. For one output a search from the poles of the projection also minimises the
         simulation error over A. The result is an output-error model (`oe`) with a noise model. For
         several outputs the simulation error decides the horizon, and no search follows: for that,
-        use `ss` with noise=False. A model for simulation simulates better than the model of
-        "prediction" if the system is not exactly linear or not exactly of this order.
+        use `ss` with noise=False. The model simulates better than the model of "prediction" if the
+        system is not exactly linear or not exactly of this order.
     stable : bool, default False
-        Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
-        the fit reports the reflection.
+        As in `arx`.
     replicates : int, optional
         Number of replicates, from which the covariance is computed. For each replicate a data set
         is simulated by the model, and another model is estimated from this data set in the same
@@ -139,15 +139,13 @@ def n4sid(
     Returns
     -------
     Fit
-        Without replicates, `covariance` is the bound that a search attains for the same model. The
-        covariance of the subspace estimate is larger. In 200 simulations of an ARMAX system of
-        order 2 (N = 2000), the true standard deviations were 0.92 to 1.06 times the bound. For six
-        drawn systems of two inputs, two outputs and order 3 (N = 500, 50 simulations each) they
-        were on average 1.2 times the bound. The test of `whiteness` assumes that the model
-        minimises the one-step errors. The errors of a subspace estimate have a bias that does not
-        decrease with N. Therefore the test rejects whiteness too often if the data are long. For a
-        Box-Jenkins system of order 3 (N = 1000) the test at the level 5 % rejected whiteness in 10
-        of 100 simulations.
+        Without replicates, `covariance` is the bound that a search attains for the same model. In
+        200 simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were
+        0.92 to 1.06 times the bound. For six drawn systems of two inputs, two outputs and order 3
+        (N = 500, 50 simulations each) they were on average 1.2 times the bound. The test of
+        `whiteness` assumes that the model minimises the one-step errors, but the errors of a
+        subspace estimate have a bias that does not decrease with N. For a Box-Jenkins system of
+        order 3 (N = 1000) the test at the level 5 % rejected whiteness in 10 of 100 simulations.
 
     Raises
     ------
@@ -240,12 +238,7 @@ def _replicated(
     replicates: int,
     seed: int,
 ) -> Array:
-    """Return the covariance of the parameters over estimates from data that the model simulates.
-
-    The state of each replicate has its own coordinates, but impulse responses do not depend on
-    coordinates. Each replicate is therefore replaced by the change of the parameters that
-    reproduces the impulse responses of the replicate.
-    """
+    """Return the covariance of the parameters over estimates from data that the model simulates."""
     rng, at = np.random.default_rng(seed), found.at
     process = error_process(found.errors)
     same = replace(options, order=len(at.Abar), horizon=found.model.horizon)
@@ -257,6 +250,7 @@ def _replicated(
             for (u, y), x0 in zip(signals, at.x0, strict=True)
         ]
         samples.append(estimated(data, same).at.impulses(length))
+    # Impulse responses, unlike parameters, do not depend on the coordinates of each replicate.
     spread = np.array(samples) - np.mean(samples, axis=0)
     columns = [
         (by.moved(at, step).impulses(length) - by.moved(at, -step).impulses(length)) / (2 * _STEP)
@@ -300,8 +294,7 @@ def _fit(
         form, T = matrices(found.at, by, *scales, delays)
         inferred = inferred.transformed(T)
         notes = [*notes, *instability(form), *_poor_fits(data, inferred.quality)]
-        nk = delays[0] if len(set(delays)) == 1 else list(delays)
-        specification = f"order={len(form.A)}, nk={nk}"
+        specification = as_text(order=len(form.A), nk=delays)
     return Fit(
         structure="n4sid",
         specification=specification,
@@ -322,10 +315,7 @@ def _fit(
 def _observer_form(
     found: SubspaceEstimate, by: Derivatives, nk: int, options: SubspaceOptions, gain: float
 ) -> tuple[Polynomials, Array]:
-    """Return A y = B u + C e, whose polynomials are entries of the observer form.
-
-    Then return the derivatives of its theta. `gain` is the scale of y divided by the scale of u.
-    """
+    """Return A y = B u + C e from the observer form, and the derivatives of its theta."""
     at = found.at
     A, C = np.append(1.0, -found.model.A[:, 0]), np.append(1.0, -at.Abar[:, 0])
     D, by_a, by_D = at.D[0, 0], -by.A[:, :, 0], by.D[:, 0]
@@ -376,10 +366,7 @@ def _poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[Find
 
 
 def _may_integrate(data: Dataset, z: complex) -> bool:
-    """Return whether the pole z may be an integrator.
-
-    If |z| > 1, y must also be known to integrate.
-    """
+    """Return whether the pole z may be an integrator; outside the circle y must integrate."""
     return abs(z - 1) < _MAX_DISTANCE_FROM_1 and (abs(z) <= 1 or data.output in INTEGRATING_OUTPUTS)
 
 

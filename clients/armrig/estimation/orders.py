@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset, Signals
 from armrig.models.structure import Structure
@@ -105,16 +105,14 @@ def integrating_outputs(
     return tuple(name in names for name in outputs)
 
 
-def as_text(**orders: Integers) -> str:
+def as_text(**orders: ArrayLike) -> str:
     """Return orders as text; if all channels have the same order, the text has one number."""
-    return ", ".join(f"{name}={_short(value)}" for name, value in orders.items())
+    return ", ".join(f"{name}={_short(np.asarray(value))}" for name, value in orders.items())
 
 
 def _short(value: Integers) -> str:
-    flat = value.ravel()
-    if flat.size and (flat == flat[0]).all():
-        return str(int(flat[0]))
-    return str(value.tolist()).replace(" ", "")
+    same = (value == value.flat[0]).all()
+    return str(value.flat[0]) if same else str(value.tolist()).replace(" ", "")
 
 
 def checked_orders(

@@ -14,7 +14,7 @@ from armrig.estimation.data_faults import require_informative
 from armrig.estimation.estimated_outputs import origin
 from armrig.estimation.fit_warnings import not_converged
 from armrig.estimation.n4sid import order_of
-from armrig.estimation.orders import require_samples
+from armrig.estimation.orders import as_text, require_samples
 from armrig.estimation.search import ranked
 from armrig.estimation.stability import instability
 from armrig.estimation.state_space_fit import derivatives, inference, influence, matrices
@@ -169,10 +169,10 @@ def ss(
     best = ends[0]
     problem = _weighted(problem, best.Lambda)
     linear = problem.linear(best.Abar, best.C)
-    if linear.rank < linear.X.shape[1]:
+    if linear.basis.rank < linear.basis.d:
         raise InputError(
-            f"order={n}: the data determine only {linear.rank} of {linear.X.shape[1]} entries of "
-            "B, D and K; lower the order or excite with richer inputs"
+            f"order={n}: the data determine only {linear.basis.rank} of {linear.basis.d} entries "
+            "of B, D and K; lower the order or excite with richer inputs"
         )
     predictor = linear.at
     if gaps:
@@ -197,7 +197,7 @@ def ss(
     notes = [] if best.converged else [not_converged(best.iterations)]
     return Fit(
         structure="ss",
-        specification=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
+        specification=as_text(order=n, nk=delays) + ("" if noise else ", noise=False"),
         form=form,
         output_weights=weights,
         converged=best.converged,
@@ -236,10 +236,6 @@ def _weights(given: Sequence[float] | None, data: Signals) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
-def _short(delays: tuple[int, ...]) -> str:
-    return str(delays[0]) if len(set(delays)) == 1 else str(list(delays)).replace(" ", "")
-
-
 def _weighted(problem: StateSpaceProblem, Lambda: Array) -> StateSpaceProblem:
     parts = tuple(replace(p, weights=whitening(Lambda, p.rows)) for p in problem.parts)
     return replace(problem, parts=parts)
@@ -248,12 +244,7 @@ def _weighted(problem: StateSpaceProblem, Lambda: Array) -> StateSpaceProblem:
 def _searched(
     problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]], criterion: _Criterion
 ) -> list[_End]:
-    """Return the results of the searches from all start values, best first.
-
-    Every search runs for some rounds. Further searches start from the best model with one mode
-    moved, as long as the criterion decreases. For long data all these searches use a part of the
-    data. Finally the best searches continue on all data until they converge.
-    """
+    """Return the searches from start values and moved modes on a part, continued on all data."""
     part = _part(problem)
     ends = _tried(part, _begun(part, starts(problem, signals), criterion), criterion)
     for _ in range(_MAX_MOVES):
