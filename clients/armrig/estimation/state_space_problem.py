@@ -53,12 +53,8 @@ class Linear:
 
     at: Predictor
     """Predictor with these parameters; what is not estimated is 0, or given."""
-    rank: int
-    """Number of linear parameters that the data determine."""
     basis: Basis
-    """Basis of the columns of `X`."""
-    X: Array
-    """Whitened responses to Bbar, K and D, with the responses to x0 projected out."""
+    """Basis of the whitened responses to Bbar, K and D, with the responses to x0 projected out."""
     states: tuple[Basis, ...]
     """Basis of the whitened responses to x0 of each experiment."""
     e: Array
@@ -98,8 +94,7 @@ class StateSpaceProblem:
             raw.append(both)
             left.append(without(Z, both))
         both = stacked(left)
-        whole, right = both[:, :-1], both[:, -1]
-        basis = orthonormal(whole)
+        basis, right = orthonormal(both[:, :-1]), both[:, -1]
         theta = basis.coefficients(right)
         if given is not None:
             theta = np.concatenate([given[0].T.ravel(), given[1].ravel()[: theta.size - n * nu]])
@@ -116,24 +111,12 @@ class StateSpaceProblem:
             x0=tuple(x[:n] for x in first),
             levels=tuple(x[n:] for x in first if self.level),
         )
-        return Linear(
-            at=at,
-            rank=basis.rank,
-            basis=basis,
-            X=whole,
-            states=tuple(states),
-            e=basis.without(right),
-        )
+        return Linear(at=at, basis=basis, states=tuple(states), e=basis.without(right))
 
     def _responses(
         self, part: Part, at: Predictor, signals: Array, moved: tuple[Array, ...] = ()
     ) -> tuple[Array, Array]:
-        """Return the outputs (k, ny, N) due to each linear parameter, and to the initial state.
-
-        The inputs of the linear parameters are `signals`. With the states and the directions
-        `moved`, the outputs due to directions of Abar and C precede those of the parameters. With
-        `level` the second outputs also contain those due to constant offsets.
-        """
+        """Return the responses (k, ny, N) to (Abar, C) and the parameters, and to the state."""
         (n, ny), of_D = at.K.shape, part.u if self.direct else None
         if part.rows.all() or not at.K.any():
             driven, free = state_responses(signals, at.Abar, at.C, direct=of_D)
@@ -173,9 +156,9 @@ class StateSpaceProblem:
         """Return the derivatives (d, ny, N) of yhat in experiment i, and the other responses.
 
         The derivatives are with respect to (Abar, C) in the given directions, then to the entries
-        of Bbar, and of K with fixed A and B, signal by signal. The last ones are those of D, row by
-        row. The other responses are those to the initial state and to offsets. The changes of the
-        gains of a Kalman filter after a missing output are neglected.
+        of Bbar, and of K with fixed A and B, signal by signal. Those of D follow, row by row. The
+        other responses are those to the initial state and to offsets. The changes of the gains of a
+        Kalman filter after a missing output are neglected.
         """
         part, K = self.parts[i], at.K
         yhat = at.predicted(part, i)
@@ -256,19 +239,12 @@ def whitened(part: Part, columns: Array) -> Array:
 
 
 def basis_of_states(part: Part, free: Array) -> Basis:
-    """Return the basis of the whitened responses (k, ny, N) to the initial state and to offsets.
-
-    The last rows are left out of the decomposition if the responses have settled to 0.
-    """
+    """Return the basis of the whitened responses (k, ny, N) to the initial state and to offsets."""
     Z = whitened(part, free)
     used = np.flatnonzero(Z.any(axis=1))
-    last = used[-1] + 1 if used.size else 0
-    if last == len(Z):
-        return orthonormal(Z)
+    last = used[-1] + 1 if used.size else 0  # the rows after it have settled to 0
     basis = orthonormal(Z[:last])
-    Q = np.zeros((len(Z), basis.rank))
-    Q[:last] = basis.Q
-    return replace(basis, Q=Q)
+    return basis if last == len(Z) else basis.spread(np.arange(len(Z)) < last)
 
 
 def without(basis: Basis, M: Array) -> Array:
@@ -298,12 +274,11 @@ def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
 
 
 def directions(Abar: Array, C: Array) -> Array:
-    """Return the directions (n (n + ny), n ny) of Abar and C that change the model.
-
-    In observer form they are the entries of the first column of Abar.
-    """
+    """Return the directions (n (n + ny), n ny) of Abar and C that change the model."""
+    if not in_observer_form(Abar, C):
+        return tangent(Abar, C)
     n = len(Abar)
-    return np.eye(n * (n + 1))[:, : n * n : n] if in_observer_form(Abar, C) else tangent(Abar, C)
+    return np.eye(n * (n + 1))[:, : n * n : n]  # the entries of the first column of Abar
 
 
 def tangent(A: Array, C: Array) -> Array:

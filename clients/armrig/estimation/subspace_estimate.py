@@ -224,12 +224,11 @@ def completed(
     direct: bool,
     given: tuple[Array, Array] | None = None,
 ) -> tuple[Predictor, list[Array], tuple[Basis, ...]]:
-    """Return the predictor whose B, D and initial states minimise the one-step errors.
+    """Return the predictor of least one-step errors, its predictions, and effects of the states.
 
-    Then return the predictions (N, ny) of each experiment, and the effects of the initial states on
-    them. Without the gains of a Kalman filter the error of a missing output is 0. With an
-    integrator, constant offsets of the signals are estimated, too. If B and D are `given`, only the
-    initial states and the offsets are estimated.
+    B, D, the initial states, and with an integrator constant offsets of the signals are estimated.
+    If B and D are `given`, they are not. Without the gains of a Kalman filter the error of a
+    missing output is 0.
     """
     problem = StateSpaceProblem(
         parts=tuple(parts),
@@ -242,11 +241,10 @@ def completed(
     found = problem.linear(
         model.Abar, model.C, None if given is None else (given[0] - model.K @ given[1], given[1])
     )
-    d = found.X.shape[1]
-    if given is None and found.rank < d:
+    if given is None and found.basis.rank < found.basis.d:
         raise InputError(
-            f"u determines only {found.rank} of {d} numerator coefficients; lower the order or "
-            "excite with a richer input"
+            f"u determines only {found.basis.rank} of {found.basis.d} numerator coefficients; "
+            "lower the order or excite with a richer input"
         )
     predicted = [found.at.predicted(part, i) for i, part in enumerate(parts)]
     return found.at, predicted, found.states
@@ -262,16 +260,12 @@ def for_simulation(
 ) -> SubspaceEstimate:
     """Return the model with the B and D, and for one output the poles, of least simulation error.
 
-    The simulation error y - (B u + x(0)) / A is linear in B, D and x(0). For one output the search
-    over A starts from the poles of the projection, reflected into the unit circle. For several
-    outputs the poles do not change: a search over the n ny parameters of A and C often fits the
-    noise. It improved the simulation of data that were not used in six of nine trials, but made it
-    worse by a third in another.
+    The simulation error y - (B u + x(0)) / A is linear in B, D and x(0). For several outputs the
+    poles do not change. A search over the n ny parameters of A and C improved the simulation of
+    other data in six of nine trials, but made it worse by a third in another.
 
-    K is the candidate with the least one-step loss for the estimated A, B and D. The first
-    candidate is the gain of the projection. The second candidate is K by Hannan and Rissanen's
-    regressions on the simulation error, for one output. The third candidate is K = 0, which is
-    correct for white output noise.
+    K is the candidate with the least one-step loss. The candidates are the gain of the projection,
+    K = 0 (white output noise), and for one output K by Hannan and Rissanen's regressions.
     """
     model, parts, direct = found.model.stabilised(), unweighted(signals), options.direct
     one = len(model.C) == 1
@@ -307,10 +301,7 @@ def _without_past(a: Array, v: Array) -> Array:
 
 
 def _searched_poles(parts: tuple[Part, ...], model: Innovations, *, direct: bool) -> Array:
-    """Return A of least simulation error for one output, in observer form.
-
-    For given A the simulation error is linear in B, D and the initial state.
-    """
+    """Return A of least simulation error for one output, in observer form."""
     n = len(model.A)
     pole = np.array([1.0, -1.0]) if model.integrator else np.ones(1)
     start = np.append(1.0, -model.A[:, 0])
