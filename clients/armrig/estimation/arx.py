@@ -88,8 +88,7 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     Examples
     --------
     The noise of the example is added to the output, so that the residuals of this model are
-    coloured. `oe` and `bj` describe such noise. The table "When a model does not follow the data"
-    on the page of the handout lists what to try next.
+    coloured. `oe` and `bj` describe such noise.
 
     >>> data = armrig.example_recording().dataset("alpha")
     >>> fit = armrig.arx(data, na=3, nb=3)

@@ -138,13 +138,11 @@ class OrderTable:
     def best(self, criterion: Criterion | None = None) -> ArxOrders:
         """Return the orders that a criterion chooses.
 
-        The default criterion is "validation" if there are validation data, otherwise MDL.
-
-        The lowest of many validation losses is also low by chance, and often belongs to a structure
-        that is too large. Among the structures whose loss is close to the lowest loss, the
-        structure with the fewest parameters is therefore chosen. A loss is close if it exceeds the
-        lowest loss by at most one standard error of the difference [1]_. The other criteria contain
-        a penalty for each parameter, so the structure with the lowest value is chosen.
+        The default criterion is "validation" if there are validation data, otherwise MDL. The
+        lowest of many validation losses is also low by chance, and often belongs to a structure
+        that is too large. "validation" therefore chooses the fewest parameters among the structures
+        whose loss exceeds the lowest loss by at most one standard error of the difference [1]_. The
+        other criteria contain a penalty for each parameter, so their lowest value decides.
 
         In 200 simulations with 600 structures (N = 1000 for estimation and for validation) this
         rule chose the true orders na=2, nb=2, nk=1 in 73 % of the simulations. The lowest
@@ -318,10 +316,7 @@ def require_same_rate(Ts: float, validation_Ts: float) -> None:
 
 
 def _regressors(data: Parts, na: int, lags: range) -> tuple[list[Array], int, float]:
-    """Return blocks of rows [-y lagged, u lagged, y], the number of rows, and the variance of y.
-
-    With several inputs, the values of all inputs at one lag precede the values at the next lag.
-    """
+    """Return blocks of rows [-y, all inputs lag by lag, y], the number of rows, and var(y)."""
     blocks, known = [], []
     for u, y in data:
         inputs = np.stack([past(x, lags) for x in u.T], axis=-1).reshape(y.size, -1)
@@ -349,14 +344,9 @@ def _columns(na: int, nk: int, nb: int, most: int, lags: range, nu: int) -> Inte
 def _losses(
     R: Array, R_v: Array, chosen: Integers, na: int, nu: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield a pair of sums of squared errors for each nb = 1, 2, ….
-
-    The first item is the sum on the estimation data. The second item is an array with the sum on
-    each batch of the validation data. The columns are scaled, so that the test for linear
-    dependence does not depend on units.
-    """
+    """Yield the sum of squared errors and that of each validation batch, for nb = 1, 2, …."""
     M = R[:, chosen]
-    scale = column_norms(M)
+    scale = column_norms(M)  # so that the test for linear dependence does not depend on units
     scale[scale == 0] = 1.0
     T = qr(M / scale, mode="r", check_finite=False)[0][: chosen.size]
     y = T[:, -1] * scale[-1]

@@ -31,8 +31,6 @@ def oe(
 ) -> Fit:
     """Estimate B and F in y_i(t) = sum of B_ij(q)/F_ij(q) u_j(t) + e_i(t).
 
-    The method minimises the output error.
-
     Parameters
     ----------
     data : Dataset or Signals
@@ -174,7 +172,8 @@ def ararx(
 ) -> Fit:
     """Estimate A, B and D in A_i(q) y_i(t) = sum of B_ij(q) u_j(t) + 1/D_i(q) e_i(t).
 
-    Generalised least squares uses the same structure: D whitens the error of an ARX model.
+    D whitens the error of an ARX model, as in generalised least squares. Errors and references are
+    those of `armax`.
 
     Parameters
     ----------
@@ -188,18 +187,9 @@ def ararx(
     Fit
         The covariances are those of `armax`, for (a, b, d).
 
-    Raises
-    ------
-    ValueError
-        As for `armax`.
-
-    References
-    ----------
-    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 4.2.
-
     Examples
     --------
-    D whitens the noise. Without D the noise biases A.
+    Without D the noise biases A.
 
     >>> data = armrig.example_recording().dataset("alpha")
     >>> armrig.ararx(data, na=3, nb=3, nd=10).A.round(1)
@@ -224,6 +214,8 @@ def bj(
 ) -> Fit:
     """Estimate B, F, C and D in y_i = sum of B_ij(q)/F_ij(q) u_j + C_i(q)/D_i(q) e_i.
 
+    Errors and references are those of `armax`.
+
     Parameters
     ----------
     data : Dataset or Signals
@@ -239,15 +231,6 @@ def bj(
     Fit
         The covariances are those of `armax`, for (b, c, d, f). For nc = nd = 0 they equal the
         covariances of `oe`.
-
-    Raises
-    ------
-    ValueError
-        As for `oe`.
-
-    References
-    ----------
-    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
 
     Examples
     --------
@@ -277,6 +260,8 @@ def pem(
 ) -> Fit:
     """Estimate the polynomials in A_i y_i = sum of B_ij/F_ij u_j + C_i/D_i e_i for given orders.
 
+    Errors and references are those of `armax`.
+
     Parameters
     ----------
     na, nc, nd : int, array_like (ny,) or mapping
@@ -290,15 +275,6 @@ def pem(
     -------
     Fit
         The covariances are those of `armax`, for (a, b, c, d, f).
-
-    Raises
-    ------
-    ValueError
-        As for `armax`.
-
-    References
-    ----------
-    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
 
     Examples
     --------

@@ -299,10 +299,7 @@ class PolynomialProblem:
     def _log_scales(
         self, given: list[list[LinearPart]], C: list[Array]
     ) -> tuple[list[float], list[Array]]:
-        """Return half the mean logarithm of the variances of e, for each row.
-
-        Then return the derivatives of the share of the pulses with respect to c.
-        """
+        """Return half the mean log variance of e of each row, and derivatives of its part by c."""
         logs, by_c = [], []
         for i, n in enumerate(self.rows):
             volumes = [volume(of[i], n, C[i]) for of in self.experiments[1:] if n.nc]

@@ -82,11 +82,8 @@ def windows(parts: Parts, *, past: int, future: int, most: int | None = None) ->
     """Return the windows in which no output is missing.
 
     The means of u and y are projected out, because the data may have offsets. Only the first `most`
-    windows are used.
-
-    R is the Cholesky factor of the Gram matrix of the windows. `gram_of_windows` needs N L
-    multiplications for windows of L samples. If the squares in the Gram matrix lose too many
-    digits, R is computed by a QR decomposition of the windows.
+    windows are used. R is the Cholesky factor of the Gram matrix of the windows. If the squares in
+    the Gram matrix lose too many digits, R is computed by a QR decomposition of the windows.
     """
     length = past + future
     (u, y), *_ = parts
@@ -122,10 +119,7 @@ def complete_stretches(
 
 
 def _centred(parts: list[Array]) -> list[Array]:
-    """Return the signals (N, m) minus their means over all parts.
-
-    The means are projected out later; subtracting them here keeps more digits.
-    """
+    """Return the signals (N, m) minus their means over all parts, which keeps more digits."""
     if not parts:
         return []
     mean = np.array([np.mean(column) for column in np.ascontiguousarray(np.vstack(parts).T)])
@@ -167,9 +161,8 @@ def shortened(w: Windows, samples: int) -> Windows:
 def autoregressive_order(w: Windows) -> int:
     """Return the order that AIC chooses for an ARX model.
 
-    The model of order n predicts y(t) from u(t), n past samples of y and n past samples of u. With
-    the chosen n, the n past samples cover the memory of the predictor. Therefore these samples
-    determine the state.
+    The model of order n predicts y(t) from u(t), n past samples of y and n past samples of u. The
+    chosen n past samples cover the memory of the predictor and therefore determine the state.
     """
     up, yp = (w.columns(name).reshape(w.past, -1)[::-1] for name in ("up", "yp"))
     lags = np.hstack([yp, up]).ravel()
@@ -180,10 +173,7 @@ def autoregressive_order(w: Windows) -> int:
 
 
 def _losses(M: Array, w: Windows, known: Integers) -> Array:
-    """Return det of the mean of e e^T, for y regressed on the first `known` columns of M = [X Y].
-
-    For one output the determinant is the mean squared error.
-    """
+    """Return det of the mean of e e^T, for y regressed on `known` first columns of M = [X Y]."""
     y = np.asarray(np.linalg.qr(M, mode="r"))[:, -w.ny :]
     sums = np.cumsum((y[:, :, None] * y[:, None, :])[::-1], axis=0)[::-1]
     return np.asarray(np.linalg.det(sums[known] / w.N))
@@ -243,12 +233,9 @@ def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
 def suggested_order(w: Windows, found: Projection, most: int) -> int:
     """Return the order that minimises MDL of the one-step loss.
 
-    A state has nu + 2 ny parameters, in B, K and the observable form of A and C.
-
-    MDL is more reliable than a criterion that uses only the singular values. The two criteria were
-    compared in 120 trials: four systems of order 2 or 3, N = 500 and N = 2000, CVA weights, 25 past
-    and 25 future samples. MDL chose the true order in 110 trials, and Bauer's criterion [3]_ in 62
-    trials.
+    A state has nu + 2 ny parameters, in B, K and the observable form of A and C. In 120 trials
+    (four systems of order 2 or 3, N = 500 and N = 2000, CVA weights, 25 past and 25 future samples)
+    MDL chose the true order in 110 trials, and Bauer's criterion [3]_ in 62 trials.
     """
     n = np.arange(1, most + 1)
     return 1 + int(np.argmin(mdl(one_step_losses(w, found, most), n * (w.nu + 2 * w.ny), w.N)))
@@ -313,10 +300,8 @@ class Realisation:
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
     """Return A, C and the covariance of the noise for n states.
 
-    A is computed from the shift invariance of the observability matrix.
-
-    The states at t and t + 1 are computed by two projections. The states at t + 1 and y(t) are
-    regressed on the states at t and the inputs. The covariance is that of the residuals.
+    A is computed from the shift invariance of the observability matrix. The covariance is that of
+    the residuals of a regression of x(t + 1) and y(t) on x(t) and u, with projected states x.
     """
     ny, nu = w.ny, w.nu
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
@@ -338,13 +323,10 @@ def long_regression(parts: Parts, lags: int, *, direct: bool) -> Array:
     blocks, right = [], []
     for u, y in parts:
         s = np.hstack([u, y])
-        columns = [np.ones((y.shape[0], 1))] + ([u] if direct else [])
-        columns += [
-            np.column_stack([lagged(x, [k])[:, 0] for x in s.T]) for k in range(1, lags + 1)
-        ]
-        blocks.append(np.hstack(columns)[lags:])
+        past = np.stack([lagged(x, range(1, lags + 1)) for x in s.T], axis=-1)
+        now = [np.ones((len(y), 1)), *([u] if direct else [])]
+        blocks.append(np.hstack([*now, past.reshape(len(y), -1)])[lags:])
         right.append(y[lags:])
-    (u, y), *_ = parts
     theta = least_squares(np.vstack(blocks), np.vstack(right))
-    rest = theta[1 + (u.shape[1] if direct else 0) :]
-    return rest.reshape(lags, u.shape[1] + y.shape[1], y.shape[1]).transpose(0, 2, 1)
+    m, ny = s.shape[1], y.shape[1]
+    return theta[-lags * m :].reshape(lags, m, ny).transpose(0, 2, 1)

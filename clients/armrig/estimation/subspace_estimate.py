@@ -261,8 +261,8 @@ def for_simulation(
     """Return the model with the B and D, and for one output the poles, of least simulation error.
 
     The simulation error y - (B u + x(0)) / A is linear in B, D and x(0). For several outputs the
-    poles do not change. A search over the n ny parameters of A and C improved the simulation of
-    other data in six of nine trials, but made it worse by a third in another.
+    poles do not change. In six of nine trials, a search over the n ny parameters of A and C
+    improved the simulation of other data. In another it made the simulation worse by a third.
 
     K is the candidate with the least one-step loss. The candidates are the gain of the projection,
     K = 0 (white output noise), and for one output K by Hannan and Rissanen's regressions.

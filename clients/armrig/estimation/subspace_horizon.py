@@ -155,10 +155,9 @@ def _nearest_1(z: Array) -> int:
 
 
 def innovations_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Innovations:
-    """Return A, C and K for the horizon of the windows.
+    """Return A, C and K for the horizon of the windows, for one output in observer form.
 
-    For one output the matrices are in observer form, because the responses of this form need the
-    fewest operations.
+    The responses of the observer form need the fewest operations.
     """
     space = realised(w, found, order)
     A, C = space.A, space.C
@@ -191,17 +190,13 @@ def best_innovations(
 ) -> Innovations:
     """Return the model for the horizon of `w` or for a shorter horizon, by the one-step loss.
 
-    If `simulated`, the loss of the simulation decides, which is that of the model with K = 0.
+    If `simulated`, the loss of the simulation decides, which is that of the model with K = 0. The
+    shorter horizons are order + 2 and the `least_horizon`, which are equal for one output.
 
-    The shorter horizons are order + 2 and the `least_horizon`, which are equal for one output.
-
-    For white noise on the output, the memory of the predictor is long, and the horizon must be
-    long. If the noise has the poles of A, a long horizon is not necessary, and in short data it
-    reduces the accuracy. An example is an ARMAX system of order 4 at N = 300. The loss of its model
-    exceeded the least possible loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6.
-    For white noise on the output, the loss was 6 % above the least possible loss with a horizon of
-    10, and 10 % above with a horizon of 6. The losses can be compared because all models have the
-    same number of parameters.
+    White noise on the output needs a long horizon. For an order of 4 and N = 300 the loss was 6 %
+    above the least possible loss with a horizon of 10, and 10 % with a horizon of 6. If the noise
+    has the poles of A, a long horizon reduces the accuracy in short data. The loss was then 29 %
+    above the least possible loss with a horizon of 10, and 5 % with a horizon of 6.
     """
     models = [innovations_at(w, found, order, integrator=integrator)]
     for horizon in dict.fromkeys((order + 2, least_horizon(order, w.ny))):
@@ -221,10 +216,9 @@ def best_innovations(
 def least_loss(signals: Parts, models: Sequence[Innovations], *, direct: bool) -> int:
     """Return the index of the model with the least one-step loss.
 
-    B of each model is chosen so that the loss is least. The loss is the determinant of the sum of
-    e e^T over the longest stretches without missing y, at most 2000 samples in all. A level and the
-    predictor's initial state are fitted for each stretch. If the data have no noise, the losses are
-    only rounding errors and the index is 0.
+    The loss is the determinant of the sum of e e^T over the longest stretches without missing y, at
+    most 2000 samples in all. B, and a level and an initial state for each stretch, minimise the
+    errors. If the data have no noise, the losses are only rounding errors and the index is 0.
     """
     parts = _longest_stretches(signals)
     y = np.vstack([y for _, y in parts])
@@ -245,11 +239,7 @@ def _longest_stretches(signals: Parts) -> list[tuple[Array, Array]]:
 
 
 def _squares(u: Array, y: Array, model: Innovations, *, direct: bool) -> Array:
-    """Return the sum of e e^T with the least trace for given A, C and K, by normal equations.
-
-    Normal equations square the condition number. A comparison of models tolerates the loss of
-    digits, but an estimate does not.
-    """
+    """Return the sum of e e^T with the least trace for given A, C and K, by normal equations."""
     (N, ny), n = y.shape, len(model.A)
     if 4 * n + 4 > N:
         return np.zeros((ny, ny))
