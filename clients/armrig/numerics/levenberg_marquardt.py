@@ -39,6 +39,8 @@ class Optimum:
     """Number of steps tried."""
     converged: bool
     """True if the change of the cost and the scaled gradient are within the tolerance."""
+    damping: float = 1e-6
+    """Damping of the next step, with which another search can continue."""
 
 
 class Walls(Protocol):
@@ -60,6 +62,7 @@ def levenberg_marquardt(
     known: float = np.nan,
     target: float = np.inf,
     walls: Walls | None = None,
+    damping: float = 1e-6,
 ) -> Optimum:
     """Return the local minimum of |e(theta)|² that a descent from an admissible `theta` reaches.
 
@@ -89,7 +92,7 @@ def levenberg_marquardt(
     cost = float(e @ e)
     if theta.size == 0 or cost == 0:
         return Optimum(theta=theta, cost=cost, iterations=0, converged=True)
-    damping, growth = 1e-6, 2.0
+    growth = 2.0
     whole, scale = _compressed(e, J)
     normals = _normals(walls, theta, scale)
     change = np.inf
@@ -138,7 +141,7 @@ def levenberg_marquardt(
             damping, growth = max(damping, 1e-12) * growth, 2 * growth
             if damping > 1e12:
                 break
-    return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False)
+    return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False, damping=damping)
 
 
 _Linear = tuple[Array, Array, Array]
