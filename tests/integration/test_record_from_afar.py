@@ -22,7 +22,7 @@ from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import open_session
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.telemetry import protobuf
-from armrig_daemon.service.publish import History, Session
+from armrig_daemon.service.publish import Session
 
 from tests.integration.fleet_lab import Publisher, publish, recorded_k
 from tests.integration.processes import Bench, newest, wait_for
@@ -107,27 +107,6 @@ def test_a_late_recorder_receives_the_kept_messages(where: str, tmp_path: Path) 
     assert found.outcome is not None
     assert (found.outcome.outcome, found.outcome.missing) == ("complete", 5)
     assert verify(found.path).passed
-
-
-def test_lost_samples_are_a_gap_in_the_recording(where: str, tmp_path: Path) -> None:
-    with Session(where, "1", lambda: None) as daemon:
-        daemon._history = History(bytes(16), most_bytes=100 * 87)
-        publish([daemon], range(50))
-        with open_session(where, rig="1") as session:
-            recorder = Recorder(session, tmp_path / "a.mcap")
-            recorder.take()
-            publish([daemon], range(50, 1000))
-            recorder.take()
-        [found] = recorder.files()
-
-    ks = recorded_k(found.path)
-    assert ks == [*range(50), *range(ks[50], 1000)]
-    [missing] = found.gaps
-    assert (missing.k_first, missing.count, missing.code) == (50, ks[50] - 50, "recorder_cut_off")
-    assert np.isnan(found.u[50 : ks[50]]).all()
-    assert found.missing == missing.count > 800
-    assert any("messages are lost" in event.message for event in found.events)
-    assert len(recorder.told) == 1
 
 
 @pytest.fixture

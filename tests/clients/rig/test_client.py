@@ -123,28 +123,19 @@ def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where:
     assert daemon.names() == ["arm", "set", "set", "disarm"]
 
 
-def test_the_sender_of_a_stop_is_named(daemon: FakeDaemon, rig: Rig) -> None:
+def test_the_sender_of_a_note_or_a_stop_is_named(daemon: FakeDaemon, rig: Rig) -> None:
+    assert rig.note("0")
     rig.stop()
     rig.arm("a student")
+    rig.note("1")
     rig.stop()
+    rig.note("2", "the teacher")
     rig.stop("the teacher")
 
-    stops = [r.by for r in daemon.asked if isinstance(r, commands.Stop)]
-    assert stops == [getpass.getuser(), "a student", "the teacher"]
-
-
-def test_the_author_of_a_note_is_named(daemon: FakeDaemon, rig: Rig) -> None:
-    assert rig.note("the belt was changed")
-    rig.arm("a student")
-    rig.note("the arm was touched")
-    rig.note("so it was", "the teacher")
-
+    names = [getpass.getuser(), "a student", "the teacher"]
+    assert [r.by for r in daemon.asked if isinstance(r, commands.Stop)] == names
     notes = [(r.text, r.owner) for r in daemon.asked if isinstance(r, commands.Note)]
-    assert notes == [
-        ("the belt was changed", getpass.getuser()),
-        ("the arm was touched", "a student"),
-        ("so it was", "the teacher"),
-    ]
+    assert notes == [*zip("012", names, strict=True)]
 
 
 def test_a_daemon_too_old_for_notes_is_reported_in_a_line(daemon: FakeDaemon, rig: Rig) -> None:
