@@ -175,13 +175,8 @@ def test_a_file_may_have_more_samples_than_a_run(tmp_path: Path) -> None:
     assert rows.N == 3_600_000
 
 
-def test_a_stream_is_read_without_storing_it(tmp_path: Path) -> None:
-    messages = [m for k in range(300) for m in (sample(k), timing(k))]
-    whole = recorded(messages, flush_every=20)
-    path = written(tmp_path, whole)
-    cut = written(tmp_path, whole[: len(whole) // 2], "cut.mcap")
+def test_a_stream_of_a_file_that_is_cut_off_ends_at_the_cut(tmp_path: Path) -> None:
+    whole = recorded([m for k in range(300) for m in (sample(k), timing(k))], flush_every=20)
+    cut = written(tmp_path, whole[: len(whole) // 2])
 
-    assert [m.t_host_ns for m in streamed(path, "timing")] == [
-        sample(k).t_host_ns for k in range(300)
-    ]
     assert 0 < len(list(streamed(cut, "timing"))) < 300

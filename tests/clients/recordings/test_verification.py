@@ -65,9 +65,12 @@ def verified(
     missing: int = 0,
     u: Sequence[float] | None = U.tolist(),
     cut: int = 0,
+    outcome: str = "complete",
+    **about: Any,
 ) -> Verification:
-    ended = Outcome(outcome="complete", samples=came, missing=missing)
-    data = recorded(messages, manifest=manifest(k_first=0, samples=N), outcome=ended, u=u)
+    ended = Outcome(outcome=outcome, samples=came, missing=missing)
+    of = manifest(k_first=0, samples=N, **about)
+    data = recorded(messages, manifest=of, outcome=ended, u=u)
     return verify(written(directory, data[: len(data) - cut]))
 
 
@@ -99,9 +102,7 @@ def test_reported_gaps_may_overlap(tmp_path: Path) -> None:
 
 
 def test_checks_are_skipped_without_samples(tmp_path: Path) -> None:
-    about = manifest(k_first=0, samples=N)
-    ended = Outcome(outcome="stopped", samples=0, missing=0)
-    found = verify(written(tmp_path, recorded([], manifest=about, outcome=ended, u=U.tolist())))
+    found = verified(tmp_path, [], came=0, outcome="stopped")
 
     assert [c.about for c in found.checks if c.level == "good"] == ["file"]
     assert dict(rows(found))["verdict"].startswith("passed; not checked: samples, envelope, input")
@@ -112,14 +113,13 @@ def test_only_a_remote_recorder_may_lack_a_voltage(
     tmp_path: Path, experiment: str, may: bool
 ) -> None:
     """The daemon knows the voltage that it held."""
-    about = manifest(samples=N, experiment=experiment)
+    of: Any = {"experiment": experiment, "came": N - 19, "missing": 19, "u": None}
     messages: list[Any] = run()
     messages[100:110] = [gap(100, 10, float("nan"))]
     messages[-10:] = [gap(N - 10, 9, 6.0), messages[-1]]
-    ended = Outcome(outcome="complete", samples=N - 19, missing=19)
-    outside = verify(written(tmp_path, recorded(messages, manifest=about, outcome=ended)))
+    outside = verified(tmp_path, messages, **of)
     messages[-2] = gap(N - 10, 9, 5.0)
-    inside = verify(written(tmp_path, recorded(messages, manifest=about, outcome=ended)))
+    inside = verified(tmp_path, messages, **of)
 
     assert ("6 V was held" in failed(outside)["envelope"]) == may
     assert inside.passed == may
@@ -183,10 +183,8 @@ def test_a_clock_may_differ_by_its_resonator_tolerance_and_two_samples(
     """A short run cannot determine the resonator's error."""
     samples = run()[:n]
     samples[-1] = samples[-1]._replace(t_device_us=samples[-1].t_device_us + gained_us)
-    ended = Outcome(outcome="stopped", samples=n, missing=0)
-    about = manifest(k_first=0, samples=N)
 
-    found = verify(written(tmp_path, recorded(samples, manifest=about, outcome=ended)))
+    found = verified(tmp_path, samples, came=n, outcome="stopped", u=None)
 
     assert ("clock" not in failed(found)) == may
 
