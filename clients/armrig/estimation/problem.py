@@ -407,7 +407,6 @@ class PolynomialProblem:
         most: int = MAX_STEPS,
         known: float = np.nan,
         target: float = np.inf,
-        damping: float = 1e-6,
     ) -> Optimum:
         """Return the minimum that a search from theta reaches with stable C and F."""
         circle = self.circle
@@ -419,7 +418,6 @@ class PolynomialProblem:
             known=known,
             target=target,
             walls=circle,
-            damping=damping,
         )
 
     @property

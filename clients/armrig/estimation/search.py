@@ -8,20 +8,19 @@ may also fit the noise. Therefore the search moves each mode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations, product
 from typing import TypeVar
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import filtered_denominators, start_values
 from armrig.models.innovations import completed
 from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
-from armrig.numerics.polynomial import Array, filtered, from_roots, monic, reduced, roots
+from armrig.numerics.polynomial import Array, filtered, monic, reduced, roots
 
 Ends = list[tuple[str, Optimum]]
 """Name of each start value, and the minimum reached by the search from this start value."""
@@ -32,14 +31,14 @@ ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
 _MIN_NOISE_SHARE = 0.2  # if noise is a larger share of the output's variance, a mode may fit noise
 _MAX_ROUNDS = 6
 _MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
-_MOVED_DAMPING = 1e-4  # damping of the first step from a moved mode
+_STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)
 _RETURN_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
 _PAIR_ANGLES = np.linspace(0.1, 3.0, 15)  # angles of a moved pair, in rad per sample
 _REAL_ROOTS = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
 _MAX_REAL_ROOT = 0.998
 _REAL_TOLERANCE = 1e-9
 _PAIR_RADII = (0.98, 0.85, 0.6)
-_STARTS_PER_KIND = 3
+_STARTS_PER_KIND = 6
 _ADDED_ROOTS = (0.5, -0.5)  # roots added to F for a model of higher order
 _MAX_LARGER_STEPS = 60  # steps of the search for the model of higher order
 _FIRST_STEPS = 10  # steps of the search for the model that completes data with gaps
@@ -121,29 +120,19 @@ def _lowest_beside(problem: PolynomialProblem, best: Optimum, *, thorough: bool)
     """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
 
     A search ends early if it returns to `best`, or if a higher minimum is near and the cost of
-    `best` is out of reach. The searches run in stages, and only those of least cost continue.
+    `best` is out of reach. After ten steps only the 16 other searches with the least cost continue.
     """
     target = best.cost * (1 - _RETURN_TOLERANCE)
-    starts = moved_modes(problem, best.theta, all_kinds=thorough)
-    ends = [replace(best, theta=start, damping=_MOVED_DAMPING) for start in starts]
-    for steps, kept in _stages(problem.size):
-        ends = [
-            problem.minimise(x.theta, most=steps, target=target, damping=x.damping) for x in ends
-        ]
+    starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
+    for steps, kept in _STAGES:
+        ends = [problem.minimise(start, most=steps, target=target) for start in starts]
         near = [end for end in ends if end.cost < target or end.iterations == steps]
-        ends = sorted(near, key=lambda end: end.cost)[:kept]
-    lowest = ends[0] if ends else best
+        near.sort(key=lambda end: end.cost)
+        starts = [end.theta for end in near[:kept]]
+    lowest = min(near, key=lambda end: end.cost, default=best)
     if lowest.cost >= best.cost:
         return best
     return lowest if lowest.converged else problem.minimise(lowest.theta)
-
-
-def _stages(n: int) -> tuple[tuple[int, int], ...]:
-    """Return the steps of each search in a stage, and the number of searches that continue.
-
-    A search for more coefficients n needs more steps until its cost shows where it will end.
-    """
-    return (n // 2 + 1, 2 * n), (n, n // 2 + 1), (40, 1)
 
 
 def from_starts(problem: PolynomialProblem) -> Ends:
@@ -222,19 +211,17 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
 def moved_modes(
     problem: PolynomialProblem, theta: Array, *, all_kinds: bool = True
 ) -> Iterator[Array]:
-    """Yield start values with one moved mode of C, D or F, up to three for each kind of move.
+    """Yield start values with one moved mode of C, D or F, up to six for each kind of move.
 
     A complex pair, or the two smallest real roots, is replaced by another complex pair or by two
     other real roots. A real root is replaced by another real root. For each polynomial and each
-    kind of move, the start values of least cost are returned. Of the pairs they are the local
-    minima on the grid of radii and angles, since neighbours usually lead to the same minimum.
-    Without `all_kinds` only pairs of F are moved.
+    kind of move, the start values of least cost are returned. Without `all_kinds` only pairs of F
+    are moved.
     """
     kinds = (other_pairs, _other_reals, other_real) if all_kinds else (other_pairs,)
     for k, letter in enumerate(problem.layout.letters):
         for kind in kinds if all_kinds or letter == "f" else ():
-            chosen = _local_minima if kind is other_pairs else _cheapest
-            yield from chosen(problem, list(_with_mode(problem, theta, k, kind)))
+            yield from _cheapest(problem, _with_mode(problem, theta, k, kind))
     if all_kinds:
         yield from _moved_together(problem, theta)
         yield from _with_white_noise(problem, theta)
@@ -248,22 +235,12 @@ def _with_mode(
     part = problem.layout.slices[k]
     for z in kind(roots(monic(theta[part]))):
         start = theta.copy()
-        start[part] = from_roots(z)[1:]
+        start[part] = np.real(np.poly(z))[1:]
         yield start
 
 
-def _local_minima(problem: PolynomialProblem, starts: Sequence[Array]) -> list[Array]:
-    """Return the start values on grids of radii and angles that cost at most their neighbours."""
-    costs = np.array([problem.cost(start) for start in starts])
-    grids = costs.reshape(-1, len(_PAIR_RADII), _PAIR_ANGLES.size)
-    edged = np.pad(grids, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
-    near = sliding_window_view(edged, (3, 3), axis=(1, 2)).min(axis=(3, 4))
-    found = np.flatnonzero(grids <= near)
-    return [starts[i] for i in found[np.argsort(costs[found], kind="stable")][:_STARTS_PER_KIND]]
-
-
 def _cheapest(
-    problem: PolynomialProblem, starts: Sequence[Array], most: int = _STARTS_PER_KIND
+    problem: PolynomialProblem, starts: Iterable[Array], most: int = _STARTS_PER_KIND
 ) -> list[Array]:
     """Return the start values of least cost."""
     priced = sorted(((problem.cost(start), start) for start in starts), key=lambda of: of[0])
@@ -280,8 +257,8 @@ def _moved_together(problem: PolynomialProblem, theta: Array) -> Iterator[Array]
             for root, share in product(_REAL_ROOTS, (0.9, 1 / 0.9)):
                 near = np.clip(root * share, -_MAX_REAL_ROOT, _MAX_REAL_ROOT)
                 start = theta.copy()
-                start[of_c] = from_roots(np.append(z, near))[1:]
-                start[of_d] = from_roots(np.append(w, root))[1:]
+                start[of_c] = np.real(np.poly(np.append(z, near)))[1:]
+                start[of_d] = np.real(np.poly(np.append(w, root)))[1:]
                 starts.append(start)
         yield from _cheapest(problem, starts)
 

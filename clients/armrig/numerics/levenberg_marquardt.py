@@ -39,8 +39,6 @@ class Optimum:
     """Number of steps tried."""
     converged: bool
     """True if the change of the cost and the scaled gradient are within the tolerance."""
-    damping: float = 1e-6
-    """Damping of the next step, with which another search can continue."""
 
 
 class Walls(Protocol):
@@ -62,7 +60,6 @@ def levenberg_marquardt(
     known: float = np.nan,
     target: float = np.inf,
     walls: Walls | None = None,
-    damping: float = 1e-6,
 ) -> Optimum:
     """Return the local minimum of |e(theta)|² that a descent from an admissible `theta` reaches.
 
@@ -92,7 +89,7 @@ def levenberg_marquardt(
     cost = float(e @ e)
     if theta.size == 0 or cost == 0:
         return Optimum(theta=theta, cost=cost, iterations=0, converged=True)
-    growth = 2.0
+    damping, growth = 1e-6, 2.0
     whole, scale = _compressed(e, J)
     normals = _normals(walls, theta, scale)
     change = np.inf
@@ -141,7 +138,7 @@ def levenberg_marquardt(
             damping, growth = max(damping, 1e-12) * growth, 2 * growth
             if damping > 1e12:
                 break
-    return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False, damping=damping)
+    return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False)
 
 
 _Linear = tuple[Array, Array, Array]

@@ -84,14 +84,6 @@ def roots(p: ArrayLike) -> Array:
     return np.asarray(np.roots(np.atleast_1d(p)))
 
 
-def from_roots(z: Array) -> Array:
-    """Return the monic polynomial with the roots z (n,), real or in pairs; np.poly is slower."""
-    a = [1.0]
-    for root in z.tolist():
-        a = [x - root * y for x, y in zip([*a, 0.0], [0.0, *a], strict=True)]
-    return np.real(a)
-
-
 def without_integrator(F: Array) -> Array:
     """Return F / (1 - q^-1) for an F with a root at 1."""
     return np.asarray(np.cumsum(F)[:-1])
@@ -133,10 +125,10 @@ def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
     """Return the polynomial with the roots z (n,), moved inside the circle as in `reflected`."""
     magnitude = np.abs(z)
     if not z.size or magnitude.max() < 1.0 - _CIRCLE_TOLERANCE:
-        return from_roots(z)
+        return np.real(np.poly(z)) if z.size else np.ones(1)
     inside = np.where(magnitude > 1.0, 1.0 / np.maximum(magnitude, 1.0), magnitude)
     shrink = np.minimum(inside, radius) / np.where(magnitude > 0, magnitude, 1.0)
-    return from_roots(np.where(magnitude >= 1.0 - _CIRCLE_TOLERANCE, z * shrink, z))
+    return np.real(np.poly(np.where(magnitude >= 1.0 - _CIRCLE_TOLERANCE, z * shrink, z)))
 
 
 def reduced(p: ArrayLike) -> Iterator[Array]:
@@ -150,7 +142,7 @@ def reduced(p: ArrayLike) -> Iterator[Array]:
         rest = np.delete(z, i)
         if z[i].imag > 0:
             rest[np.argmin(np.abs(rest - np.conj(z[i])))] = np.copysign(np.abs(z[i]), z[i].real)
-        yield from_roots(rest)
+        yield np.atleast_1d(np.real(np.poly(rest)))
 
 
 EDGE_MODULUS = 1 - 1e-7
@@ -182,7 +174,7 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
         if at.size >= 2:
             z = z.astype(np.complex128)
             z[at[:2]] = side * EDGE_MODULUS * np.exp([1j * _PAIR_ANGLE, -1j * _PAIR_ANGLE])
-    return from_roots(z)
+    return np.real(np.poly(z))
 
 
 def _few_roots(p: Array) -> Array:
