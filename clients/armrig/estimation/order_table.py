@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dtrtrs
 
 from armrig.data.columns import Matrix, Vector
-from armrig.estimation.orders import require_samples
+from armrig.estimation.orders import Integers, require_samples
 from armrig.numerics.checks import require_integers, several
 from armrig.numerics.criteria import (
     BATCHES,
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Integers = NDArray[np.int_]
 Parts = Sequence[tuple[Array, Array]]
 """Inputs (N, nu) and output (N,) of each experiment; an unknown value is NaN."""
 

@@ -24,10 +24,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve_discrete_are
 from scipy.linalg.lapack import dggev
 
+from armrig.estimation.orders import Integers
 from armrig.models.structure_table import Weights
 from armrig.numerics.criteria import aic, mdl
 from armrig.numerics.least_squares import (
@@ -40,7 +40,6 @@ from armrig.numerics.least_squares import (
 from armrig.numerics.polynomial import Array, lagged
 from armrig.numerics.stretches import stretches
 
-Integers = NDArray[np.int_]
 Parts = Sequence[tuple[Array, Array]]
 """Inputs (N, nu) and outputs (N, ny) of each experiment or stretch; a missing output is NaN."""
 _BLOCK_ROWS = 1024  # rows decomposed at once
