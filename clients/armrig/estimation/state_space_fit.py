@@ -16,6 +16,7 @@ from armrig.data.dataset import Signals
 from armrig.estimation.state_space_problem import (
     StateSpaceProblem,
     basis_of_states,
+    by_part,
     stacked,
     whitened,
     without,
@@ -116,8 +117,8 @@ def influence(
 ) -> tuple[Array, tuple[Basis, ...]]:
     """Return the derivatives of the whitened predictions, and the effects of the initial states.
 
-    The effects of the initial states are projected out of the derivatives (ny N, d). They are
-    returned as a basis for each experiment; a known basis is an argument.
+    The effects are a basis for each experiment, projected out of the derivatives (ny N, d). A known
+    basis is an argument.
     """
     bases, left = [], []
     for i, part in enumerate(problem.parts):
@@ -137,34 +138,30 @@ def inference(
 ) -> Inference:
     """Return the covariance of the parameters, and the quality of each output.
 
-    The derivatives Psi (ny N, d) and the effects of the initial states, which are projected out of
-    Psi, are those of `influence`. The residuals (N_i, ny) are errors of the scaled outputs.
+    Psi and the states are those of `influence`; residuals (N_i, ny) are errors of scaled outputs.
     """
     basis, ny = orthonormal(Psi), sy.size
     W = basis.W if ny > 1 else basis.W * problem.parts[0].weights.max() / sy
     experiments = []
-    of_parts = zip(problem.parts, states, residuals, problem.edges(), strict=True)
-    for (part, Z, e, at), whole in zip(of_parts, data.experiments(), strict=True):
+    of_parts = zip(problem.parts, states, residuals, data.experiments(), strict=True)
+    split = (by_part(problem.parts, M) for M in (basis.Q, Psi))
+    for (part, Z, e, whole), Q, psi in zip(of_parts, *split, strict=True):
         late = whole.N - len(e)  # before the delayed inputs are known, the errors are unknown
         e = np.vstack([np.where(np.isnan(whole.y[:late]), np.nan, 0.0), e * sy])
         span = np.eye(whole.N, late)
         if ny == 1:
             span = np.hstack([span, _led(Z.Q, late)])
-            of = [OutputResiduals(e=e[:, 0], y=whole.y[:, 0], H=_led(basis.Q[at], late), Z=span)]
+            of = [OutputResiduals(e=e[:, 0], y=whole.y[:, 0], H=_led(Q, late), Z=span)]
             experiments.append(of)
             continue
-        G, white = part.weights, Psi[at].reshape(ny, len(part.u), -1)
+        G = part.weights
+        each, white = (M.reshape(ny, len(part.u), -1) for M in (Q, psi))
         unwhitened = np.linalg.inv(G[0]) if part.rows.all() else np.eye(ny)
-        each = basis.Q[at].reshape(ny, len(part.u), -1)
         of = []
         for i in range(ny):
             h = sum(G[:, k, i, None] * each[k] for k in range(i, ny)) / sy[i]
-            psi = sum(unwhitened[i, k] * white[k] for k in range(i + 1))
-            of.append(
-                OutputResiduals(
-                    e=e[:, i], y=whole.y[:, i], H=_led(h, late), Psi=_led(psi, late), Z=span
-                )
-            )
+            own = _led(sum(unwhitened[i, k] * white[k] for k in range(i + 1)), late)
+            of.append(OutputResiduals(e=e[:, i], y=whole.y[:, i], H=_led(h, late), Psi=own, Z=span))
         experiments.append(of)
     # The outputs share the states, so that a state counts as 1/ny for each output.
     shared = 0 if ny == 1 else sum(Z.rank for Z in states)

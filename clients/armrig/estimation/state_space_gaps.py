@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armrig.estimation.state_space_problem import parts_of, stable_matrix, tangent
+from armrig.estimation.state_space_problem import by_part, parts_of, stable_matrix, tangent
 from armrig.estimation.state_space_responses import Part, Predictor
 from armrig.estimation.subspace import Parts
 from armrig.numerics.covariance import pairwise_covariance, patterns
@@ -66,10 +66,7 @@ def kalman_steps(
 
 
 def filtered_parts(signals: Parts, A: Array, C: Array, K: Array, Lambda: Array) -> list[Part]:
-    """Return the parts with the gains G(t) of the Kalman filter, and the roots of inv(S(t)).
-
-    P is taken as 0 after a gap as soon as it increases the variance of e by less than 0.01 %.
-    """
+    """Return the parts with the gains G(t) of the Kalman filter, and the roots of inv(S(t))."""
     parts = []
     for part in parts_of(signals, Lambda):
         gains, roots = K * part.rows[:, None, :], part.weights.copy()
@@ -83,10 +80,7 @@ def filtered_parts(signals: Parts, A: Array, C: Array, K: Array, Lambda: Array) 
 
 
 def scaled_errors(part: Part, e: Array, Lambda: Array) -> Array:
-    """Return the errors (N, ny) of a Kalman filter, scaled to the covariance Lambda of e.
-
-    The weights of the part are the roots of inv(S).
-    """
+    """Return the errors (N, ny) of a filtered part, scaled to the covariance Lambda of e."""
     white = part.weights @ np.where(part.rows, e, 0.0)[:, :, None]
     return rescaled(part.rows, white[:, :, 0], Lambda)
 
@@ -114,10 +108,9 @@ class GapProblem:
     def errors(self, predictors: Sequence[Predictor]) -> tuple[Array, Array]:
         """Return the whitened errors and the mean of the log determinants of each predictor.
 
-        The errors (m, N ny) are ordered by experiment and then by output. An error is 0 where the
-        output is missing. After a gap, S is the covariance of a sample's error, and the sample
-        contributes log det(S inv(Lambda_oo)) to the sum; o marks its measured outputs. The mean
-        (m,) is this sum divided by the number of measured values.
+        The errors (m, N ny) are ordered by experiment and then by output; the error of a missing
+        output is 0. The mean (m,) is the sum of log det(S inv(Lambda_oo)) over the samples after
+        gaps, divided by the number of measured values.
         """
         found, logs, count = [], np.zeros(len(predictors)), 0
         for i, part in enumerate(self.parts):
@@ -181,10 +174,7 @@ class GapProblem:
         return [*map(int, np.cumsum([*sizes, len(at.Abar) * len(at.x0)]))]
 
     def linearise(self, at: Predictor, V: Array, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the errors, their negative derivatives, the mean log det, and its derivatives.
-
-        The derivatives are numerical.
-        """
+        """Return e, its negative numerical derivatives, the mean log det, and its derivatives."""
         steps = [t, *(t + _STEP * unit for unit in np.eye(t.size))]
         z, logs = self.errors([self.moved(at, V, step) for step in steps])
         return z[0], -(z[1:] - z[0]).T / _STEP, logs[0], (logs[1:] - logs[0]) / _STEP
@@ -213,22 +203,21 @@ class GapProblem:
         An error is scaled by the root of Lambda_oo inv(S), so that its covariance is Lambda_oo.
         """
         z, _ = self.errors([at])
-        edges = np.cumsum([part.y.size for part in self.parts])[:-1]
         return [
             rescaled(part.rows, white.reshape(part.y.shape[1], -1).T, self.Lambda)
-            for part, white in zip(self.parts, np.split(z[0], edges), strict=True)
+            for part, white in zip(self.parts, by_part(self.parts, z[0]), strict=True)
         ]
 
     def influence(self, at: Predictor) -> tuple[Array, tuple[Basis, ...]]:
         """Return the derivatives of the whitened predictions, and the effects of initial states.
 
-        The matrix (ny N, d) has one column for each entry of t in `moved`, except the initial
-        states, which are projected out. The covariance S(t) of the errors is held constant.
+        The derivatives (ny N, d) are those by t in `moved`, except the initial states, which are
+        projected out. The covariance S(t) of the errors is held constant.
         """
         V = tangent(at.Abar, at.C)
         *_, d, size = self._ends(at, V)
         _, J, _, _ = self.linearise(at, V, np.zeros(size))
-        parts = np.split(J, np.cumsum([part.y.size for part in self.parts])[:-1])
+        parts = by_part(self.parts, J)
         bases = tuple(orthonormal(of[:, d:][:, of[:, d:].any(axis=0)]) for of in parts)
         pairs = zip(bases, parts, strict=True)
         return np.vstack([Z.without(of[:, :d]) for Z, of in pairs]), bases

@@ -1,10 +1,6 @@
 """Prediction-error problem of a state-space model with several inputs and outputs.
 
-The predictor is, with Abar = A - K C and Bbar = B - K D ::
-
-    x(t+1) = Abar x(t) + Bbar u(t) + K y(t),    yhat(t) = C x(t) + D u(t)
-
-For given Abar and C the predictor is linear in Bbar, K, D and x(0). The search is therefore over
+For given Abar and C the `Predictor` is linear in Bbar, K, D and x(0). The search is therefore over
 Abar and C only (variable projection). A change of the state's coordinates does not change the
 model. The search uses only the n ny directions orthogonal to these changes. These directions span
 the tangent space of the models.
@@ -20,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -199,11 +194,6 @@ class StateSpaceProblem:
             for i, part in enumerate(self.parts)
         ]
 
-    def edges(self) -> list[slice]:
-        """Return the slice of the stacked whitened rows that belongs to each experiment."""
-        sizes = np.cumsum([part.y.size for part in self.parts]).tolist()
-        return [slice(a, b) for a, b in pairwise([0, *sizes])]
-
 
 def _states(at: Predictor, w: Array, x0: Array) -> Array:
     """Return the states (N, n); in observer form only the first state, which is the output."""
@@ -247,6 +237,11 @@ def basis_of_states(part: Part, free: Array) -> Basis:
     return basis if last == len(Z) else basis.spread(np.arange(len(Z)) < last)
 
 
+def by_part(parts: Sequence[Part], M: Array) -> list[Array]:
+    """Return the rows of M (ny N, k) that belong to each experiment."""
+    return np.split(M, np.cumsum([part.y.size for part in parts])[:-1])
+
+
 def without(basis: Basis, M: Array) -> Array:
     """Return M minus its projection on the basis, in column-major order."""
     return np.asarray(M - ((M.T @ basis.Q) @ basis.Q.T).T)
@@ -282,11 +277,9 @@ def directions(Abar: Array, C: Array) -> Array:
 
 
 def tangent(A: Array, C: Array) -> Array:
-    """Return an orthonormal basis (n (n + ny), n ny) of the directions that change the model.
-
-    A small change of coordinates, 1 + S, changes A by S A - A S and C by -C S.
-    """
+    """Return an orthonormal basis (n (n + ny), n ny) of the directions that change the model."""
     n, ny = A.shape[0], C.shape[0]
+    # A small change of coordinates, 1 + S, changes A by S A - A S and C by -C S.
     orbit = np.zeros((n * (n + ny), n * n))
     for k, S in enumerate(np.eye(n * n).reshape(-1, n, n)):
         orbit[:, k] = np.concatenate([(S @ A - A @ S).ravel(), (-C @ S).ravel()])

@@ -128,10 +128,9 @@ def state_responses(
 
 
 def offsets(Abar: Array, C: Array, N: int) -> Array:
-    """Return the responses (k, ny, N) to constant offsets of u and y.
+    """Return the responses (k, ny, N) to offsets of u and y: constants, and a ramp for a pole at 1.
 
-    The responses are a constant for each output, and a ramp if Abar has the eigenvalue 1. For one
-    output the response of this eigenvalue to the initial state replaces the constant.
+    For one output the response of this pole to the initial state replaces the constant.
     """
     ny, n = C.shape
     _, s, V = np.linalg.svd(np.eye(n) - Abar)

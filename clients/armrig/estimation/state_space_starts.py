@@ -69,9 +69,8 @@ def moved_modes(
 ) -> dict[str, tuple[Array, Array]]:
     """Return start values (Abar, C) in which one weak mode has another frequency.
 
-    A mode is a complex pair of eigenvalues, or two real eigenvalues. The mode is moved into the
-    widest gap between the frequencies of the other modes, so that the search can leave a local
-    minimum.
+    The mode, a complex pair or two real eigenvalues, is moved into the widest gap between the
+    frequencies of the other modes.
     """
     z, V = np.linalg.eig(Abar)
     at = problem.linear(Abar, C).at
@@ -116,8 +115,8 @@ def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
     """Return the responses (length, ny, nu) from u to y, given the predictor's responses psi."""
     lags, ny, _ = psi.shape
     g = np.zeros((length, ny, nu))
+    g[:lags] = psi[:length, :, :nu]
     for k in range(length):
-        g[k] = psi[k, :, :nu] if k < lags else 0.0
         for m in range(min(k, lags)):
             g[k] += psi[m, :, nu:] @ g[k - m - 1]
     return g

@@ -84,9 +84,9 @@ class SubspaceEstimate:
 def estimated(signals: Parts, options: SubspaceOptions) -> SubspaceEstimate:
     """Return the estimate from the windows, in which missing outputs are estimated as well.
 
-    The windows need a value for each missing output. The first value is interpolated. The model's
-    predictions then replace these values, and the model is estimated again, until the values change
-    by less than std(e)/sqrt(N). If they do not settle, the model with the least errors is returned.
+    Interpolated values of the missing outputs are replaced by the model's predictions, and the
+    model is estimated again, until they change by less than std(e)/sqrt(N). If they do not settle,
+    the model with the least errors is returned.
     """
     known = _bridged(signals, options.horizon or MIN_HORIZON)
     least = np.inf
@@ -96,7 +96,7 @@ def estimated(signals: Parts, options: SubspaceOptions) -> SubspaceEstimate:
         before = np.vstack([y for _, y in known])
         estimated = np.isnan(e) & np.isfinite(before)
         if not estimated.any():
-            return filtered_estimate(signals, found, options)
+            break
         loss = float(np.nanmean(e**2))
         if loss < least:
             least, best = loss, found
@@ -107,8 +107,10 @@ def estimated(signals: Parts, options: SubspaceOptions) -> SubspaceEstimate:
         ]
         change = (np.vstack([y for _, y in known]) - before)[estimated]
         if np.mean(change**2) <= loss / len(e):
-            return filtered_estimate(signals, found, options)
-    return filtered_estimate(signals, replace(best, settled=False), options)
+            break
+    else:
+        found = replace(best, settled=False)
+    return filtered_estimate(signals, found, options)
 
 
 def filtered_estimate(
