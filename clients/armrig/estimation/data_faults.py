@@ -1,9 +1,8 @@
 """Warnings about faults of the data: wrong samples, an offset, swapped columns.
 
 In least squares a few large errors have as much weight as thousands of small errors. A model
-without an offset explains an offset of y as a response to the input. The test of the residuals for
-large errors needs almost no time. If the residuals are coloured or their mean is not zero, an ARX
-model of high order is fitted to estimate the offset.
+without an offset explains an offset of y as a response to the input. If the residuals are coloured
+or their mean is not zero, an ARX model of high order is fitted to estimate the offset.
 """
 
 from __future__ import annotations
@@ -142,9 +141,8 @@ def _doubtful(residuals: Sequence[Vector]) -> bool:
 def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Finding | None:
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
-    The model A(q) y(t) = B(q) u(t) + c + e(t) has a constant c. At u = 0 the level of y is c /
-    A(1). In a model without c, the initial state can explain a level only for a short time. The
-    result is None if u is constant from lag n on, because c and the gain then have the same effect.
+    At u = 0 the level of y in A(q) y(t) = B(q) u(t) + c + e(t) is c / A(1). The result is None if u
+    is constant from lag n on, because c and the gain then have the same effect.
     """
     parts = [(part.u, part.y) for part in data[:_MAX_OFFSET_SAMPLES].experiments()]
     n = min(_MAX_OFFSET_ORDER, (data.N - data.missing) // 10)

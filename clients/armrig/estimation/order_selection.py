@@ -47,8 +47,7 @@ class OrderTables:
     def best(self, criterion: Criterion | None = None) -> dict[str, Any]:
         """Return the orders na, nb and nk of `arx` that a criterion chooses, a row for each output.
 
-        In the row of an output, na is the chosen number for this output and 0 for the other
-        outputs.
+        In this row na is 0 for the other outputs.
         """
         best = {name: table.best(criterion) for name, table in self.tables.items()}
         chosen = [*best.values()]
@@ -81,15 +80,13 @@ def select_orders(
 
     One QR decomposition of y and the regressors of the largest structure reduces the data to a
     triangular matrix R. Each pair (na, nk) then needs only a small QR decomposition of columns of
-    R. The leading triangles of the result belong to the structures nb = 1, 2, …. The loss is the
-    sum of squares in the column of y below row na + nb. Triangular factors R_v of batches of the
-    validation data give the loss on these batches, ``|R_v [-theta; 1]|²``. All structures are
-    compared on the samples at which all regressors of the largest structure are known.
+    R. Triangular factors R_v of batches of the validation data give the loss on these batches,
+    ``|R_v [-theta; 1]|²``. All structures are compared on the samples at which all regressors of
+    the largest structure are known.
 
-    Several signals have a table for each output, with all inputs. All inputs of an output have the
-    same nb, and past values of the other outputs are left out. Otherwise the number of combinations
-    would grow exponentially with the number of channels. For the same reason, all inputs of an
-    output have the same nk, unless the delays are given.
+    Several signals have a table for each output, without the past of other outputs. All inputs of
+    an output have the same nb, and the same nk unless the delays are given. Otherwise the number of
+    combinations would grow exponentially with the number of channels.
 
     Parameters
     ----------
@@ -109,8 +106,7 @@ def select_orders(
     -------
     OrderTable or OrderTables
         Losses, AIC, MDL and FPE of every structure. `best()` returns the orders to use, and
-        `explain()` returns the reasons. Several signals have an `OrderTable` for each output;
-        `armrig.arx(data, **tables.best())` estimates the chosen model.
+        `explain()` the reasons; `armrig.arx(data, **tables.best())` estimates the chosen model.
 
     Raises
     ------

@@ -101,10 +101,7 @@ class _Estimated:
         return self.problem.linear_size + self.theta.size
 
     def starts(self, prefix: str = "") -> Iterator[Start]:
-        """Yield the result from each start value.
-
-        The loss is the mean square of the errors, which are whitened if outputs share a polynomial.
-        """
+        """Yield the result from each start value, with the mean square of the whitened errors."""
         for name, o in self.ends:
             yield Start(
                 name=prefix + name,

@@ -69,9 +69,8 @@ class RarxState:
     def noise_variance(self) -> float:
         """Weighted sum of squared errors divided by its degrees of freedom; NaN if there are none.
 
-        With the weights w = lambda^k the degrees of freedom are sum w - d (sum w²) / (sum w). For
-        white noise and a stationary input, the formula gives the expected number of degrees of
-        freedom.
+        With the weights w = lambda^k the degrees of freedom are sum w - d (sum w²) / (sum w), their
+        expected number for white noise and a stationary input.
         """
         degrees = self.weight - (self.na + self.nb) * self._share
         return float(self.R[-1, -1] ** 2 / degrees) if degrees > 0 else float("nan")
@@ -162,10 +161,9 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
     u is applied from t on, and y is measured at t. A missing value is NaN.
 
     The triangular factor R of the earlier rows is multiplied by the square root of the forgetting
-    factor. Rotations then add the row [phi y] to R. After N steps the result equals, except for
-    rounding, the weighted least-squares estimate from all samples. The method needs no covariance
-    matrix, which could become indefinite. A row that depends on a missing y changes neither R nor
-    the weights.
+    factor. Rotations then add the row [phi y] to R. The result equals, except for rounding, the
+    weighted least-squares estimate. A row that depends on a missing y changes neither R nor the
+    weights.
 
     Examples
     --------

@@ -45,9 +45,8 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     """Structure of a model, its orders, and the options of its estimator.
 
     All outputs and inputs have the same orders. If some outputs integrate, the orders also count
-    the root at 1 of these outputs. The orders na, nb and nf of the other outputs are then lower by
-    one. In the rig, for example, the transfer function to alpha has one pole and one coefficient of
-    B fewer than the transfer function to theta_1.
+    the root at 1 of these outputs. The orders na, nb and nf of the other outputs, such as alpha of
+    the rig, are then lower by one.
     """
 
     structure: OfferedName
@@ -83,13 +82,7 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
         require_sensible(samples=samples, nk=self.nk, integrator=bool(self.integrator), **orders)
 
     def arguments(self, data: Dataset | Signals) -> dict[str, Any]:
-        """Return the arguments of the estimator.
-
-        Raises
-        ------
-        ValueError
-            An order leaves no coefficient for an output that does not integrate.
-        """
+        """Return the arguments of the estimator; refuse an order that is too low for an output."""
         given: dict[str, Any] = dict(self.orders) | {"nk": self.nk} | self.asked
         if self.shared:
             given["shared"] = "denominator"

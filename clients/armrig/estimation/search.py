@@ -56,11 +56,10 @@ def searched_minimum(
     """Return the minimum reached from each start value, best first.
 
     If the minimum is in doubt, the search moves each mode of the best model and starts again, as
-    long as the cost decreases. The minimum is always in doubt if the searches end in different
-    minima. In a thorough search without `part`, the minimum is also in doubt if the cost is larger
-    than rounding errors explain. In any other search, the minimum is also in doubt if an F has at
-    least two roots and the noise is strong. If C, D and F have more than 30 coefficients, no mode
-    is moved, because a single mode then has little meaning.
+    long as the cost decreases. The minimum is in doubt if the searches end in different minima. In
+    a thorough search without `part`, it is also in doubt if the cost is larger than rounding errors
+    explain. In any other search, it is also in doubt if an F has at least two roots and the noise
+    is strong. A single mode of more than 30 coefficients has little meaning and is not moved.
 
     All searches start on `part`, a part of long data. From each minimum on the part, one search
     continues on all data. If the search is not thorough, it moves only complex pairs of F.
@@ -79,11 +78,7 @@ def searched_minimum(
 
 
 def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
-    """Return the minimum from the best moved mode; the modes are moved in data without a gap.
-
-    The missing outputs are then those that the best model predicts. The many searches from moved
-    modes are faster without gaps, and A is not searched.
-    """
+    """Return the minimum from the best moved mode, with predicted values of missing outputs."""
     if not _gaps(problem):
         return _lowest_beside(problem, best, thorough=thorough)
     whole = _completed(problem, best.theta)
@@ -117,11 +112,7 @@ def _largest_order(problem: PolynomialProblem) -> int:
 
 
 def _lowest_beside(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
-    """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
-
-    A search ends early if it returns to `best`, or if a higher minimum is near and the cost of
-    `best` is out of reach. After ten steps only the 16 other searches with the least cost continue.
-    """
+    """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower."""
     target = best.cost * (1 - _RETURN_TOLERANCE)
     starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
     for steps, kept in _STAGES:
@@ -149,10 +140,7 @@ def from_starts(problem: PolynomialProblem) -> Ends:
 
 
 def _through(part: PolynomialProblem, problem: PolynomialProblem) -> Ends:
-    """Continue from the minima on a part of the data, and return the minima on all data.
-
-    The best minimum is the first.
-    """
+    """Continue from the minima on a part of the data; return the minima on all data, best first."""
     ends: Ends = []
     previous: tuple[float, Optimum] | None = None
     for name, on_part in from_starts(part):
@@ -168,10 +156,7 @@ def _through(part: PolynomialProblem, problem: PolynomialProblem) -> Ends:
 
 
 def _adopted(problem: PolynomialProblem, part: PolynomialProblem, theta: Array) -> Array:
-    """Return the parameters of a problem from the parameters `theta` of the problem `part`.
-
-    Only one of the two problems may have gaps, and A is searched only in a problem with gaps.
-    """
+    """Return the parameters from those of `part`; only one of the problems may search A."""
     if problem.size <= theta.size:
         return theta[theta.size - problem.size :]
     return np.append(part.named(part.solve(theta).ab, theta)["A"][1:], theta)
@@ -287,11 +272,8 @@ def _with_white_noise(problem: PolynomialProblem, theta: Array) -> Iterator[Arra
 
 
 def _through_a_higher_order(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
-    """Yield start values from an output-error model of higher order, with one mode removed.
-
-    The larger model has one more b and one more f. During the search for the larger model, a mode
-    can move past a frequency at which the cost of the smaller model has a maximum.
-    """
+    """Yield start values from an output-error model of higher order, with one mode removed."""
+    # In the larger model a mode can pass a frequency where the smaller model has maximal cost.
     n = problem.rows[0]
     if len(problem.rows) > 1 or len(n.groups) > 1 or not any(n.sizes) or not n.white:
         return
@@ -333,10 +315,7 @@ def _without_one_real(z: Array) -> Iterator[Array]:
 
 
 def _without_one_pair(z: Array) -> Iterator[Array]:
-    """Yield the roots with one complex pair removed, for each complex pair.
-
-    Then yield the roots with the two smallest real roots removed, if there are two.
-    """
+    """Yield the roots without each complex pair, then without the two smallest real roots."""
     rest = np.arange(z.size)
     for i in np.flatnonzero(z.imag > _REAL_TOLERANCE):
         partner = int(np.argmin(np.abs(z - np.conj(z[i]))))
@@ -366,14 +345,8 @@ def searched_together(problem: PolynomialProblem) -> tuple[PolynomialProblem, En
 
 
 def _reweighted(problem: PolynomialProblem, ends: Ends) -> tuple[PolynomialProblem, Ends]:
-    """Return the problem of the best minimum, and the minima with an estimated Lambda.
-
-    Starting from each minimum in `ends`, Lambda is estimated and a search with this Lambda is run,
-    in turn. The best minimum has the least det Lambda. Then one mode of a denominator is moved, as
-    long as a move leads to a better minimum. The best minimum need not be the first of `ends`,
-    because the searches for `ends` used the variances of the outputs as Lambda. With these
-    variances, an output that integrates has little weight.
-    """
+    """Return the problem of least det Lambda, and the minima with an estimated Lambda."""
+    # The best minimum need not be the first of `ends`, which the variances of y weighted.
     found = [(name, *_iterated(problem, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])
     for _ in range(_MAX_MOVES):
@@ -391,10 +364,7 @@ def _reweighted(problem: PolynomialProblem, ends: Ends) -> tuple[PolynomialProbl
 
 
 def _moved_most(problem: PolynomialProblem, theta: Array) -> list[Array]:
-    """Move one mode in many ways; return the start values of least cost.
-
-    The modes are those of the denominators. If A is not searched, they are those of C and D.
-    """
+    """Move one mode of A and F, or else of C and D; return the start values of least cost."""
     letters = problem.layout.letters
     moved = "af" if set(problem.letters) & set("af") else "cd"
     starts = [
@@ -410,11 +380,7 @@ def _moved_most(problem: PolynomialProblem, theta: Array) -> list[Array]:
 def _iterated(
     problem: PolynomialProblem, end: Optimum, tolerance: float
 ) -> tuple[float, PolynomialProblem, Optimum]:
-    """Return log det Lambda, the problem with the last weights, and its minimum.
-
-    The function starts at the minimum `end`. It estimates Lambda and searches with this Lambda, in
-    turn, until Lambda hardly changes.
-    """
+    """Return log det Lambda, the problem and its minimum after Lambda hardly changes."""
     Lambda = noise_covariance(problem, end.theta)
     most = _MAX_STEPS_WITH_GAPS if _gaps(problem) else MAX_STEPS
     steps = end.iterations

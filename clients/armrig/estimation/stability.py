@@ -58,8 +58,7 @@ def with_stable_poles(
 ) -> tuple[Array, Solution, tuple[Finding, ...]]:
     """Return theta, the solution and the warnings, after A, D and F are reflected.
 
-    C does not change. For given A, C, D and F the errors are linear in B and the unknown past.
-    B and the past are therefore estimated again, by least squares.
+    B and the unknown past are then estimated again, by least squares.
     """
     layout, ab, notes = problem.layout, solution.ab.copy(), list[Finding]()
     fixed = np.zeros(ab.size, dtype=np.bool_)

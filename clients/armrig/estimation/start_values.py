@@ -168,9 +168,8 @@ def paths(
 def contributions(parts: Sequence[tuple[Array, Array]], n: Structure) -> list[Array | None]:
     """Return each input's contribution to y, (N, nu), simulated by a high-order ARX model.
 
-    The simulation begins at rest. The bias of the model decreases with its order. The contributions
-    are therefore without most of the noise and without the free response. They are None if the data
-    are too short.
+    The simulation begins at rest. The contributions are therefore without most of the noise and
+    without the free response. They are None if the data are too short.
     """
     nu = len(n.nb)
     order = max(*n.nf, *n.nb)
@@ -249,10 +248,7 @@ def _without_denominator(problem: PolynomialProblem) -> Iterator[tuple[str, Arra
 
 
 def _from_output_error(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
-    """Yield start values with C and D of the noise A (y - (B/A) u), for output-error models B/A.
-
-    An A that several outputs share has more minima than an A of one output.
-    """
+    """Yield start values with C and D of the noise A (y - (B/A) u), for output-error models B/A."""
     rows = [
         replace(n.output_error, nf=(n.na,) * len(n.nb), shared=True, integrator="", offset=True)
         for n in problem.rows
@@ -336,10 +332,7 @@ def armax_start(experiments: Sequence[Experiment], n: Structure) -> tuple[Array,
 
 
 def _regressors(x: Experiment, y: Array, n: Structure, order: int) -> Array:
-    """Return the regressors of A y = B u + e, with `order` coefficients of A and B if it is not 0.
-
-    An unknown value is NaN.
-    """
+    """Return the regressors of A y = B u + e, with `order` coefficients of A and B if not 0."""
     used = [(j, k, m) for j, (k, m) in enumerate(zip(n.nk, n.nb, strict=True)) if m]
     inputs = [past(x.u[:, j], range(k, k + (order or m))) for j, k, m in used]
     return np.hstack([-past(y, range(1, (order or n.na) + 1)), *inputs])
