@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import get_args
 
 import numpy as np
-from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_signals
 from armrig.data.dataset import Dataset, Signals
@@ -46,7 +45,7 @@ from armrig.models.estimate import Form
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
 from armrig.models.structure_table import Focus, Weights
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import require_integers, require_known
 from armrig.numerics.inference import Inference, OutputQuality
 from armrig.numerics.polynomial import Array
 
@@ -105,19 +104,17 @@ def n4sid(
     weights : {"cva", "moesp", "n4sid"}
         Weights of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, or N4SID
         of Van Overschee and De Moor.
-    nk : int or sequence of int, default 1
-        Number of samples before each input reaches the outputs. With 0 for all inputs the model has
-        a direct term D.
+    nk
+        As in `ss`.
     integrator : bool, default False
         Set the pole nearest 1 to exactly 1, and estimate the input offset too. The projection uses
         y, not the difference of y. Noise in the difference would hide the slow poles.
     horizon : int, optional
-        Number of past and of future samples, at least order / ny + 2. With a shorter horizon the
-        noise model would be wrong. The default is the largest of 10, 2 (order / ny + 1) and the
-        order of an ARX model. AIC chooses the order of the ARX model, at most 30. For short data
-        the default is smaller. If a horizon of order + 2 or of order / ny + 2 predicts the data
-        better, this horizon is the default. A long horizon suits white output noise. A short
-        horizon suits noise with the poles of A.
+        Number of past and of future samples, at least order / ny + 2. The default is the largest of
+        10, 2 (order / ny + 1) and the order of an ARX model by AIC, at most 30, and less for short
+        data. If a horizon of order + 2 or of order / ny + 2 predicts the data better, this horizon
+        is the default. A long horizon suits white output noise. A short horizon suits noise with
+        the poles of A.
     focus : {"prediction", "simulation"}
         Purpose of the model. With "simulation" B and D minimise the simulation error, and A is
         stable. For one output a search from the poles of the projection also minimises the
@@ -167,7 +164,7 @@ def n4sid(
     >>> fit.poles().values.round(2)
     array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
     """
-    _require_known(weights, focus)
+    require_known(weights=(weights, get_args(Weights)), focus=(focus, get_args(Focus)))
     if replicates is None:
         replicates = 0 if data.ny == 1 else _REPLICATES
     require_integers(order=(1 if order is None else order, 1), replicates=(replicates, 0))
@@ -220,14 +217,6 @@ def order_of(data: Signals, nk: int | Sequence[int] = 1) -> int:
     require_informative(data)
     scaled, _, _ = scaled_signals(data, delays)
     return len(estimated(scaled, SubspaceOptions(direct=max(delays) == 0)).model.A)
-
-
-def _require_known(weights: str, focus: str) -> None:
-    if weights not in get_args(Weights):
-        allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
-        raise InputError(f"weights={weights!r} must be one of {allowed}")
-    if focus not in get_args(Focus):
-        raise InputError(f'focus={focus!r} must be one of "prediction", "simulation"')
 
 
 def _replicated(

@@ -49,6 +49,7 @@ from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, prepared
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
+from armrig.numerics.checks import require_known
 from armrig.numerics.covariance import unspread
 from armrig.numerics.inference import OutputResiduals
 from armrig.numerics.least_squares import orthonormal
@@ -134,15 +135,11 @@ def estimated(
     ValueError
         There are too few samples, u does not excite the model, or an option is unknown.
     """
-    for option, value, allowed in (
-        ("initial", initial, get_args(Initial)),
-        ("starts", starts, get_args(Starts)),
-        ("shared", shared, get_args(Shared)),
-    ):
-        if value not in allowed:
-            names = [f'"{x}"' for x in allowed]
-            either = " or ".join(names) if len(names) == 2 else f"one of {', '.join(names)}"
-            raise InputError(f"{option}={value!r} must be {either}")
+    require_known(
+        initial=(initial, get_args(Initial)),
+        starts=(starts, get_args(Starts)),
+        shared=(shared, get_args(Shared)),
+    )
     if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
         data = data.dataset()
     if initial == "backcast":

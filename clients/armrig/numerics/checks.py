@@ -32,6 +32,15 @@ def require_flags(**asked: Any) -> None:
             raise InputError(f"{name}={value!r} must be True or False")
 
 
+def require_known(**asked: tuple[Any, Collection[str]]) -> None:
+    """Refuse a value that is not one of the allowed texts: name=(value, allowed)."""
+    for name, (value, allowed) in asked.items():
+        if value not in allowed:
+            names = [f'"{x}"' for x in allowed]
+            either = " or ".join(names) if len(names) == 2 else f"one of {', '.join(names)}"
+            raise InputError(f"{name}={value!r} must be {either}")
+
+
 def several(name: str, values: Any) -> list[int]:
     """Return the values of an argument as a list; refuse a single value and an empty sequence."""
     if not isinstance(values, Iterable) or isinstance(values, str):

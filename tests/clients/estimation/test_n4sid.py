@@ -331,7 +331,7 @@ def test_orders_weights_and_horizons_out_of_range_are_refused() -> None:
         n4sid(Dataset(u=u, y=np.full(300, 3.0), Ts=1.0), 1)
     with pytest.raises(ValueError, match="weights='svd' must be one of"):
         n4sid(clean, 2, "svd")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match='focus=\'both\' must be one of "prediction", "sim'):
+    with pytest.raises(ValueError, match='focus=\'both\' must be "prediction" or "sim'):
         n4sid(clean, 2, focus="both")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="horizon=3 must be an integer >= 4"):
         n4sid(clean, 2, horizon=3)
