@@ -45,10 +45,9 @@ def oe(
         For all outputs or the named outputs, set F = (1 - q^-1) F̃, with one root at exactly 1. In a
         structure without F, set A = (1 - q^-1) Ã. The root counts as one coefficient of F or A,
         except with a shared denominator. With F the noise is added to the integrated output. The
-        level and the input offset u0 of each experiment are estimated too, the offset as a ramp of
-        y. With A the input *and noise* are integrated. The model then describes the differenced
-        output, with an estimated input offset. For noise that is not integrated, such as sensor
-        noise, use `oe` or `bj`.
+        level and the input offset of each experiment are estimated too, the offset as a ramp of y.
+        With A the input *and noise* are integrated, and the input offset is estimated. For noise
+        that is not integrated, such as sensor noise, use `oe` or `bj`.
     offset : bool, default False
         Also estimate an input offset for each experiment: a level of A y. With an integrator the
         offset is always estimated.
@@ -62,11 +61,10 @@ def oe(
         circle, and estimate B again. A finding of the fit reports the reflection. During the search
         all poles of F stay inside or on the circle.
     starts : {"many", "few"}, default "many"
-        With "many" the search starts again from changed copies of the best model. In each copy one
-        mode has another frequency or damping. With "few" only complex root pairs of F are changed.
-        These pairs are changed only if the first searches end in different minima or the noise is
-        strong. "few" needs a tenth to a half of the time of "many", but ends in a poorer minimum
-        more often.
+        With "many" the search starts again from copies of the best model in which one mode has
+        another frequency or damping. With "few" only complex root pairs of F are changed, and only
+        if the first searches end in different minima or the noise is strong. "few" needs a tenth to
+        a half of the time of "many", but ends in a poorer minimum more often.
     shared : {"", "denominator"}
         With "denominator" all outputs and inputs have the same F, or the same A in a structure
         without F, and the inverse covariance matrix of e weights the outputs. For an output with an
@@ -78,8 +76,8 @@ def oe(
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (b, f), with the nuisance parameters marginalised.
         `covariance_robust` is the sandwich form with an autoregressive estimate of the residuals'
-        autocorrelation. With an integrator both covariances are transformed linearly from F̃ to F.
-        Both matrices are then singular in the direction that would move the root at 1.
+        autocorrelation. With an integrator both are singular in the direction that would move the
+        root at 1.
 
     Raises
     ------

@@ -111,8 +111,7 @@ def ss(
         Estimate K. With False the model is an output-error model, K = 0.
     output_weights : sequence of float, optional
         Weight w_i > 0 of each output. By default the estimated covariance of the noise weights the
-        errors. If a model is too simple for the data, its errors are not only noise. Larger weights
-        then select the outputs that the model must fit well.
+        errors. Larger weights select the outputs that a model that is too simple must fit well.
 
     Returns
     -------
