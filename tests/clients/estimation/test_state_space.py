@@ -328,7 +328,7 @@ def test_output_weights_choose_the_output_that_a_simple_model_fits() -> None:
 
 
 def test_the_weight_of_a_single_output_changes_no_estimate(tmp_path: Path) -> None:
-    alone = signals_of_one_output()
+    alone = data().channels(["y1"], ["u1", "u2"])
     weighted = armrig.ss(alone, order=3, output_weights=[7.0])
     by_noise = armrig.ss(alone, order=3)
 
@@ -338,10 +338,6 @@ def test_the_weight_of_a_single_output_changes_no_estimate(tmp_path: Path) -> No
     np.testing.assert_allclose(weighted.quality[0].loss, by_noise.quality[0].loss, 1e-7)
     weighted.save(tmp_path / "model.json")
     assert armrig.load_fit(tmp_path / "model.json").output_weights == (7.0,)
-
-
-def signals_of_one_output() -> Signals:
-    return data().channels(["y1"], ["u1", "u2"])
 
 
 def test_a_search_leaves_a_local_minimum(
@@ -418,21 +414,31 @@ def test_a_search_for_a_worse_minimum_ends_early() -> None:
     assert given_up.iterations < alone.iterations / 2
 
 
-@pytest.mark.parametrize(("offset", "scale"), [(0.0, 1.0), (1e4, 1.0), (0.0, 1e-9)])
-def test_the_factor_of_windows_has_their_squares(offset: float, scale: float) -> None:
-    """With little noise the squares lose digits, and the windows are decomposed."""
-    signals, i = data(scale=scale), 8
-    parts = [(signals.u[at] + offset, signals.y[at] - offset) for at in (slice(300), slice(300, N))]
+@pytest.mark.parametrize(
+    ("offset", "scale", "missing", "most"),
+    [(0.0, 1.0, 0.0, None), (1e4, 1.0, 0.0, None), (0.0, 1e-9, 0.0, None)]
+    + [(1.0, 1.0, 0.01, most) for most in (None, 30, 300)],
+)
+def test_the_factor_of_windows_has_their_squares(
+    offset: float, scale: float, missing: float, most: int | None
+) -> None:
+    """It is that of the first `most` windows [U_f U_p Y_p Y_f] without a missing sample."""
+    signals, p, f = data(scale=scale, missing=missing), 8, 6
+    whole = np.where(signals.valid, signals.y, np.nan)
+    parts = [(signals.u[at] + offset, whole[at] - offset) for at in (slice(300), slice(300, N))]
 
-    R = windows(parts, past=i, future=i).R
+    w = windows(parts, past=p, future=f, most=most)
 
     rows = [
-        np.concatenate([*u[t + i : t + 2 * i], *u[t : t + i], *y[t : t + i], *y[t + i : t + 2 * i]])
+        np.concatenate([*u[t + p : t + p + f], *u[t : t + p], *y[t : t + p], *y[t + p : t + p + f]])
         for u, y in parts
-        for t in range(len(y) - 2 * i + 1)
+        for t in range(len(y) - p - f + 1)
     ]
-    M = np.array(rows) - np.mean(rows, axis=0)
-    np.testing.assert_allclose(R.T @ R, M.T @ M, atol=1e-9 * np.abs(M.T @ M).max())
+    M = np.array([row for row in rows if np.isfinite(row).all()][:most])
+    M -= M.mean(axis=0)
+    assert M.shape[0] == w.N
+    assert np.allclose(np.tril(w.R, -1), 0)
+    np.testing.assert_allclose(w.R.T @ w.R, M.T @ M, atol=1e-9 * np.abs(M.T @ M).max())
 
 
 @pytest.mark.exhaustive

@@ -27,6 +27,7 @@ from armrig.estimation.subspace_horizon import (
     longest_horizon,
     usable_windows,
 )
+from armrig.numerics.least_squares import cholesky_factor, gram_of_windows
 from armrig.numerics.polynomial import filtered, impulse, lagged
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
@@ -114,17 +115,17 @@ def test_shortened_windows_are_the_middle_of_the_long_ones() -> None:
     np.testing.assert_allclose(short.R.T @ short.R, direct.R.T @ direct.R, atol=1e-8)
 
 
-@pytest.mark.parametrize(("most", "N"), [(None, 23 + 33 + 63), (70, 70), (30, 30), (20, 20)])
-def test_the_first_windows_are_counted_across_gaps_and_experiments(
-    most: int | None, N: int
-) -> None:
-    """Stretches of 30, 40 and 70 samples have 23, 33 and 63 windows of 8 samples."""
-    [(u, y)] = signals(148)
-    y[[30, 71, 72]] = np.nan
+@pytest.mark.parametrize("noise", [1e-6, 1e-9])
+def test_windows_whose_squares_lose_digits_are_decomposed(noise: float) -> None:
+    """With little noise the windows are nearly dependent, and the square loses digits of R."""
+    parts = signals(2000, noise)
 
-    parts = [(u[:71], y[:71]), (u[71:143], y[71:143]), (u[143:], y[143:])]
+    w = windows(parts, past=8, future=8)
 
-    assert windows(parts, past=5, future=3, most=most).N == N
+    squares = gram_of_windows([[x[:, 0] for x in part] for part in parts], 16)
+    assert cholesky_factor(squares) is None
+    rest = np.abs(np.diag(w.R)[-4:]) / np.sqrt(w.N)
+    assert ((rest > noise / 10) & (rest < 10 * noise)).all()
 
 
 def test_the_memory_of_the_predictor_minimises_aic() -> None:
@@ -191,6 +192,24 @@ def test_the_real_pole_nearest_1_becomes_the_integrator() -> None:
     found = np.sort_complex(np.linalg.eigvals(after.A))
     np.testing.assert_allclose(found, np.sort_complex([*pair, 1.0, -0.99, 0.3]), atol=1e-9)
     np.testing.assert_allclose(after.Abar, before.Abar, atol=1e-12)
+
+
+@pytest.mark.parametrize("integrator", [False, True])
+def test_unstable_poles_are_reflected_and_an_integrator_is_kept(integrator: bool) -> None:
+    def of(*poles: float) -> Innovations:
+        A = np.poly([*poles, *[1.0] * integrator])
+        found = innovations(A, np.append(1.0, np.full(A.size - 1, 0.1)))
+        return found.integrating() if integrator else found
+
+    outside, inside = of(1.3, -0.4), of(0.6, -0.4)
+
+    moved = outside.stabilised()
+
+    expected = np.append([-0.4, 1 / 1.3], [1.0] if integrator else [])
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(moved.A).real), expected, atol=1e-12)
+    np.testing.assert_allclose(moved.Abar, outside.Abar, atol=1e-12)
+    assert abs(1 - np.sum(moved.A[:, 0])) < 1e-14 or not integrator
+    assert inside.stabilised() is inside
 
 
 @pytest.mark.parametrize("nk", [0, 1, 3])
