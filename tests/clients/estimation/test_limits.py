@@ -71,8 +71,3 @@ def test_a_root_of_c_on_the_unit_circle_is_reported() -> None:
 
     assert np.abs(np.roots(fit.C)).max() == pytest.approx(1.0, abs=1e-6)
     assert any(w.startswith("C has a root on the unit circle") for w in fit.warnings)
-
-
-def test_too_few_samples_are_counted_in_the_refusal() -> None:
-    with pytest.raises(ValueError, match="needs at least 26 samples, got 3"):
-        armrig.n4sid(armrig.Dataset(u=U[:3], y=Y[:3], Ts=1.0), order=2)

@@ -50,7 +50,8 @@ def bj_data(seed: int, **kwargs: float) -> Dataset:
     return data(seed, (C, D), **kwargs)  # type: ignore[arg-type]
 
 
-CASES: list[tuple[Callable[..., Fit], Callable[..., Dataset], dict[str, int], list[float]]] = [
+Case = tuple[Callable[..., Fit], Callable[..., Dataset], dict[str, int], list[float]]
+CASES: list[Case] = [
     (armax, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
     (bj, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
     (pem, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
@@ -58,14 +59,10 @@ CASES: list[tuple[Callable[..., Fit], Callable[..., Dataset], dict[str, int], li
 ]
 
 
-@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
-def test_the_true_system_is_found(
-    estimate: Callable[..., Fit],
-    made: Callable[..., Dataset],
-    orders: dict[str, int],
-    truth: list[float],
-) -> None:
+@pytest.mark.parametrize("case", CASES)
+def test_the_true_system_is_found(case: Case) -> None:
     """Every coefficient within four deviations, both forms of them alike, the residuals white."""
+    estimate, made, orders, truth = case
     fit = estimate(made(1, N=4000), **orders)
 
     assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
@@ -77,14 +74,10 @@ def test_the_true_system_is_found(
     assert fit.noise_variance == pytest.approx(0.25, rel=0.1)
 
 
-@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
-def test_gaps_and_several_experiments_do_not_bias_the_estimate(
-    estimate: Callable[..., Fit],
-    made: Callable[..., Dataset],
-    orders: dict[str, int],
-    truth: list[float],
-) -> None:
+@pytest.mark.parametrize("case", CASES)
+def test_gaps_and_several_experiments_do_not_bias_the_estimate(case: Case) -> None:
     """Five experiments with 3 % of the samples missing."""
+    estimate, made, orders, truth = case
     whole = made(2, N=6000)
     valid = np.random.default_rng(0).random(whole.N) > 0.03
     parts = [
@@ -149,17 +142,13 @@ def test_the_deviations_of_an_ararx_model_hold() -> None:
 
 
 @pytest.mark.parametrize(
-    ("estimate", "made", "orders", "truth"),
+    "case",
     [(armax, armax_data, {"nc": 1}, [1, 0.5, 0.5]), (ararx, ararx_data, {"nd": 1}, [1, 0.5, -0.7])],
     ids=["armax", "ararx"],
 )
-def test_a_model_of_equation_error_may_integrate_its_noise(
-    estimate: Callable[..., Fit],
-    made: Callable[..., Dataset],
-    orders: dict[str, int],
-    truth: list[float],
-) -> None:
+def test_a_model_of_equation_error_may_integrate_its_noise(case: Case) -> None:
     """(1 - q^-1) Ã y = B (u - u0) + C e or + e/D: the model of the rate, with the offset found."""
+    estimate, made, orders, truth = case
     rate = made(5, N=3000)
     angle = Dataset(u=rate.u + 0.3, y=np.cumsum(rate.y), Ts=0.1)
 
@@ -176,13 +165,9 @@ def test_a_model_of_equation_error_may_integrate_its_noise(
     assert "A has the factor 1 - q^-1" in repr(fit)
 
 
-@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
-def test_an_input_offset_is_estimated_with_the_model(
-    estimate: Callable[..., Fit],
-    made: Callable[..., Dataset],
-    orders: dict[str, int],
-    truth: list[float],
-) -> None:
+@pytest.mark.parametrize("case", CASES)
+def test_an_input_offset_is_estimated_with_the_model(case: Case) -> None:
+    estimate, made, orders, truth = case
     seen = made(6, N=3000)
     moved = Dataset(u=seen.u + 2.5, y=seen.y, Ts=0.1)
 
