@@ -49,13 +49,7 @@ class Derivatives:
         """Return the predictor after a small step of the parameters (d,)."""
         A, B, C, D, K = (
             M + np.tensordot(step, by, axes=1)
-            for M, by in (
-                (at.Abar + at.K @ at.C, self.A),
-                (at.Bbar + at.K @ at.D, self.B),
-                (at.C, self.C),
-                (at.D, self.D),
-                (at.K, self.K),
-            )
+            for M, by in ((getattr(at, x), getattr(self, x)) for x in "ABCDK")
         )
         return Predictor(Abar=A - K @ C, Bbar=B - K @ D, C=C, D=D, K=K, x0=at.x0)
 
@@ -101,8 +95,8 @@ def matrices(
 ) -> tuple[Matrices, Array]:
     """Return the model in units of the data, and the derivatives of its theta."""
     form = Matrices(
-        A=at.Abar + at.K @ at.C,
-        B=(at.Bbar + at.K @ at.D) / su,
+        A=at.A,
+        B=at.B / su,
         C=sy[:, None] * at.C,
         D=sy[:, None] * at.D / su,
         K=at.K / sy,

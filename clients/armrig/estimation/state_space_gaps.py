@@ -124,10 +124,7 @@ class GapProblem:
         self, part: Part, predictors: Sequence[Predictor], x: Array
     ) -> tuple[Array, Array]:
         """Return the whitened errors (N, m, ny), and the sums (m,) of log det(S inv(Lambda_oo))."""
-        K, C = (np.array([getattr(p, name) for p in predictors]) for name in ("K", "C"))
-        D = np.array([p.D for p in predictors])
-        A = np.array([p.Abar for p in predictors]) + K @ C
-        B = np.array([p.Bbar for p in predictors]) + K @ D
+        A, B, C, D, K = (np.array([getattr(p, x) for p in predictors]) for x in "ABCDK")
         driven = np.einsum("mij,tj->tmi", B, part.u)
         direct = np.einsum("mij,tj->tmi", D, part.u)
         steps = kalman_steps(part.rows, A, C, K, self.Lambda, _NEGLIGIBLE)

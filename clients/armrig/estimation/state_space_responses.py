@@ -1,9 +1,4 @@
-"""Predictor of a state-space model, and its responses, for data with missing outputs, too.
-
-The predictor is, with Abar = A - K C and Bbar = B - K D ::
-
-    x(t+1) = Abar x(t) + Bbar u(t) + K y(t),    yhat(t) = C x(t) + D u(t)
-"""
+"""Predictor of a state-space model, and its responses, for data with missing outputs, too."""
 
 from __future__ import annotations
 
@@ -77,6 +72,11 @@ class Predictor:
         return held_responses(part, self, w[:, None], v[:, None], self.x0[i][None])[:, 0]
 
     @property
+    def A(self) -> Array:
+        """Transition matrix (n, n) of the innovations form."""
+        return np.asarray(self.Abar + self.K @ self.C)
+
+    @property
     def B(self) -> Array:
         """Matrix of the inputs (n, nu) of the innovations form."""
         return np.asarray(self.Bbar + self.K @ self.D)
@@ -84,14 +84,12 @@ class Predictor:
     def simulated(self, u: Array, e: Array, x0: Array) -> Array:
         """Return the outputs (N, ny) for given inputs, errors and initial state."""
         w = u @ self.Bbar.T + (u @ self.D.T + e) @ self.K.T
-        x = recursion(self.Abar + self.K @ self.C, w, x0)[:-1]
+        x = recursion(self.A, w, x0)[:-1]
         return np.asarray(x @ self.C.T + u @ self.D.T + e)
 
     def impulses(self, length: int) -> Array:
         """Return the impulse responses from u and e, of `length` samples each, as a vector."""
-        A = self.Abar + self.K @ self.C
-        x = np.hstack([self.Bbar + self.K @ self.D, self.K])
-        found = [self.D.ravel()]
+        A, x, found = self.A, np.hstack([self.B, self.K]), [self.D.ravel()]
         for _ in range(length):
             found.append((self.C @ x).ravel())
             x = A @ x
