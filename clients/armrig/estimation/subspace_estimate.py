@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -128,20 +129,7 @@ def filtered_estimate(
         return found
     Lambda = weights_of(found)
     parts = filtered_parts(signals, model.A, model.C, model.K, Lambda)
-    at, predicted, bases = completed(parts, model, direct=options.direct, given=given)
-    errors = [
-        scaled_errors(part, y - yhat, Lambda)
-        for part, (_, y), yhat in zip(parts, signals, predicted, strict=True)
-    ]
-    return replace(
-        found,
-        at=at,
-        predicted=predicted,
-        states=bases,
-        errors=errors,
-        parts=tuple(parts),
-        Lambda=Lambda,
-    )
+    return replace(found, **_of_model(signals, parts, model, options, given, Lambda))
 
 
 def weights_of(found: SubspaceEstimate) -> Array:
@@ -204,19 +192,29 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
     free = model.A
     if options.stable:
         model = model.stabilised()
-    parts = unweighted(signals)
-    at, predicted, bases = completed(parts, model, direct=direct)
     return SubspaceEstimate(
-        model=model,
         free=free,
-        at=at,
-        predicted=predicted,
-        states=bases,
-        errors=[y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)],
         canonical_correlations=canonical.singular_values,
         suggested_order=suggested,
-        parts=parts,
+        **_of_model(signals, unweighted(signals), model, options),
     )
+
+
+def _of_model(
+    signals: Parts,
+    parts: Sequence[Part],
+    model: Innovations,
+    options: SubspaceOptions,
+    given: tuple[Array, Array] | None = None,
+    Lambda: Array | None = None,
+) -> dict[str, Any]:
+    """Return the fields of an estimate that follow from A, C and K, such as its errors."""
+    at, predicted, states = completed(parts, model, direct=options.direct, given=given)
+    errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
+    if Lambda is not None:
+        errors = [scaled_errors(part, e, Lambda) for part, e in zip(parts, errors, strict=True)]
+    found = {"model": model, "at": at, "predicted": predicted, "states": states}
+    return found | {"errors": errors, "parts": tuple(parts), "Lambda": Lambda}
 
 
 def completed(
@@ -281,18 +279,12 @@ def for_simulation(
         v = [y - yhat for (_, y), yhat in zip(signals, simulated, strict=True)]
         polynomials = noise_start([_without_past(a, x[:, 0]) for x in v], nc=a.size - 1, nd=0)[0]
         gains = [model.K, *((c - a)[1:, None] for c in (polynomials, reflected(a)))]
-    fits = []
-    for K in gains:
-        candidate = replace(model, K=K)
-        predictor, predicted, states = completed(
-            parts, candidate, direct=direct, given=(at.Bbar, at.D)
-        )
-        errors = [y - yhat for (_, y), yhat in zip(signals, predicted, strict=True)]
-        fit = replace(found, model=candidate, at=predictor, predicted=predicted, errors=errors)
-        fits.append(replace(fit, free=candidate.A, states=states, parts=parts, Lambda=None))
+    given, models = (at.Bbar, at.D), [replace(model, K=K) for K in gains]
+    fields = [_of_model(signals, parts, each, options, given) for each in models]
+    fits = [replace(found, free=model.A, **of) for of in fields]
     losses = [np.linalg.slogdet(pairwise_covariance(np.vstack(fit.errors)))[1] for fit in fits]
     best = fits[int(np.argmin(losses))]
-    return filtered_estimate(signals, best, options, given=(best.at.B, best.at.D))
+    return filtered_estimate(signals, best, options, given)
 
 
 def _without_past(a: Array, v: Array) -> Array:
