@@ -58,8 +58,7 @@ class ErrorProcess:
 def error_process(errors: Sequence[Array]) -> ErrorProcess:
     """Return the autoregression with 10 lags, or with fewer lags if there are few errors.
 
-    The one-step errors (N, ny) of each experiment are NaN where an output is missing. The variance
-    of w is corrected for the number of estimated coefficients.
+    The one-step errors (N, ny) of each experiment are NaN where an output is missing.
     """
     known = np.vstack(errors)
     ny = known.shape[1]
@@ -72,7 +71,7 @@ def error_process(errors: Sequence[Array]) -> ErrorProcess:
             continue
         A = long_regression(parts, p, direct=False)
         w = np.vstack([_errors(e, A) for _, e in parts])
-        w = (w - w.mean(axis=0)) * np.sqrt(rows / (rows - p * ny))
+        w = (w - w.mean(axis=0)) * np.sqrt(rows / (rows - p * ny))  # degrees of freedom
         process = ErrorProcess(coefficients=A, w=w)
         if np.max(np.abs(np.linalg.eigvals(process.companion))) < 1:
             return process

@@ -46,10 +46,9 @@ def fit_of_outputs(
     rounding: float = 0.0,
     **fields: Any,
 ) -> Fit:
-    """Return the model with its covariance, loss and tests of whiteness.
+    """Return the model with its covariance, loss and tests of whiteness, and other `fields`.
 
-    W (d, r) transforms the influences of the residuals to the d estimated coefficients. The other
-    `fields` are fields of the `Fit`.
+    W (d, r) transforms the influences of the residuals to the d estimated coefficients.
     """
     names = estimates[0].polynomials
     found = infer(

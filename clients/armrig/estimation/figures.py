@@ -41,11 +41,10 @@ MIN_SHOWN_POWER = 1e-5
 
 
 def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
-    """Plot the impulse response with its band about 0.
+    """Plot the impulse response with its band about 0; coefficients outside are significant.
 
-    Coefficients outside the band are significant. If the output integrates, the upper panel shows
-    the response of the rate. The lower panel shows the running sum of this response, with a band
-    about the sum.
+    If the output integrates, the upper panel shows the response of the rate. The lower panel shows
+    the running sum of this response, with a band about the sum.
     """
     g, std = response.decaying
     width = response.band(level)

@@ -303,13 +303,10 @@ def delays_of(nk: int | Sequence[int], data: Signals) -> tuple[int, ...]:
 def scaled_signals(
     data: Signals, delays: tuple[int, ...]
 ) -> tuple[list[tuple[Array, Array]], Array, Array]:
-    """Return scaled and delayed u and y of each experiment, and the scales of u and of y.
-
-    The signals begin at the first sample at which all delayed inputs are known.
-    """
+    """Return scaled and delayed u and y of each experiment, and the scales of u and of y."""
     su, sy = _scale(data.u), _scale(data.y)
     lags = [max(k - 1, 0) for k in delays]
-    first = max(lags)
+    first = max(lags)  # the first sample at which all delayed inputs are known
     signals = []
     for part in data.experiments():
         pairs = zip(part.u.T, lags, strict=True)

@@ -103,10 +103,7 @@ def windows(parts: Parts, *, past: int, future: int, most: int | None = None) ->
 def complete_stretches(
     parts: Parts, length: int, most: int | None = None
 ) -> list[tuple[Array, Array]]:
-    """Return the stretches of at least `length` samples without a missing output.
-
-    Together they have at most `most` windows of that length.
-    """
+    """Return the stretches of `length` samples or more without a gap, of at most `most` windows."""
     runs, left = [], np.inf if most is None else most
     for u, y in parts:
         for s in stretches(np.asarray(np.isfinite(y).all(axis=1))):
@@ -221,8 +218,7 @@ def visible_states(w: Windows) -> int:
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
     """Return the losses of the one-step errors of models with 1 … `most` states, (most,).
 
-    The n states of a model are the components of H W_p along the first n singular vectors.
-    Therefore a single QR decomposition determines the losses for all n.
+    The n states are the components of H W_p along the first n singular vectors.
     """
     y, now = w.R[:, w.columns("yf")[: w.ny]], w.R[:, w.columns("uf")[: w.nu]]
     states = w.R[:, w.columns("up", "yp")] @ (found.H.T @ found.U[:, :most])

@@ -65,11 +65,10 @@ def require_windows(horizon: int, signals: int, got: int) -> None:
 
 
 def longest_horizon(signals: Parts, samples: int, order: int | None) -> int:
-    """Return the largest useful horizon: at least 10, and at least the order of an ARX model.
+    """Return the largest useful horizon, which `n4sid` describes.
 
-    AIC chooses the order of the ARX model, at most 30. The horizon is also at least 2 (order + 1)
-    for one output. For short data the horizon is at most a twelfth of the number of samples, or
-    less for more than two signals, but at least the `least_horizon`.
+    For short data it is at most a twelfth of the number of samples, or less for more than two
+    signals, but at least the `least_horizon`.
     """
     (u, y), *_ = signals
     least = 2 if order is None else least_horizon(order, y.shape[1])
@@ -135,10 +134,7 @@ class Innovations:
         return self.with_transition(np.real(V @ np.diag(z) @ np.linalg.inv(V)))
 
     def with_transition(self, A: Array) -> Innovations:
-        """Return the model with another A.
-
-        A - K C changes as little as possible; for one output it does not change.
-        """
+        """Return the model with another A; A - K C changes as little as possible, or not at all."""
         return replace(self, A=A, K=self.K + (A - self.A) @ np.linalg.pinv(self.C))
 
 
@@ -155,10 +151,7 @@ def _nearest_1(z: Array) -> int:
 
 
 def innovations_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Innovations:
-    """Return A, C and K for the horizon of the windows, for one output in observer form.
-
-    The responses of the observer form need the fewest operations.
-    """
+    """Return A, C and K for the horizon of the windows, for one output in observer form."""
     space = realised(w, found, order)
     A, C = space.A, space.C
     if w.ny == 1:
