@@ -13,6 +13,7 @@ import armrig
 import numpy as np
 from armrig.rig.client import Rig, RigError
 from armrig.rig.replies import RefusedError
+from armrig_core.commands.commands import LastRun
 
 from tests.integration.fork_server import Forked
 from tests.integration.processes import WITHIN_S, Bench, wait_for
@@ -123,11 +124,16 @@ def _rests(bench: Bench) -> bool:
 
 def recorded(bench: Bench) -> armrig.Recording:
     """Return the recording of the last run, once it is finished."""
+    return armrig.load(last_run(bench).recording)
+
+
+def last_run(bench: Bench) -> LastRun:
+    """Return what the status says of the last run, once it is finished."""
     with bench.rig() as rig:
         wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
         last = rig.status().last_run
     assert last is not None
-    return armrig.load(last.recording)
+    return last
 
 
 def outcome(recording: armrig.Recording) -> str:

@@ -13,6 +13,7 @@ from tests.integration.driving import (
     check_every_k,
     check_volts,
     driven,
+    last_run,
     outcome,
     recorded,
 )
@@ -33,10 +34,7 @@ def test_a_disk_that_fills_during_a_run_stops_it_and_keeps_its_samples(bench: Be
         resource.prlimit(daemon.popen.pid, resource.RLIMIT_FSIZE, full)
 
         wait_for(lambda: bench.volts() == 0.0)
-        with bench.rig() as rig:
-            wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
-            last = rig.status().last_run
-    assert last is not None
+        last = last_run(bench)
     assert "File too large; the flushed samples are kept there" in last.outcome
     assert Path(last.recording) == active
     recording = armrig.load(active)

@@ -9,7 +9,7 @@ import time
 import pytest
 from armrig_core.commands import commands
 
-from tests.integration.driving import begin, stranger
+from tests.integration.driving import begin, last_run, stranger
 from tests.integration.processes import Bench, wait_for
 from tests.integration.test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
 
@@ -78,8 +78,4 @@ def _killed_in_a_flood(
     finally:
         client.kill()
         client.wait()
-    with bench.rig() as rig:
-        wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
-        last = rig.status().last_run
-    assert last is not None
-    return took_s, last
+    return took_s, last_run(bench)

@@ -13,6 +13,7 @@ from armrig.rig.collection import Shown, collect
 from armrig.rig.session import LostLinkError, NoReplyError
 
 from tests.clients.fake_daemon import step_plan
+from tests.integration.driving import last_run
 from tests.integration.fleet_lab import WITHIN_S, FleetLab
 from tests.integration.processes import Bench, wait_for
 
@@ -118,7 +119,4 @@ def test_a_client_that_lost_its_link_ends_after_its_dead_man_time(
     assert ", and did not return; by its dead-man the rig stopped the motor at " in str(ended.value)
     assert len(lost_ns) == 1
     assert bench.went_to_0_v_after(lost_ns[0]) < DEAD_MAN_S + LATE_S
-    with bench.rig() as local:
-        wait_for(lambda: (last := local.status().last_run) is not None and last.finished)
-        assert (last := local.status().last_run) is not None
-        assert last.outcome == "its client went away: no sign of it for 1 s"
+    assert last_run(bench).outcome == "its client went away: no sign of it for 1 s"

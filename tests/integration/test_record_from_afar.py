@@ -21,9 +21,9 @@ from armrig.rig.remote_recording import RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import open_session
 from armrig_core.commands.codes import COMPLETE
-from armrig_core.telemetry import protobuf
 from armrig_daemon.service.publish import Session
 
+from tests.clients.made_recordings import gap
 from tests.integration.fleet_lab import Publisher, publish, recorded_k
 from tests.integration.processes import Bench, newest, wait_for
 from tests.sampling import sampled
@@ -34,20 +34,6 @@ def where() -> Iterator[str]:
     """Return an endpoint in a directory of its own."""
     with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
         yield f"unixsock-stream/{directory}/1.sock"
-
-
-def gap(k_first: int, count: int) -> bytes:
-    """Return a gap record of the daemon."""
-    t_ns = 5_000_000_000 + k_first * 10_000_000
-    message = protobuf.message_class(protobuf.GAP)(
-        k_first=k_first,
-        count=count,
-        t_from_ns=t_ns,
-        t_to_ns=t_ns + count * 10_000_000,
-        u_held_v=2.5,
-        reason="link silent",
-    )
-    return bytes(message.SerializeToString())
 
 
 def next_piece(source: RemoteSource) -> Piece:
@@ -88,7 +74,7 @@ def test_a_late_recorder_receives_the_kept_messages(where: str, tmp_path: Path) 
             recorder = Recorder(session, tmp_path / "a.mcap")
             recorder.take()
             publish([daemon], range(1000, 5000))
-            daemon.put("gap", gap(5000, 5))
+            daemon.put("gap", gap(5000, 5, 2.5).SerializeToString())
             publish([daemon], range(5005, 5010))
             recorder.take()
             assert recorder.take().past.messages == ()

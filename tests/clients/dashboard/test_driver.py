@@ -27,7 +27,9 @@ def driver(daemon: FakeDaemon) -> Iterator[Driver]:
     made.end()
 
 
-def _wait_for_the_end(driver: Driver) -> None:
+def _play(driver: Driver, asked_s: float = 0.0) -> None:
+    """Have the driver play a plan to its end; without a time, as requested now."""
+    driver.start(PLAN, asked_s=asked_s or time.monotonic())
     while driver.run.is_going:
         time.sleep(0.01)
 
@@ -36,8 +38,7 @@ def test_a_stop_cancels_a_run_requested_before_it(driver: Driver, daemon: FakeDa
     """The daemon stops only an armed run, and a run is armed some time after its request."""
     asked_s = time.monotonic()
     driver.stop("somebody")
-    driver.start(PLAN, asked_s=asked_s)
-    _wait_for_the_end(driver)
+    _play(driver, asked_s)
 
     assert driver.run.error == "not started: stopped by somebody"
     assert daemon.names() == ["stop", "arm", "disarm"]
@@ -45,8 +46,7 @@ def test_a_stop_cancels_a_run_requested_before_it(driver: Driver, daemon: FakeDa
 
 def test_a_stop_does_not_cancel_the_next_run(driver: Driver, daemon: FakeDaemon) -> None:
     driver.stop("somebody")
-    driver.start(PLAN, asked_s=time.monotonic())
-    _wait_for_the_end(driver)
+    _play(driver)
 
     assert daemon.names() == ["stop", "arm", "run"]
 
@@ -55,13 +55,11 @@ def test_a_run_starts_without_the_error_of_the_previous_run(
     driver: Driver, daemon: FakeDaemon
 ) -> None:
     daemon.refusals["arm"] = "busy"
-    driver.start(PLAN, asked_s=time.monotonic())
-    _wait_for_the_end(driver)
+    _play(driver)
     before = driver.run.error
 
     daemon.refusals.clear()
-    driver.start(PLAN, asked_s=time.monotonic())
-    _wait_for_the_end(driver)
+    _play(driver)
 
     assert (before != "", driver.run.error) == (True, "")
 
@@ -108,8 +106,7 @@ def test_a_run_is_reported_completely_at_its_end(
 ) -> None:
     daemon.recording = str(three_recordings[1])
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
-    driver.start(PLAN, asked_s=time.monotonic())
-    _wait_for_the_end(driver)
+    _play(driver)
 
     run = driver.run
     assert (run.experiment, run.done, run.total, run.error) == ("step", 100, 100, "")
@@ -122,8 +119,7 @@ def test_a_run_that_ends_early_has_a_recording_and_a_reason_without_a_remedy(
     driver: Driver, daemon: FakeDaemon, three_recordings: tuple[Path, Path, Path]
 ) -> None:
     daemon.recording, daemon.outcome = str(three_recordings[1]), "stopped by Ada"
-    driver.start(PLAN, asked_s=time.monotonic())
-    _wait_for_the_end(driver)
+    _play(driver)
 
     assert driver.run.recording == "estimation.mcap"
     assert driver.run.error == "the run ended after 100 of 100 samples: stopped by Ada"
@@ -132,8 +128,7 @@ def test_a_run_that_ends_early_has_a_recording_and_a_reason_without_a_remedy(
 def test_a_trip_is_reported_with_the_page_s_own_button(driver: Driver, daemon: FakeDaemon) -> None:
     daemon.fault, daemon.remedy = "the link is silent", "see to the cable"
     daemon.refusals["arm"] = "in fault"
-    driver.start(PLAN, asked_s=time.monotonic())
-    _wait_for_the_end(driver)
+    _play(driver)
 
     assert driver.run.error == (
         "rig 1 is in fault: the link is silent; see to the cable; then press Reset"

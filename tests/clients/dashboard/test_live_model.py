@@ -7,22 +7,19 @@ import re
 import numpy as np
 from armrig.dashboard.feed import LiveModel
 from armrig.excitation import telegraph
-from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig.numerics.polynomial import filtered
+from armrig_core.rig.arm import ArmParameters, arm_matrices
+
+from tests.clients.handout_plant import sampled_arm
 
 TS = 0.01
 
 
 def _samples(N: int) -> np.ndarray:
-    """Return samples of the handout's arm under a telegraph, without noise: (N, 5)."""
-    A, B, _ = arm_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, TS)
-    u, x = telegraph(N, 0.05, 0.5, 4.5, 1), np.zeros(4)
-    rows = []
-    for k in range(N):
-        angle = np.degrees(x[:2])
-        rows.append((k, k * TS, u[k], angle[0] % 360, angle[1]))
-        x = Phi @ x + Gamma[:, 0] * u[k]
-    return np.array(rows)
+    """Return samples of the handout's arm under a telegraph, without noise, alpha left out."""
+    k, u = np.arange(N), telegraph(N, 0.05, 0.5, 4.5, 1)
+    theta_1 = np.degrees(filtered(*sampled_arm(TS), u)) % 360
+    return np.column_stack([k, k * TS, u, theta_1, np.zeros(N)])
 
 
 def _poles() -> list[complex]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from armrig_core.commands.commands import Arm, LastRun, Run, Status, StatusRepor
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon, step_plan, unseen
-from tests.clients.made_recordings import sample, timing
+from tests.clients.made_recordings import gap, sample, timing
 
 NEW = LastRun(run_id="new", recording="new.mcap", finished=True, samples=7, outcome="stopped")
 OLD = LastRun(run_id="old", recording="old.mcap", finished=True, samples=9, outcome="complete")
@@ -131,13 +131,6 @@ def test_the_outcome_code_decides_whether_a_run_is_complete(
     assert last.is_complete == is_complete
 
 
-class Missing(NamedTuple):
-    """Content of a gap record."""
-
-    k_first: int
-    count: int
-
-
 def test_the_progress_shows_the_lateness_and_the_queue_of_the_last_report() -> None:
     def late(first: int, count: int, late_us: int) -> list[Any]:
         return [
@@ -156,7 +149,7 @@ def test_the_progress_shows_the_lateness_and_the_queue_of_the_last_report() -> N
         late(107, 20, 300),
         late(127, 80, 50),
     ]
-    gaps: list[list[Any]] = [[Missing(5, 4)], [], [Missing(206, 9)]]
+    gaps: list[list[Any]] = [[gap(5, 4, 1.0)], [], [gap(206, 9, 1.0)]]
     reports = [[report(3, 9)], [report(17, 100)], [report(17, 100), report(5, 0)]]
     pieces = [iter(each) for each in (lots, gaps, reports)]
 

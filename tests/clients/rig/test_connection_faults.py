@@ -20,6 +20,8 @@ from armrig.rig.session import NoReplyError, RigError, _way, why_not_connected
 from armrig_core.access.client_settings import ClientSettings
 from armrig_core.access.credential import read_credential, utc
 
+from tests.integration.laboratory import free_port
+
 
 @pytest.fixture
 def made(tmp_path: Path) -> Path:
@@ -40,16 +42,10 @@ def password(tmp_path: Path) -> Path:
     return path
 
 
-def _port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
-
-
 @contextmanager
 def _listening(rig: Path, protocol: str = "tls", **tls: Any) -> Iterator[int]:
     """Have zenoh listen with a rig's credential; give the port."""
-    port = _port()
+    port = free_port()
     config = {
         "mode": "peer",
         "listen": {"endpoints": [f"{protocol}/127.0.0.1:{port}"]},
