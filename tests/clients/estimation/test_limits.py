@@ -64,10 +64,10 @@ def test_units_change_neither_fit_nor_whiteness(estimator: str, factor: float) -
 
 
 def test_a_root_of_c_on_the_unit_circle_is_reported() -> None:
-    """White noise of the differenced output has C = 1 - q^-1."""
+    """White noise of the differenced output has C = 1 - q^-1; the predictor stays stable."""
     y = np.diff(filtered([0.0, 1.0], [1.0, -0.5], U) + E)
 
     fit = armrig.armax(armrig.Dataset(u=np.diff(U), y=y, Ts=1.0), na=1, nb=1, nc=1)
 
-    assert np.abs(np.roots(fit.C)).max() == pytest.approx(1.0, abs=1e-6)
+    assert 1 - 1e-6 < np.abs(np.roots(fit.C)).max() < 1
     assert any(w.startswith("C has a root on the unit circle") for w in fit.warnings)

@@ -213,17 +213,6 @@ def test_the_starts_of_a_noise_model_are_reported() -> None:
     assert all(s.converged for s in (*three.starts, *two.starts))
 
 
-def test_the_predictor_stays_stable() -> None:
-    """Noise with a zero on the circle moves C to the circle, not across it."""
-    rng = np.random.default_rng(9)
-    u, e = rng.standard_normal((2, 300))
-    seen = Dataset(u=u, y=filtered(B, A, u) + filtered([1, -1], A, e), Ts=1)
-
-    fit = armax(seen, na=2, nb=2, nc=1)
-
-    assert -1 < fit.C[1] < -0.9
-
-
 @pytest.mark.parametrize(
     "options", [{"offset": True}, {"integrator": True, "initial": "zero"}], ids=["offset", "angle"]
 )

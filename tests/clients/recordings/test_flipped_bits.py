@@ -35,6 +35,13 @@ def _heads() -> list[int]:
     return places
 
 
+def _flipped(folder: Path, at: int, bit: int, data: bytes = DATA) -> Path:
+    """Write a file with one bit changed."""
+    spoilt = bytearray(data)
+    spoilt[at + bit // 8] ^= 1 << bit % 8
+    return written(folder, bytes(spoilt))
+
+
 BITS = list(product(_heads(), range(8 * _HEAD.size)))
 
 
@@ -42,10 +49,7 @@ BITS = list(product(_heads(), range(8 * _HEAD.size)))
 def test_a_flipped_bit_of_a_header_loses_no_sample(tmp_path: Path, part: int) -> None:
     """Each record before the index: header, metadata, attachments, chunks and their indexes."""
     for at, bit in BITS[part::8]:
-        spoilt = bytearray(DATA)
-        spoilt[at + bit // 8] ^= 1 << bit % 8
-
-        recording = armrig.load(written(tmp_path, bytes(spoilt)))
+        recording = armrig.load(_flipped(tmp_path, at, bit))
 
         assert recording.samples["k"].tolist() == K, (at, bit)
         assert recording.truncated, (at, bit)
@@ -53,11 +57,9 @@ def test_a_flipped_bit_of_a_header_loses_no_sample(tmp_path: Path, part: int) ->
 
 
 def test_records_listed_in_the_index_are_read_whole(tmp_path: Path) -> None:
-    spoilt = bytearray(DATA)
     first = next(at for at in _heads() if DATA[at] == Opcode.ATTACHMENT)
-    spoilt[first] ^= 0x40
 
-    path = written(tmp_path, bytes(spoilt))
+    path = _flipped(tmp_path, first, 6)
     found = verify(path)
 
     checks = {check.about: check for check in found.checks}
@@ -87,10 +89,9 @@ def test_a_forged_index_reads_no_byte_twice(tmp_path: Path) -> None:
 
 
 def test_samples_without_order_are_reported_for_a_file_read_by_its_index(tmp_path: Path) -> None:
-    spoilt = bytearray(recorded([sample(k) for k in (0, 1, 2, 1, 3)]))
-    spoilt[8] ^= 0x40  # the head of the header
+    unordered = recorded([sample(k) for k in (0, 1, 2, 1, 3)])
 
-    recording = armrig.load(written(tmp_path, bytes(spoilt)))
+    recording = armrig.load(_flipped(tmp_path, 8, 6, unordered))  # the head of the header
 
     assert recording.samples["k"].tolist() == K[:3]
     assert "0 records left out; sample 1 comes after sample 2: " in recording.damage
@@ -120,10 +121,7 @@ def _attachment(name: str) -> range:
 
 def test_a_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path) -> None:
     for at in _attachment("calibration.json"):
-        spoilt = bytearray(DATA)
-        spoilt[at] ^= 1 << at % 8
-
-        recording = armrig.load(written(tmp_path, bytes(spoilt)))
+        recording = armrig.load(_flipped(tmp_path, at, at % 8))
 
         assert recording.samples.size == 30, at
         assert recording.calibration is None
@@ -140,10 +138,7 @@ def test_a_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path) -> 
     ],
 )
 def test_a_damaged_attachment_is_named(tmp_path: Path, name: str, about: str, why: str) -> None:
-    spoilt = bytearray(DATA)
-    spoilt[_attachment(name)[-10]] ^= 1
-
-    found = verify(written(tmp_path, bytes(spoilt)))
+    found = verify(_flipped(tmp_path, _attachment(name)[-10], 0))
 
     failed = {check.about: check.text for check in found.checks if check.level == "unusable"}
     assert failed[about].startswith(why)

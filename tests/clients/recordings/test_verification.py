@@ -192,9 +192,8 @@ def test_a_clock_may_differ_by_its_resonator_tolerance_and_two_samples(
 def test_each_sample_is_compared_with_the_voltage_of_its_number(tmp_path: Path) -> None:
     messages: list[Any] = run()
     messages[0:3] = [gap(0, 3, 0.0)]
-    ended = Outcome(outcome="complete", samples=N - 3, missing=3)
-    about = manifest(k_first=0, samples=N)
-    rec = load(written(tmp_path, recorded(messages, manifest=about, outcome=ended)))
+    verified(tmp_path, messages, came=N - 3, missing=3, u=None)
+    rec = load(tmp_path / "run.mcap")
 
     assert check_input(rec, U).level == "good"
     assert check_input(rec, np.roll(U, 1)).level == "unusable"

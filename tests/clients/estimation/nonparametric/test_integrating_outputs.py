@@ -63,18 +63,13 @@ def test_the_data_decide_on_an_integrator_without_a_name_or_argument(arm: Any) -
     assert integration(unnamed(data), integrator=True).notes == ()
 
 
-def stepped() -> Dataset:
-    """Return a step of 2 at sample 9 to a lag of 14.6 s, gain 0.985 and dead time 10 s."""
-    rng = np.random.default_rng(5)
+def test_an_output_that_rests_after_a_step_settles() -> None:
+    """Five time constants of 14.6 s are recorded, after a dead time of 10 s."""
     u = np.where(np.arange(100) < 9, 0.0, 2.0)
     pole = np.exp(-1 / 14.6)
     y = filtered([*np.zeros(11), 0.985 * (1 - pole)], [1.0, -pole], u)
-    return Dataset(u=u, y=y + 0.01 * rng.standard_normal(100), Ts=1.0)
-
-
-def test_an_output_that_rests_after_a_step_settles() -> None:
-    """Five time constants are recorded."""
-    data = stepped()
+    y += 0.01 * np.random.default_rng(5).standard_normal(100)
+    data = Dataset(u=u, y=y, Ts=1.0)
 
     found = sampling_time(data)
 
