@@ -20,7 +20,6 @@ from armrig.numerics.inference import infer, least_squares_residuals
 from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import arx_rows, complete
-from armrig.numerics.stretches import Mask
 from armrig.numerics.whiteness import autoregression
 
 
@@ -144,13 +143,9 @@ def _instruments(
 
 
 def _filtered(L: Array, block: Array) -> Array:
-    """Return the columns filtered by L, with NaN in rows that depend on an unknown row."""
-    known = complete(block)
-    out = np.column_stack([filtered(L, [1.0], x) for x in np.where(known[:, None], block, 0.0).T])
-    holes = np.where(known, 0.0, 1.0)
-    spoilt: Mask = np.convolve(holes, np.ones(L.size))[: known.size] > 0.5
-    spoilt[: L.size - 1] = True
-    out[spoilt] = np.nan
+    """Return the columns filtered by L, with NaN where a value depends on an unknown value."""
+    out = np.column_stack([np.convolve(x, L)[: x.size] for x in block.T])
+    out[: L.size - 1] = np.nan
     return out
 
 
