@@ -261,7 +261,9 @@ def _outputs(
     """Yield the polynomials and residuals of each output."""
     parts, (ny, nu), one = list(data.experiments()), nb.shape, np.ones(1)
     Q = np.split(found.basis.Q, np.cumsum([ny * part.N for part in parts])[:-1])
-    shares = [unspread(G, M) for G, M in zip(found.weights, Q, strict=True)] if ny > 1 else []
+    shares = [[M] for M in Q]
+    if ny > 1:
+        shares = [unspread(G, M) for G, M in zip(found.weights, Q, strict=True)]
     whole = np.split(np.eye(len(found.basis.W)), np.cumsum([e.size for e in equations])[:-1])
     for i, (equation, theta) in enumerate(zip(equations, found.theta, strict=True)):
         each = np.split(theta, np.cumsum([*na[i], *nb[i]])[:-1])
@@ -279,13 +281,10 @@ def _outputs(
                 "integrators": False,
             },
             residuals=tuple(
-                OutputResiduals(
-                    e=e,
-                    y=y,
-                    H=shares[k][i] if ny > 1 else Q[k],
-                    Psi=equation.Phi[k] if ny > 1 else None,
+                OutputResiduals(e=e, y=y, H=share[i], Psi=Phi if ny > 1 else None)
+                for e, y, share, Phi in zip(
+                    equation.residuals(theta), equation.y, shares, equation.Phi, strict=True
                 )
-                for k, (e, y) in enumerate(zip(equation.residuals(theta), equation.y, strict=True))
             ),
             parameters=equation.size,
             J=whole[i],
