@@ -129,11 +129,10 @@ class PolynomialProblem:
     A problem has one row, the equation of one output. If outputs share the polynomial A or F, the
     problem has the rows of all these outputs, weighted by the inverse covariance of their noise.
 
-    The unknown past is the signals before the first sample of each experiment. The errors are
-    linear in A, B and the unknown past, which are therefore projected out. The search is over the
-    coefficients of C, D and F only. This method is variable projection with Kaufman's Jacobian. The
-    gradient from this Jacobian is exact. In data with gaps and a noise model, the search is over A,
-    too.
+    The errors are linear in A, B and the unknown past of each experiment, which are therefore
+    projected out. The search is over the coefficients of C, D and F only. This method is variable
+    projection with Kaufman's Jacobian, whose gradient is exact. In data with gaps and a noise
+    model, the search is over A, too.
 
     After a missing sample the error has a larger variance, s(t) times the variance of e. The cost
     is then the sum of e(t)²/s(t), times the geometric mean of s(t). In the second and each further
@@ -211,10 +210,7 @@ class PolynomialProblem:
         return [monic(theta[part]) for part in self.layout.slices]
 
     def named(self, ab: Array, theta: Array, i: int = 0) -> dict[str, Any]:
-        """Return the polynomials of row i by name, without the factor of an integrator.
-
-        B and F are lists with a polynomial for each input.
-        """
+        """Return the polynomials of row i by name, B and F of each input, without the root 1."""
         n, layout = self.rows[i], self.layout
         found = self._of_row(theta, i)
         own = ab[layout.linear[i]]
@@ -240,17 +236,11 @@ class PolynomialProblem:
         return found | {"C": C, "D": D, "F": F}
 
     def solve(self, theta: Array, ab: Array | None = None) -> Solution:
-        """Return the least-squares solution for A, B and the unknown past at theta.
-
-        If the linear parameters `ab` are given, only the unknown past is estimated.
-        """
+        """Return the least-squares solution for A and B, if not given, and the unknown past."""
         return self._solved(theta, self._equations(theta), ab=ab)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
-        """Return e and J at theta, scaled so that |e|² is the cost.
-
-        Both may be multiplied by the same orthogonal matrix.
-        """
+        """Return e and J, maybe times one orthogonal matrix, scaled so that |e|² is the cost."""
         if (one := self._projection(theta)) is not None:
             return one.e, one.J()
         equations = self._equations(theta)
@@ -484,10 +474,7 @@ class _Equations:
         return self.scale != 1.0 or any(scale != 1.0 for scale in self.scales)
 
     def projected(self) -> tuple[Basis, Array, Array]:
-        """Return a basis of the derivatives by the linear parameters, these derivatives, and y.
-
-        The projection on the effects of the unknown past is subtracted from all of them.
-        """
+        """Return a basis of the derivatives by `ab`, these derivatives, and y, without the past."""
         blocks = [g.unknown.without(np.column_stack([g.X, g.y])) for g in self.joined]
         whole = blocks[0] if len(blocks) == 1 else np.vstack(blocks)
         return orthonormal(whole[:, :-1]), whole[:, :-1], whole[:, -1]
