@@ -190,7 +190,15 @@ class SearchResult:
         return np.asarray(self.excess <= self.excess_std)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of error against number of parameters: see `armrig.plots.plot_search`."""
+        """Return a figure of error against number of parameters: see `armrig.plots.plot_search`.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> armrig.search(data, families=["arx", "oe"], orders=[2, 3]).plot()
+        <Figure size ... with 1 Axes>
+        """
         from armrig.plots.layout import figure_of
         from armrig.validation.figures import plot_search
 
