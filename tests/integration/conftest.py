@@ -10,6 +10,7 @@ import pytest
 from tests.integration.driving import bring_to_rest
 from tests.integration.fork_server import ForkServer
 from tests.integration.processes import Bench
+from tests.integration.watching import Client, watched
 
 _BENCH = pytest.StashKey[Bench]()
 
@@ -72,3 +73,17 @@ def served(_serving: Bench) -> Bench:
     """Give a rig and a daemon that a module's tests share: at 0 V, without a holder."""
     bring_to_rest(_serving)
     return _serving
+
+
+@pytest.fixture(scope="module")
+def _client(_serving: Bench) -> Iterator[Client]:
+    with watched(_serving) as found:
+        yield found
+
+
+@pytest.fixture
+def client(served: Bench, _client: Client) -> Client:
+    """Give a client of a dashboard over a rig at rest, which does nothing and is not stale."""
+    _client.wait("run", lambda seen: not seen["is_going"])
+    _client.wait("live", lambda seen: not seen["is_stale"])
+    return _client

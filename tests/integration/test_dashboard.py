@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import socket
-from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from math import isclose
 
@@ -16,28 +15,14 @@ from tests.integration.processes import WITHIN_S, Bench, wait_for
 from tests.integration.watching import STEP, Client, begin, recorded, watched
 
 
-@pytest.fixture(scope="module")
-def _page(_serving: Bench) -> Iterator[Client]:
-    with watched(_serving) as client:
-        yield client
-
-
-@pytest.fixture
-def page(served: Bench, _page: Client) -> Client:
-    """Give a client of a dashboard over a rig at rest, which does nothing and is not stale."""
-    _page.wait("run", lambda seen: not seen["is_going"])
-    _page.wait("live", lambda seen: not seen["is_stale"])
-    return _page
-
-
-def test_the_stream_has_each_sample_once_in_order(page: Client) -> None:
+def test_the_stream_has_each_sample_once_in_order(client: Client) -> None:
     """Each row is later than the row before.
 
     The first live rows may repeat the last of the past; the page discards them.
     """
     past: list[list[float]] = []
     live: list[list[float]] = []
-    for name, value in page.events():
+    for name, value in client.events():
         past += value if name == "past" else []
         live += value["rows"] if name == "live" else []
         if len(live) > 100:
@@ -51,12 +36,12 @@ def test_the_stream_has_each_sample_once_in_order(page: Client) -> None:
     assert {row[1] for row in live[-50:]} == {0.0}
 
 
-def test_an_experiment_of_the_page_is_recorded(page: Client, served: Bench) -> None:
+def test_an_experiment_of_the_page_is_recorded(client: Client, served: Bench) -> None:
     before = len(served.voltage_changes())
     short = STEP | {"seconds": 1.0, "name": "page"}
-    begin(page, served, short)
-    page.wait("run", lambda seen: not seen["is_going"])
-    run = page.first("run")
+    begin(client, served, short)
+    client.wait("run", lambda seen: not seen["is_going"])
+    run = client.first("run")
 
     assert run["error"] == ""
     assert run["told"].startswith("rehearsed on the model")
@@ -70,23 +55,23 @@ def test_an_experiment_of_the_page_is_recorded(page: Client, served: Bench) -> N
     )
 
 
-def test_the_stop_button_ends_the_run_of_another_client(page: Client, served: Bench) -> None:
+def test_the_stop_button_ends_the_run_of_another_client(client: Client, served: Bench) -> None:
     with served.rig() as other:
         hold(other, served, 1.0, "somebody else")
-        assert page.ask("/api/stop", {})[0] == 200
+        assert client.ask("/api/stop", {})[0] == 200
         wait_for(lambda: served.volts() == 0.0)
 
 
-def test_two_runs_at_once_are_refused(page: Client, served: Bench) -> None:
-    begin(page, served)
+def test_two_runs_at_once_are_refused(client: Client, served: Bench) -> None:
+    begin(client, served)
 
-    status, told = page.ask("/api/run", {"owner": "me", "experiment": STEP})
-    page.ask("/api/stop", {"owner": "somebody"})
+    status, told = client.ask("/api/run", {"owner": "me", "experiment": STEP})
+    client.ask("/api/stop", {"owner": "somebody"})
 
     assert status == 409
     assert "is in progress" in told["error"]
-    page.wait("run", lambda seen: not seen["is_going"])
-    assert "stopped by somebody" in page.first("run")["error"]
+    client.wait("run", lambda seen: not seen["is_going"])
+    assert "stopped by somebody" in client.first("run")["error"]
 
 
 COMMANDS = ("arm", "release", "reset", "preview", "run", "stop", "recordings", "mcap", "report")
@@ -98,23 +83,23 @@ COMMANDS = ("arm", "release", "reset", "preview", "run", "stop", "recordings", "
     ids=str,
 )
 def test_an_unauthorised_request_is_refused(
-    page: Client, served: Bench, headers: dict[str, str | None]
+    client: Client, served: Bench, headers: dict[str, str | None]
 ) -> None:
-    refused = [page.ask(f"/api/{name}", {"owner": "evil"}, **headers) for name in COMMANDS]
-    refused.append(page.ask("/api/stream", **headers))
+    refused = [client.ask(f"/api/{name}", {"owner": "evil"}, **headers) for name in COMMANDS]
+    refused.append(client.ask("/api/stream", **headers))
 
     assert {status for status, _ in refused} == {403}
     assert served.settled() == "safe"
 
 
-def test_a_thousand_connections_prevent_no_stop(page: Client, served: Bench) -> None:
-    begin(page, served)
+def test_a_thousand_connections_prevent_no_stop(client: Client, served: Bench) -> None:
+    begin(client, served)
     with ExitStack() as links:
         opened = [
-            links.enter_context(socket.create_connection((page.host, page.port), 10.0))
+            links.enter_context(socket.create_connection((client.host, client.port), 10.0))
             for _ in range(1000)
         ]
-        assert page.ask("/api/stop", {}) == (200, {"stopped": True})
+        assert client.ask("/api/stop", {}) == (200, {"stopped": True})
         wait_for(lambda: served.volts() == 0.0)
         assert sum(map(_is_open, opened)) <= MOST_CONNECTIONS
 
@@ -129,18 +114,18 @@ def test_a_thousand_connections_prevent_no_stop(page: Client, served: Bench) -> 
     ],
     ids=["a body that does not come", "answers that are not read", "a body, with the token"],
 )
-def test_unfinished_requests_prevent_no_stop(page: Client, served: Bench, asked: str) -> None:
-    begin(page, served)
+def test_unfinished_requests_prevent_no_stop(client: Client, served: Bench, asked: str) -> None:
+    begin(client, served)
     with ExitStack() as links:
         for _ in range(MOST_CONNECTIONS + 10):
             link = links.enter_context(socket.socket())
             link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            link.connect((page.host, page.port))
-            link.sendall(asked.format(f"{page.host}:{page.port}", page.token).encode())
+            link.connect((client.host, client.port))
+            link.sendall(asked.format(f"{client.host}:{client.port}", client.token).encode())
             with suppress(ConnectionError):
                 link.recv(1)  # the first answer, or that a body is waited for
         for _ in range(3):
-            assert page.ask("/api/stop", {}) == (200, {"stopped": True})
+            assert client.ask("/api/stop", {}) == (200, {"stopped": True})
         wait_for(lambda: served.volts() == 0.0)
 
 
@@ -157,12 +142,12 @@ def _is_open(link: socket.socket) -> bool:
 
 def test_a_dashboard_ends_without_waiting_for_its_viewers(served: Bench) -> None:
     with socket.socket() as link:
-        with watched(served) as page:
-            begin(page, served)
+        with watched(served) as client:
+            begin(client, served)
             link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            link.connect((page.host, page.port))
-            head = f"GET /api/stream HTTP/1.1\r\nHost: {page.host}:{page.port}\r\n"
-            link.sendall(f"{head}Authorization: Bearer {page.token}\r\n\r\n".encode())
+            link.connect((client.host, client.port))
+            head = f"GET /api/stream HTTP/1.1\r\nHost: {client.host}:{client.port}\r\n"
+            link.sendall(f"{head}Authorization: Bearer {client.token}\r\n\r\n".encode())
             assert link.recv(100)
         wait_for(lambda: served.volts() == 0.0)
         link.settimeout(WITHIN_S)
@@ -171,13 +156,13 @@ def test_a_dashboard_ends_without_waiting_for_its_viewers(served: Bench) -> None
                 pass
 
 
-def test_the_page_shows_and_sends_a_recording_unchanged(page: Client, served: Bench) -> None:
-    file = recorded(page, STEP | {"seconds": 2.0})
+def test_the_page_shows_and_sends_a_recording_unchanged(client: Client, served: Bench) -> None:
+    file = recorded(client, STEP | {"seconds": 2.0})
 
-    _, listed = page.ask("/api/recordings", {})
-    status, facts = page.ask("/api/recording", {"file": file})
-    _, text = page.ask("/api/csv", {"file": file, "start": 0.5, "stop": 1.0})
-    _, whole = page.ask("/api/mcap", {"file": file})
+    _, listed = client.ask("/api/recordings", {})
+    status, facts = client.ask("/api/recording", {"file": file})
+    _, text = client.ask("/api/csv", {"file": file, "start": 0.5, "stop": 1.0})
+    _, whole = client.ask("/api/mcap", {"file": file})
 
     assert listed["recordings"][0]["file"] == file
     assert status == 200

@@ -67,19 +67,6 @@ def opened(browser: Any, url: str, size: dict[str, int] = SMALL, **how: Any) -> 
         page.close()
 
 
-@pytest.fixture(scope="module")
-def _client(_serving: Bench) -> Iterator[Client]:
-    with watched(_serving) as found:
-        yield found
-
-
-@pytest.fixture
-def client(served: Bench, _client: Client) -> Client:
-    """Give a dashboard of a rig at rest, which does nothing."""
-    _client.wait("run", lambda seen: not seen["is_going"])
-    return _client
-
-
 def show_step(page: Any, seconds: str = "20") -> None:
     """Choose a step, and have it shown."""
     page.select_option("#kind", "step")

@@ -10,6 +10,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple
 
 import armrig
@@ -91,7 +92,7 @@ def test_a_killed_service_leaves_the_motor_at_0_v_and_a_recoverable_file(run: Ru
     killed_ns = run.daemon.kill()
 
     assert run.bench.went_to_0_v_after(killed_ns) < STOPPED_S
-    wait_for(lambda: not _alive(run.loop_pid))
+    wait_for(lambda: not Path(f"/proc/{run.loop_pid}").exists())
     run.daemon.popen.wait(WITHIN_S)
     _reads_up_to_the_last_flush(run, flushed_ns)
 
@@ -181,14 +182,6 @@ def test_a_rig_plugged_in_again_is_in_fault_until_a_reset(run_of_many: Run) -> N
             rig.arm("a test")
         rig.reset()
         rig.arm("a test")
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def _device_is_known(bench: Bench) -> bool:

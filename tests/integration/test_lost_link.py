@@ -15,29 +15,12 @@ from armrig.rig.session import LostLinkError, NoReplyError
 from tests.clients.fake_daemon import step_plan
 from tests.integration.driving import last_run
 from tests.integration.fleet_lab import WITHIN_S, FleetLab
-from tests.integration.processes import Bench, wait_for
+from tests.integration.processes import Bench, Process, wait_for
 
 DEAD_MAN_S = 1.0
 LATE_S = 0.5
 """Allowance for a busy machine, in s."""
 KILLED_AT = 50
-
-
-class Router:
-    """A router as a process that is killed and started again."""
-
-    def __init__(self, bench: Bench, lab: FleetLab) -> None:
-        self._bench, self._command = bench, lab.router_command()
-        self.start()
-
-    def start(self) -> None:
-        """Start it."""
-        self._process = self._bench.start("armrig", *self._command)
-
-    def kill(self) -> None:
-        """Kill it."""
-        self._process.kill()
-        self._process.popen.wait()
 
 
 @pytest.fixture
@@ -49,13 +32,13 @@ def lab(bench: Bench) -> FleetLab:
 
 
 @pytest.fixture
-def router(bench: Bench, lab: FleetLab) -> Router:
+def router(bench: Bench, lab: FleetLab) -> Process:
     """Give the lab's router."""
-    return Router(bench, lab)
+    return bench.start("armrig", *lab.router_command())
 
 
 @pytest.fixture
-def connect(bench: Bench, lab: FleetLab, router: Router, monkeypatch: pytest.MonkeyPatch) -> str:
+def connect(bench: Bench, lab: FleetLab, router: Process, monkeypatch: pytest.MonkeyPatch) -> str:
     """Give the endpoint at which alice reaches the rig through the router."""
     monkeypatch.setenv("ARMRIG_CLIENT_CERTIFICATE", str(lab.made / "alice.pem"))
     bench.emulate()
@@ -70,7 +53,7 @@ def connect(bench: Bench, lab: FleetLab, router: Router, monkeypatch: pytest.Mon
     return lab.endpoint
 
 
-def _killing(router: Router) -> Shown:
+def _killing(router: Process) -> Shown:
     """Return a display of a run's progress that kills the router once."""
     killed: list[int] = []
 
@@ -78,17 +61,20 @@ def _killing(router: Router) -> Shown:
         if done > KILLED_AT and not killed:
             killed.append(done)
             router.kill()
+            router.popen.wait()
 
     return lambda *_: nullcontext(progress)
 
 
-def test_a_run_is_complete_if_its_router_returns(connect: str, router: Router) -> None:
+def test_a_run_is_complete_if_its_router_returns(
+    connect: str, router: Process, bench: Bench, lab: FleetLab
+) -> None:
     told: list[str] = []
 
     def tell(sentence: str) -> None:
         told.append(sentence)
         if "link lost" in sentence:
-            router.start()
+            bench.start("armrig", *lab.router_command())
 
     plan = replace(step_plan("a test", seconds=4), dead_man=60)
     done = collect(plan, rig="1", connect=connect, tell=tell, shown=_killing(router))
@@ -104,7 +90,7 @@ def test_a_run_is_complete_if_its_router_returns(connect: str, router: Router) -
 
 @pytest.mark.timed
 def test_a_client_that_lost_its_link_ends_after_its_dead_man_time(
-    connect: str, router: Router, bench: Bench
+    connect: str, router: Process, bench: Bench
 ) -> None:
     lost_ns: list[int] = []
 
