@@ -112,17 +112,6 @@ def test_the_rehearsal_is_returned_before_the_end_of_the_run(daemon: FakeDaemon,
     assert seen[1:] != []
 
 
-def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where: str) -> None:
-    with Rig("1", connect=where) as rig:
-        rig.arm("me")
-        rig.set(1.0)
-        rig.set(2.0)
-
-    leased = [r for r in daemon.asked if isinstance(r, commands.Leased)]
-    assert [r.n for r in leased] == [1, 2, 3]
-    assert daemon.names() == ["arm", "set", "set", "disarm"]
-
-
 def test_the_sender_of_a_note_or_a_stop_is_named(daemon: FakeDaemon, rig: Rig) -> None:
     assert rig.note("0")
     rig.stop()

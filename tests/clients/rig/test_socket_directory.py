@@ -55,15 +55,12 @@ def _chown(directory: Path) -> None:
     os.chown(directory, NOBODY, NOBODY)
 
 
-def test_a_daemon_in_a_private_directory_is_accepted(directory: Path) -> None:
-    with Rig() as rig:
-        assert rig.status().rig == "1"
-
-
-def test_the_endpoint_of_the_configuration_has_precedence(
+def test_a_private_directory_is_used_unless_an_endpoint_is_configured(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ours = Rig().endpoint
+    with Rig() as rig:
+        ours = rig.endpoint
+        assert rig.status().rig == "1"
     monkeypatch.setenv("ARMRIG_CLIENT_CONNECT", "tcp/lab:7447")
 
     assert ours == str(endpoint("1", PurePosixPath(directory)))
