@@ -43,19 +43,14 @@ ESTIMATORS: dict[str, Estimator] = {
 }
 
 
-def _random_walk() -> Dataset:
-    """Return data whose noise grows, so that its estimated pole is outside."""
-    rng = np.random.default_rng(3)
-    u, e = rng.standard_normal((2, 300))
-    noise = filtered([1.0], [1.0, -1.02], 0.3 * e)
-    return Dataset(u=u, y=filtered(B, [1.0, -0.5], u) + noise, Ts=1.0)
-
-
 def test_an_unstable_pole_of_the_noise_is_reported_and_reflected() -> None:
     """A root of D outside the circle means noise without bound."""
-    free = bj(_random_walk(), nb=2, nc=0, nd=1, nf=1)
-    inside = bj(_random_walk(), nb=2, nc=0, nd=1, nf=1, stable=True)
-    plain = oe(_random_walk(), nb=2, nf=1, stable=True)
+    u, e = np.random.default_rng(3).standard_normal((2, 300))
+    noise = filtered([1.0], [1.0, -1.02], 0.3 * e)
+    data = Dataset(u=u, y=filtered(B, [1.0, -0.5], u) + noise, Ts=1.0)
+
+    free, inside = (bj(data, nb=2, nc=0, nd=1, nf=1, stable=x) for x in (False, True))
+    plain = oe(data, nb=2, nf=1, stable=True)
 
     assert np.roots(free.D)[0] > 1.01
     assert any(w.startswith("a pole is unstable, |z| = 1.0") for w in free.warnings)

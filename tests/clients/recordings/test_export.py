@@ -202,21 +202,10 @@ def test_octave_s_iddata_accepts_the_mat_file_unchanged(rec: Recording) -> None:
     assert float(first) == rec.u[0]
 
 
-def test_parquet_keeps_types_units_and_the_hash(rec: Recording) -> None:
-    path = rec.path.with_name("run.parquet")
+def test_pandas_xarray_and_parquet_have_the_same_columns(rec: Recording) -> None:
+    frame, data, path = rec.to_pandas(), rec.to_xarray(), rec.path.with_name("run.parquet")
     write_parquet(rec, path)
-
     table = pyarrow.parquet.read_table(path)
-
-    assert table.column_names == NAMES
-    np.testing.assert_array_equal(table["theta_1"].to_numpy(), rec.theta_1)
-    np.testing.assert_array_equal(table["valid"].to_numpy(), rec.valid)
-    assert table.schema.metadata[b"sha256"].decode() == rec.sha256
-    assert table.schema.metadata[b"unit_theta_1"] == b"rad"
-
-
-def test_pandas_and_xarray_have_the_same_columns(rec: Recording) -> None:
-    frame, data = rec.to_pandas(), rec.to_xarray()
 
     assert list(frame.columns) == [n for n in NAMES if n != "t"]
     np.testing.assert_array_equal(frame.index, rec.t)
@@ -228,6 +217,11 @@ def test_pandas_and_xarray_have_the_same_columns(rec: Recording) -> None:
     }
     np.testing.assert_array_equal(data["u"], rec.u)
     assert frame.attrs["sha256"] == data.attrs["sha256"] == rec.sha256
+    assert table.column_names == NAMES
+    for name in ("theta_1", "valid"):
+        np.testing.assert_array_equal(table[name].to_numpy(), getattr(rec, name))
+    about = table.schema.metadata
+    assert (about[b"sha256"].decode(), about[b"unit_theta_1"]) == (rec.sha256, b"rad")
 
 
 @pytest.mark.parametrize(
