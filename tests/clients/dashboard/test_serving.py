@@ -47,6 +47,7 @@ def test_the_page_has_both_names_of_this_machine_and_a_single_use_code(tmp_path:
                 headers = {"Host": f"{host}:{shown.port}", "Authorization": f"Bearer {code}"}
                 link.request(method, path, headers=headers)
                 answer = link.getresponse()
+                assert answer.getheader("Access-Control-Allow-Origin") is None
                 return answer.status, answer.read()
 
         pages = [ask("GET", "/", host, "")[0] for host in (HOST, "localhost", "evil")]
