@@ -112,7 +112,5 @@ def test_a_search_splits_the_data_so_that_the_input_changes_in_both_parts() -> N
         armrig.Dataset(u=u, y=lag(u, noise=0.05), Ts=1.0), families=["oe"], orders=[1, 2]
     )
 
-    (other,) = (j.model for j in found.ranked if j is not found.chosen)
-    assert 80 <= other.N < 160
     assert found.chosen.candidate.order == 1
     assert found.fit.poles().values.real[0] == pytest.approx(0.95, abs=0.01)
