@@ -51,6 +51,10 @@ from armrig.excitation.physical_experiment_design import (
 )
 from armrig.models.fit import Fit as Fit
 from armrig.models.model_file import load_fit as load_fit
+from armrig.physics.grey_box.equations import Ode as Ode
+from armrig.physics.grey_box.equations import Parameter as Parameter
+from armrig.physics.grey_box.equations import friction as friction
+from armrig.physics.grey_box.equations import saturation as saturation
 from armrig.physics.grey_box.estimate import greybox as greybox
 from armrig.physics.grey_box.fit import GreyFit as GreyFit
 from armrig.physics.grey_box.split_study import split_study as split_study

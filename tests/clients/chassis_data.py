@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from armrig.data.dataset import Dataset
-from armrig.physics.grey_box.response import linear_parts
-from armrig.physics.grey_box.sampled_model import Model, Physics
+from armrig.physics.grey_box.sampled_model import Model, Physics, linear_parts
 from armrig.physics.systems import ArmParameters, chassis
 from armrig_daemon.emulator import plant
 from numpy.typing import NDArray

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+import traceback
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 from armrig_core.errors import InputError
@@ -19,7 +20,14 @@ from armrig import plots
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
 from armrig.cli.options import argument, chosen, option
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, tell
-from armrig.cli.recorded_data import File, Part, chosen_outputs, recording_path
+from armrig.cli.recorded_data import (
+    File,
+    Part,
+    SignalChoice,
+    data_group,
+    recorded_outputs,
+    recording_path,
+)
 from armrig.cli.results import Draw, Output, Shown, shown
 from armrig.cli.spinner import spinner
 
@@ -133,6 +141,27 @@ def _values(given: list[str] | None) -> dict[str, float]:
 
 
 Rig = Literal["chassis", "arm"]
+
+
+def _rig_or_equations(text: str) -> str:
+    if text not in ("chassis", "arm") and not text.endswith(".py"):
+        raise typer.BadParameter(
+            f"{text}: give chassis, arm, or a Python file that defines `model`, an armrig.Ode"
+        )
+    return text
+
+
+OwnModel = Annotated[
+    str | None,
+    option(
+        "--model",
+        "Rig without its rotating part (chassis), complete rig (arm), or a Python file with own "
+        "equations, which is executed.",
+        "from alpha",
+        metavar="chassis|arm|FILE.py",
+        parser=_rig_or_equations,
+    ),
+]
 Model = Annotated[
     Rig | None,
     option(
@@ -145,62 +174,107 @@ _FREE = f"Parameter to estimate ({PARAMETERS}); repeatable"
 def greybox(
     *,
     file: File,
-    model: Model = None,
+    model: OwnModel = None,
     free: list[str] | None = chosen(None, f"{_FREE}.", "J_1", metavar="NAME"),
     friction: Literal["viscous", "coulomb", "both"] | None = chosen(
         None, "Friction to estimate in addition; the handout neglects friction."
     ),
     given: Given = None,
-    signal: list[str] | None = chosen(
-        None,
-        "Output to fit, theta_1 or alpha; repeatable, for both outputs together.",
-        "theta_1",
-        metavar="NAME",
-    ),
-    part: Part,
+    part: Annotated[SignalChoice, data_group(without="assume")],
     out: Shown,
 ) -> None:
     """Estimate J_1 or other physical parameters (handout 3.5).
 
-    To record the data for J_1, remove the rotating part and run `armrig collect greybox`.
+    To record the data for J_1, remove the rotating part and run `armrig collect greybox`. With own
+    equations, --free names the parameters to estimate, by default all of them.
     """
     from armrig.recordings.usability import emulation
 
-    fixed = parameters(given)
-    [recording] = part.recordings(file)
-    model, rig = _rig(recording, model)
-    outputs = chosen_outputs(signal)
-    shown = THETA_1 if THETA_1 in outputs else outputs[0]
-    data = recording.dataset(shown)
-    signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
-    with spinner("estimating"):
-        fit = armrig.greybox(signals, rig, tuple(free or ("J_1",)), fixed, shown, friction=friction)
+    data: Any
+    own = model is not None and model.endswith(".py")
+    after = replace(part, signal=None)
+    if model is not None and own:
+        refuse_for_equations(given, friction)
+        # The equations contain the level: no hint at means.
+        part = replace(part, offset=True)
+        data = part.of(file)
+        recordings = part.read
+        equations = own_equations(Path(model))
+        for name in free or ():
+            if name not in equations.parameters:
+                known = ", ".join(equations.parameters)
+                raise typer.BadParameter(f"--free {name}: {model} has the parameters {known}")
+        held = {k: v for k, v in equations.values.items() if k not in (free or equations.values)}
+        with spinner("estimating"):
+            fit = armrig.greybox(data, equations, fixed=held)
+    else:
+        fixed = parameters(given)
+        [recording] = recordings = part.recordings(file)
+        model, rig = _rig(recording, cast("Rig | None", model))
+        outputs = recorded_outputs(part.outputs or (THETA_1,))
+        shown = THETA_1 if THETA_1 in outputs else outputs[0]
+        data = recording.dataset(shown)
+        signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
+        names = tuple(free or ("J_1",))
+        with spinner("estimating"):
+            fit = armrig.greybox(signals, rig, names, fixed, shown, friction=friction)
     fit.require_result()
 
     def say_fit() -> None:
         say_answer(fit.explain())
         say(repr(fit) if out.verbose else repr(fit).partition("\n")[0])
-        for text in emulation([recording]):
+        for text in emulation(recordings):
             say(text, dim=True)
 
     out.show(
         facts=lambda: {"recording": data.source, "model": model} | _grey_facts(fit),
         say=say_fit,
         figures=lambda: {"greybox": partial(fit.plot, data)},
-        say_next=lambda: say_next("greybox", file=typed(file), given=part.options(data)),
+        say_next=lambda: (
+            None if own else say_next("greybox", file=typed(file), given=after.options(data))
+        ),
         height=4.5,
     )
 
 
-def _grey_facts(fit: GreyFit) -> dict[str, Any]:
-    from armrig.physics.grey_box.sampled_model import UNITS
+def refuse_for_equations(given: list[str] | None, friction: str | None) -> None:
+    """Refuse options of the rig's own model."""
+    for name, value in (("--set", given), ("--friction", friction)):
+        if value:
+            raise typer.BadParameter(
+                f"{name} is for chassis and arm: write the value or the friction into the file"
+            )
 
+
+def own_equations(path: Path) -> armrig.Ode:
+    """Execute a model file, and return its `model`."""
+    import runpy
+
+    tell(f"executing {path}")
+    try:
+        found = runpy.run_path(str(path)).get("model")
+    except OSError as err:
+        raise InputError(f"{path}: {err.strerror}") from err
+    except Exception as err:
+        line = next((f.lineno for f in _frames(err) if f.filename == str(path)), None)
+        where = f", line {line}" if line else ""
+        raise InputError(f"{path}{where}: {type(err).__name__}: {err}") from err
+    if not isinstance(found, armrig.Ode):
+        raise InputError(f"{path} defines no `model`; write model = armrig.Ode(f=…, …)")
+    return found
+
+
+def _frames(err: BaseException) -> list[traceback.FrameSummary]:
+    return [*traceback.extract_tb(err.__traceback__)][::-1]
+
+
+def _grey_facts(fit: GreyFit) -> dict[str, Any]:
     parameters = {
         name: {
             "value": fit.values[name],
             "std": fit.std[name],
             "std_robust": fit.std_robust[name],
-            "unit": UNITS.get(name, ""),
+            "unit": fit.physics.units.get(name, ""),
         }
         for name in fit.names
     }

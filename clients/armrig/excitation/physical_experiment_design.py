@@ -16,8 +16,8 @@ from armrig.excitation.experiment_design import PredictedStd, inverted, planned_
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.physics.grey_box.fit import scales
-from armrig.physics.grey_box.response import linear_parts, sensitivity
-from armrig.physics.grey_box.sampled_model import Model, Physics
+from armrig.physics.grey_box.response import sensitivity
+from armrig.physics.grey_box.sampled_model import Model, Physics, linear_parts
 
 
 def predicted_parameter_std(

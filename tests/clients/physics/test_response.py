@@ -14,11 +14,10 @@ from armrig.physics.grey_box.response import (
     REVERSAL,
     _braked,
     _braked_alone,
-    linear_parts,
     sensitivity,
     with_friction,
 )
-from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.grey_box.sampled_model import Physics, linear_parts
 from armrig.physics.systems import ArmParameters, arm, chassis
 from armrig_core.rig.arm import chassis_matrices, zero_order_hold
 from numpy.typing import NDArray

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters, require_parameters
 from armrig_core.telemetry.telemetry import THETA_1
 from numpy.typing import NDArray
@@ -14,17 +14,22 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_signals
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.data.treatment.wrong_samples import quantum, too_quiet
+from armrig.data.treatment.wrong_samples import quantum
 from armrig.numerics.criteria import fit_percent
-from armrig.numerics.inference import Inference, OutputResiduals, infer
-from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
-from armrig.numerics.stretches import Mask
+from armrig.physics.grey_box.equations import Ode
+from armrig.physics.grey_box.equations_estimate import estimated
 from armrig.physics.grey_box.fit import GreyFit, below_zero, carried, named_std, scales
+from armrig.physics.grey_box.inference import (
+    ROUNDING_SHARE,
+    determined,
+    inferred,
+    no_model,
+    noise_warnings,
+)
 from armrig.physics.grey_box.least_squares_problem import (
     GreyBox,
     GreyBoxWithFriction,
-    Linearised,
     bipolar,
 )
 from armrig.physics.grey_box.sampled_model import (
@@ -41,7 +46,6 @@ from armrig.physics.grey_box.sampled_model import (
 from armrig.physics.systems import arm, chassis
 
 SPEED_STATE = "theta_1_rate"
-ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
 _MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses do not explain
 MAX_LOG_FACTOR = 12.0
 """Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
@@ -55,9 +59,9 @@ _SETTLED = 1e-4  # relative change of the noise's standard deviations at which t
 @takes_signals
 def greybox(
     data: Signals,
-    model: Model | None = None,
+    model: Model | Ode | None = None,
     free: Sequence[str] = ("J_1",),
-    fixed: ArmParameters | None = None,
+    fixed: ArmParameters | Mapping[str, float] | None = None,
     output: str = THETA_1,
     *,
     fixed_std: Mapping[str, float] | None = None,
@@ -133,7 +137,14 @@ def greybox(
     J_1 = 0.0017 ± 0.1 %
     K_lin = 1.2 ± 0.1 %
     """
+    if isinstance(model, Ode):
+        held = {} if fixed is None else fixed
+        if isinstance(held, ArmParameters):
+            raise InputTypeError("fixed: give a mapping of names to values for own equations")
+        return estimated(data, model, held, output if output in data.outputs else None)
     p = ArmParameters() if fixed is None else fixed
+    if not isinstance(p, ArmParameters):
+        raise InputTypeError("fixed: give ArmParameters, such as armrig.ArmParameters(J_2=0.005)")
     require_parameters(p, "fixed")
     names = free_names(free, friction)
     given = checked_fixed_std(fixed_std or {}, names)
@@ -256,8 +267,8 @@ def _fit(
         )
     rounding = ROUNDING_SHARE * float(np.nansum((data.y / plain.std) ** 2))
     converged = best.converged or best.cost <= rounding
-    basis = _determined(at.Psi)
-    found = _inference(plain, at, basis)
+    basis = determined(at.Psi, names)
+    found = inferred(plain, at, basis)
     held = tuple(x for x in NAMES if x not in names)
     influence = -basis.W @ (basis.Q.T @ problem.at(best.theta, held).Psi)
     scale_held = scales(held, {x: getattr(physics.fixed, x) for x in held})
@@ -308,47 +319,6 @@ def _fit(
     )
 
 
-def _inference(plain: GreyBox, at: Linearised, basis: Basis) -> Inference:
-    """Return covariances of the coordinates, and the quality for each output."""
-    ny, begin, experiments = plain.std.size, 0, []
-    for data, e, Z in zip(plain.experiments, plain.residuals(at.e), at.spans, strict=True):
-        outputs = []
-        for i, std in enumerate(plain.std):
-            known = data.valid[:, i]
-            rows = slice(begin, begin + int(known.sum()))
-            begin = rows.stop
-            H = _spread(basis.Q[rows] / std, known)
-            of_output = OutputResiduals(e=e[:, i], y=data.y[:, i], H=H)
-            # The outputs share the free responses, so one output alone has no basis of them.
-            if ny == 1:
-                of_output = replace(of_output, Z=_spread(Z, known))
-            else:
-                of_output = replace(of_output, Psi=_spread(at.Psi[rows] * std, known))
-            outputs.append(of_output)
-        experiments.append(outputs)
-    unknown = sum(x.size for x in at.free)
-    each = None if ny == 1 else [(basis.W.shape[0] + unknown) / ny] * ny
-    return infer(experiments, basis.W, score="exogenous", parameters=each)
-
-
-def _spread(rows: Matrix, known: Mask) -> Matrix:
-    """Return a matrix for all samples, with `rows` at the known samples and zeros elsewhere."""
-    whole = np.zeros((known.size, rows.shape[1]))
-    whole[known] = rows
-    return whole
-
-
-def _determined(Psi: Matrix) -> Basis:
-    """Return an orthonormal basis of the derivatives; refuse indistinguishable parameters."""
-    basis = orthonormal(Psi)
-    if basis.rank < Psi.shape[1]:
-        raise InputError(
-            f"the data determine only {basis.rank} of {Psi.shape[1]} parameters and cannot "
-            "distinguish the others: hold more of them fixed"
-        )
-    return basis
-
-
 def _named_influence(
     names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
 ) -> dict[str, dict[str, float]]:
@@ -370,32 +340,6 @@ def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
                 f"the search for {name} ended at its bound, a factor {np.exp(MAX_LOG_FACTOR):.0f} "
                 "from its start: begin nearer, with another `fixed`, or check whether the data "
                 f"determine {name}"
-            )
-
-
-def no_model(fit: float) -> Iterator[str]:
-    """Yield a warning if the model explains the output less well than a constant."""
-    if fit < 0:
-        yield (
-            f"the fit is {fit:.1f} %, below 0: a constant explains the output better. Check the "
-            "units and the calibration of the data, the model, and the fixed parameters"
-        )
-
-
-def noise_warnings(
-    outputs: Sequence[str], steps: Sequence[float], found: Inference, *, has_friction: bool
-) -> Iterator[str]:
-    """Yield warnings of noise below a third of a converter step, and of coloured residuals."""
-    variances = np.diag(found.noise_covariance).tolist()
-    for name, step, variance, quality in zip(outputs, steps, variances, found.quality, strict=True):
-        of_output = f"{name}: " if len(outputs) > 1 else ""
-        if quiet := too_quiet(step, variance):
-            yield f"{of_output}{quiet}"
-        if quality.white.coloured:
-            perhaps = "" if has_friction else " (friction?)"
-            yield (
-                f"{of_output}the residuals are {quality.white}: the model lacks a property of the "
-                f"rig{perhaps}, or the noise is not white; prefer std_robust"
             )
 
 

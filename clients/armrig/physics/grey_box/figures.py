@@ -8,8 +8,7 @@ import numpy as np
 
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
-from armrig.physics.grey_box.least_squares_problem import GreyBox
-from armrig.physics.grey_box.sampled_model import COULOMB, UNITS
+from armrig.physics.grey_box.sampled_model import UNITS
 from armrig.plots.captions import in_mathtext, legend, sign, symbol
 from armrig.plots.layout import (
     BLUE,
@@ -38,14 +37,10 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
     Coulomb friction, so that the error contains the effect of Coulomb friction.
     """
     ax, below = panels(ax, 0.38)
-    names = tuple(n for n in fit.names if n != COULOMB)
-    problem = GreyBox(
-        physics=(fit.physics,), names=names, experiments=tuple(data.signals().experiments())
-    )
-    e = np.full(data.N, np.nan)
-    e[data.valid] = problem.at(problem.coordinates({n: fit.values[n] for n in names}), ()).e
+    e = fit.errors(data)[:, 0]
     estimates = ", ".join(
-        f"{symbol(n)} = {scaled(fit.values[n], fit.std[n], UNITS.get(n, ''))}" for n in fit.names
+        f"{symbol(n)} = {scaled(fit.values[n], fit.std[n], fit.physics.units.get(n, ''))}"
+        for n in fit.names
     )
     ramp, label, notes = without_ramp(data)
     ax.plot(data.t, data.y - ramp, color=MISSING, lw=3.0, label="measured")

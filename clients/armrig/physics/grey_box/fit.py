@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.rig.arm import ArmParameters
 from numpy.typing import ArrayLike
 
 from armrig.data.columns import Matrix, Vector
-from armrig.data.dataset import Dataset
-from armrig.numerics.checks import column
+from armrig.data.dataset import Dataset, Signals
 from armrig.numerics.inference import OutputQuality
-from armrig.physics.grey_box.response import linear_parts
-from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED, UNITS, Physics
+from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED
 
 if TYPE_CHECKING:
     import control
@@ -29,6 +26,23 @@ _WAY_OUT = (
     "estimate fewer parameters, start nearer to them, or record longer with an input that changes "
     "often"
 )
+
+
+class PhysicalModel(Protocol):
+    """Model with physical parameters: a linear model of the rig, or own equations."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the parameters."""
+
+    def signed(self, name: str) -> bool:
+        """Return whether a parameter may be 0 or negative."""
+
+    def simulate(self, values: Mapping[str, float], u: ArrayLike, Ts: float) -> Matrix:
+        """Return the output (N,), or outputs (N, ny), for a held input, from rest."""
+
+    def to_control(self, parameters: Any) -> control.StateSpace:
+        """Return the continuous model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -67,8 +81,8 @@ class GreyFit:
     influence: dict[str, dict[str, float]]
     """Change of an estimate, in percent, if a fixed parameter is 1 % larger. The first key is the
     name of the estimate, and the second key is the name of the fixed parameter."""
-    fixed: ArmParameters
-    """All parameters, fixed and estimated."""
+    fixed: Any
+    """All parameters, fixed and estimated: `ArmParameters`, or a mapping for own equations."""
     fixed_std: dict[str, float]
     """Standard deviations of fixed parameters, as given to the estimator."""
     initial: tuple[tuple[float, ...], ...]
@@ -94,7 +108,7 @@ class GreyFit:
     """Sampling time, in s."""
     converged: bool = True
     """True if the search met its tolerance."""
-    physics: Physics
+    physics: PhysicalModel
     """Physical model with its fixed parameters."""
     by_output: Mapping[str, OutputQuality] = field(default_factory=dict)
     """Quality for each output, if several outputs were used.
@@ -136,8 +150,8 @@ class GreyFit:
         return tuple(
             name
             for name in self.names
-            if name not in SIGNED | {COULOMB}
-            and not _MIN_SIGMAS * self.std_noise[name] < abs(self.values[name])
+            if not self.physics.signed(name)
+            and _MIN_SIGMAS * self.std_noise[name] >= abs(self.values[name])
         )
 
     def require_result(self) -> None:
@@ -172,7 +186,7 @@ class GreyFit:
             )
 
     def _figure(self, name: str) -> str:
-        unit = f" {UNITS.get(name, '')}".rstrip()
+        unit = f" {self.physics.units.get(name, '')}".rstrip()
         return f"{name} = {self.values[name]:.3g} ± {self.std_noise[name]:.2g}{unit}"
 
     @property
@@ -193,7 +207,7 @@ class GreyFit:
         >>> system.isctime()
         True
         """
-        return self.physics.model(self.fixed)
+        return self.physics.to_control(self.fixed)
 
     def simulate(self, u: ArrayLike) -> Vector:
         """Return the simulated output (N,) for a held u, from rest and without Coulomb friction.
@@ -206,7 +220,25 @@ class GreyFit:
         >>> print(f"{theta_1[-1]:.1f} rad after {100 * fit.Ts:.0f} s at 2 V")
         3.5 rad after 1 s at 2 V
         """
-        return linear_parts(self.physics.sampled(self.values, (), self.Ts), column("u", u))[0]
+        return self.physics.simulate(self.values, u, self.Ts)
+
+    def errors(self, data: Dataset | Signals) -> Matrix:
+        """Return measured minus simulated outputs (N, ny), NaN where an output is missing.
+
+        The initial state of each experiment is estimated from `data`, and for a linear model the
+        offset of the input. A linear model is simulated without Coulomb friction.
+
+        Examples
+        --------
+        >>> import armrig, numpy as np
+        >>> data = armrig.example_recording().dataset("theta_1")
+        >>> fit = armrig.greybox(data, armrig.arm)
+        >>> f"{np.sqrt(np.nanmean(fit.errors(data) ** 2)):.4f} rad"
+        '0.003... rad'
+        """
+        from armrig.physics.grey_box.least_squares_problem import simulation_errors
+
+        return simulation_errors(self.physics, self.values, data.signals())
 
     def plot(self, data: Dataset, *, ax: Axes | None = None) -> Figure:
         """Return a figure of measured and simulated output with the error below.
@@ -236,8 +268,11 @@ class GreyFit:
         """
         parts = []
         for name in self.names:
-            unit = f" {UNITS.get(name, '')}".rstrip()
+            unit = f" {self.physics.units.get(name, '')}".rstrip()
             share = self.relative_std[name]
+            if np.isnan(share):
+                parts.append(f"{name} = {self.values[name]:.5g}{unit}, at its bound.")
+                continue
             parts.append(
                 f"{name} = {self.values[name]:.5g} ± {self.std[name]:.2g}{unit} "
                 f"(one standard deviation{f', {100 * share:.2g} %' if share < 1 else ''})."
@@ -255,12 +290,12 @@ class GreyFit:
         """Return a table of the estimates with classic and robust standard deviations."""
         lines = [
             f"grey box (output error), {self.output}, {self.N} samples at {self.Ts:g} s, "
-            f"fit {self.fit_percent:.2f} %, rms {np.sqrt(self.loss):.3g} {self.unit}",
+            f"fit {self.fit_percent:.2f} %, rms {np.sqrt(self.loss):.3g} {self.unit}".rstrip(),
             f"  {'':6} {'estimate':>12} {'std':>10} {'robust':>10}",
         ]
         lines += [
             f"  {n:6} {self.values[n]:12.6g} {self.std[n]:10.2g} {self.std_robust[n]:10.2g} "
-            f"{UNITS.get(n, '')}".rstrip()
+            f"{self.physics.units.get(n, '')}".rstrip()
             for n in self.names
         ]
         lines += [

@@ -5,17 +5,18 @@ The free responses of an experiment are the responses to its initial state and i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any, Protocol
 
 import numpy as np
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.least_squares import orthonormal
-from armrig.physics.grey_box.response import linear_parts, sensitivity, with_friction
-from armrig.physics.grey_box.sampled_model import SIGNED, Physics
+from armrig.physics.grey_box.response import sensitivity, with_friction
+from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED, Physics, linear_parts
 
 # Exponents of the parameters in the voltage T_c R_m / (N K_m) of the friction.
 _VOLTAGE_POWERS = {"R_m": 1.0, "N": -1.0, "K_m": -1.0}
@@ -47,6 +48,21 @@ class Linearised:
     """Orthonormal basis of each experiment's free response."""
     free: tuple[Vector, ...]
     """Initial state and input offset of each experiment, (n + 1,)."""
+
+
+class WeightedData(Protocol):
+    """Problem whose outputs are weighted by the deviation of their noise."""
+
+    @property
+    def experiments(self) -> tuple[Signals, ...]:
+        """Data of each experiment."""
+
+    @property
+    def std(self) -> Vector:
+        """Standard deviation of the noise of each output, (ny,)."""
+
+    def residuals(self, e: Vector) -> list[Matrix]:
+        """Return the residuals (N, ny) of each experiment in units of y."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,17 +131,22 @@ class GreyBox:
         return np.concatenate([x[known] / std for x, known, std in rows])
 
     def residuals(self, e: Vector) -> list[Matrix]:
-        """Return the residuals (N, ny) of each experiment in units of y, NaN where y is missing.
+        """Return the residuals (N, ny) of each experiment in units of y, NaN where y is missing."""
+        return by_experiment(e, self.experiments, self.std)
 
-        `e` contains the weighted residuals as in `Linearised`.
-        """
-        edges = np.cumsum([np.count_nonzero(data.valid) for data in self.experiments])[:-1]
-        found = []
-        for data, part in zip(self.experiments, np.split(e, edges), strict=True):
-            whole = np.full(data.y.shape, np.nan)
-            whole.T[data.valid.T] = part * np.repeat(self.std, data.valid.sum(axis=0))
-            found.append(whole)
-        return found
+
+def by_experiment(e: Vector, experiments: Sequence[Signals], std: Vector) -> list[Matrix]:
+    """Return weighted residuals, as in `Linearised`, as a matrix (N, ny) for each experiment.
+
+    The unit is that of y; a missing y has the residual NaN.
+    """
+    edges = np.cumsum([np.count_nonzero(data.valid) for data in experiments])[:-1]
+    found = []
+    for data, part in zip(experiments, np.split(e, edges), strict=True):
+        whole = np.full(data.y.shape, np.nan)
+        whole.T[data.valid.T] = part * np.repeat(std, data.valid.sum(axis=0))
+        found.append(whole)
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,3 +242,17 @@ class GreyBoxWithFriction:
             rows.append((begin, begin + residuals[-1].size))
             begin += residuals[-1].size
         return np.concatenate(residuals), np.vstack(blocks), rows
+
+
+def simulation_errors(physics: Any, values: Mapping[str, float], data: Signals) -> Matrix:
+    """Return measured minus simulated outputs (N, ny), NaN where an output is missing.
+
+    The initial state of each experiment is estimated from `data`, and the offset of the input of a
+    linear model. A linear model is simulated without Coulomb friction.
+    """
+    experiments = tuple(data.experiments())
+    if not isinstance(physics, Physics):
+        return np.asarray(physics.errors(values, experiments))
+    own = {name: value for name, value in values.items() if name != COULOMB}
+    problem = GreyBox(physics=(physics,), names=tuple(own), experiments=experiments)
+    return np.vstack(problem.residuals(problem.at(problem.coordinates(own), ()).e))

@@ -21,24 +21,6 @@ from armrig.numerics.stretches import constant
 from armrig.physics.grey_box.sampled_model import Sampled
 
 
-def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:
-    """Return the output (N,) from rest, and the responses to initial states and offset, (N, n + 1).
-
-    Column i is the response to an initial value of 1 of state i. The last column is the response to
-    an offset u0 = 1, which is subtracted from u.
-    """
-    n, N = model.Phi.shape[0], u.size
-    w = np.zeros((N - 1, n + 2, n))
-    w[:, 0] = u[:-1, None] * model.Gamma
-    w[:, -1] = -model.Gamma
-    x0 = np.zeros((n + 2, n))
-    x0[1 : n + 1] = np.eye(n)
-    y = recursion(model.Phi, w, x0) @ model.C
-    y[:, 0] += model.D * u
-    y[:, -1] -= model.D
-    return y[:, 0], y[:, 1:]
-
-
 def sensitivity(model: Sampled, u: Vector, x0: Vector, u0: float) -> Matrix:
     """Return the derivatives (N, d) of the output with respect to coordinates, without friction.
 

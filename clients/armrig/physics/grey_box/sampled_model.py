@@ -10,9 +10,12 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.telemetry.telemetry import OutputName
+from numpy.typing import ArrayLike
 from scipy.linalg import expm, expm_frechet
 
-from armrig.data.columns import Matrix
+from armrig.data.columns import Matrix, Vector
+from armrig.numerics.checks import column
+from armrig.numerics.recursion import recursion
 
 if TYPE_CHECKING:
     import control
@@ -99,6 +102,24 @@ class Sampled:
     """
 
 
+def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:
+    """Return the output (N,) from rest, and the responses to initial states and offset, (N, n + 1).
+
+    Column i is the response to an initial value of 1 of state i. The last column is the response to
+    an offset u0 = 1, which is subtracted from u.
+    """
+    n, N = model.Phi.shape[0], u.size
+    w = np.zeros((N - 1, n + 2, n))
+    w[:, 0] = u[:-1, None] * model.Gamma
+    w[:, -1] = -model.Gamma
+    x0 = np.zeros((n + 2, n))
+    x0[1 : n + 1] = np.eye(n)
+    y = recursion(model.Phi, w, x0) @ model.C
+    y[:, 0] += model.D * u
+    y[:, -1] -= model.D
+    return y[:, 0], y[:, 1:]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Physics:
     """Model with fixed and free parameters; `sampled` takes values of the free parameters."""
@@ -109,6 +130,19 @@ class Physics:
     """Values of all parameters that are not free."""
     output: str
     """Label of the measured output."""
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the parameters."""
+        return UNITS
+
+    def signed(self, name: str) -> bool:
+        """Return whether a parameter may be 0 or negative."""
+        return name in SIGNED | {COULOMB}
+
+    def to_control(self, parameters: ArmParameters) -> control.StateSpace:
+        """Return the continuous model, without Coulomb friction."""
+        return self.model(parameters)
 
     def labels(self) -> tuple[list[str], list[str]]:
         """Return the labels of outputs and of states."""
@@ -163,6 +197,10 @@ class Physics:
         return Sampled(
             Phi=both[:n, :n], Gamma=both[:n, n], C=M[n, :n], D=float(M[n, n]), by=tuple(derivatives)
         )
+
+    def simulate(self, values: Mapping[str, float], u: ArrayLike, Ts: float) -> Vector:
+        """Return the output (N,) for a held input, from rest and without Coulomb friction."""
+        return linear_parts(self.sampled(dict(values), (), Ts), column("u", u))[0]
 
     def _matrices(self, values: dict[str, float]) -> Matrix:
         """Return [A B; C D] (n + 1, n + 1), extrapolated linearly for a friction below 0."""

@@ -1,0 +1,285 @@
+"""The estimate of the parameters of own equations."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from armrig_core.errors import InputError
+from numpy.typing import ArrayLike
+
+from armrig.data.columns import Matrix, Vector
+from armrig.data.dataset import Signals
+from armrig.data.treatment.wrong_samples import quantum
+from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
+from armrig.physics.grey_box.equations import Ode, Parameter
+from armrig.physics.grey_box.fit import GreyFit, named_std
+from armrig.physics.grey_box.inference import (
+    ROUNDING_SHARE,
+    determined,
+    inferred,
+    no_model,
+    noise_warnings,
+)
+from armrig.physics.grey_box.shooting import (
+    COLUMNS,
+    MIN_SEGMENT,
+    Box,
+    Coordinates,
+    Segments,
+    Shooting,
+)
+
+if TYPE_CHECKING:
+    import control
+
+WINDOW = 2000
+"""Samples with which the search begins in a longer experiment."""
+MAX_MOVE = 12.0
+"""Largest change of a bounded coordinate; e^12 is 160 000."""
+_MAX_SOLVER_SHARE = 0.1  # largest error of the solver, as a share of the noise's deviation
+_MAX_ROUNDS = 8
+_GOOD_SHARE = 0.05  # share of the outputs' variance: with a smaller loss no second start is tried
+_SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds end
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equations:
+    """Physics of a `GreyFit`: own equations, and the precision of their integration."""
+
+    model: Ode
+    output: str
+    steps: int
+    """Runge-Kutta steps in each interval."""
+    solver_error: float
+    """Largest error of the output by the integration."""
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the parameters."""
+        return self.model.units
+
+    def signed(self, name: str) -> bool:
+        """Return whether a parameter may be negative."""
+        p = self.model.parameters[name]
+        return not (isinstance(p, Parameter) and p.low >= 0)
+
+    def errors(self, values: Mapping[str, float], experiments: tuple[Signals, ...]) -> Matrix:
+        """Return measured minus simulated outputs (N, ny); the initial states are estimated."""
+        with np.errstate(all="ignore"):
+            problem = _problem(self.model, (), {**self.model.values, **values}, experiments)
+            nothing = np.zeros(0)
+            z = problem.relaxed(nothing, problem.begun(nothing))
+            return np.vstack(residuals_of(problem, _searched(problem, z)))
+
+    def to_control(self, parameters: Any) -> control.StateSpace:
+        """Refuse: own equations may be nonlinear."""
+        raise InputError("own equations have no linear model; use fit.physics.simulate")
+
+    def simulate(
+        self, values: Mapping[str, float], u: ArrayLike, Ts: float, x0: ArrayLike | None = None
+    ) -> Matrix:
+        """Return the outputs (N, ny)."""
+        return self.model.simulate(u, Ts=Ts, x0=x0, values=values, steps=self.steps)
+
+
+def estimated(data: Signals, ode: Ode, fixed: Mapping[str, float], output: str | None) -> GreyFit:
+    """Return the estimates of all parameters that are not fixed."""
+    for name in fixed:
+        if name not in ode.parameters:
+            raise InputError(f"fixed={name!r} is none of {', '.join(ode.parameters)}")
+    names = tuple(name for name in ode.parameters if name not in fixed)
+    if not names:
+        raise InputError("all parameters are fixed: there is nothing to estimate")
+    experiments = tuple(data.experiments())
+    n, d = len(ode.states), len(names)
+    needed = d + n * len(experiments) + 1
+    if np.count_nonzero(data.valid) < needed or min(part.N for part in experiments) < 2:
+        raise InputError(
+            f"{np.count_nonzero(data.valid)} values are too few to estimate {d} parameters and "
+            f"{n * len(experiments)} initial states: record longer"
+        )
+    with np.errstate(all="ignore"):
+        returned = ode.simulate(data.u[:2], Ts=data.equidistant(), values=fixed, steps=1).shape[1]
+        if returned != data.ny:
+            raise InputError(
+                f"output returns {returned} values; the data have {data.ny} outputs, "
+                f"{', '.join(data.outputs)}: choose them with signals.channels(outputs)"
+            )
+        problem, best, start = _minimised(ode, names, {**ode.values, **fixed}, experiments)
+        return _fit(data, problem, best, start, 0 if output is None else data.output(output))
+
+
+def _problem(
+    ode: Ode, names: tuple[str, ...], values: Mapping[str, float], parts: tuple[Signals, ...]
+) -> Shooting:
+    """Return the problem of experiments, in segments of a suitable length."""
+    own = [ode.parameters[name] for name in names]
+    space = Coordinates(parameters=tuple(p for p in own if isinstance(p, Parameter)))
+    start = space.of([values[name] for name in names])
+    reach = np.where(space.bounded(), MAX_MOVE, np.inf)
+    spread = np.nanstd(np.vstack([part.y for part in parts]), axis=0)
+    columns, N = 1 + 2 * (len(names) + len(ode.states)), max(part.N for part in parts)
+    count = int(np.clip(COLUMNS / columns, 1, max(N // MIN_SEGMENT, 1)))
+    length = max(-(-(N - 1) // count), 1)
+    return Shooting(
+        ode=ode,
+        names=names,
+        fixed=dict(values),
+        experiments=parts,
+        std=np.where(spread > 0, spread, 1.0),
+        length=length,
+        scale=np.ones(len(ode.states)),
+        box=Box(low=start - reach, high=start + reach),
+        segments=tuple(Segments.of(part, length) for part in parts),
+    )
+
+
+def _minimised(
+    ode: Ode, names: tuple[str, ...], values: Mapping[str, float], experiments: tuple[Signals, ...]
+) -> tuple[Shooting, Optimum, Vector]:
+    """Return the problem, its minimum and the coordinates at which the search started."""
+
+    def problem(parts: tuple[Signals, ...]) -> Shooting:
+        return _problem(ode, names, values, parts)
+
+    start = problem(experiments).coordinates.of([values[name] for name in names])
+    windows = tuple(map(liveliest, experiments))
+    eta = start
+    if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
+        short = problem(windows)
+        eta = _searched(short, short.relaxed(start, short.begun(start))).theta[: start.size]
+    best: tuple[Shooting, Optimum] | None = None
+    for at, relaxes in ((eta, True), (start, False)):
+        whole = problem(experiments)
+        states = whole.begun(at)
+        z = whole.relaxed(at, states) if relaxes else whole.packed(at, [s[:, 0] for s in states])
+        found = _searched(whole, z)
+        if best is None or found.cost < best[1].cost:
+            best = whole, found
+        if best[1].converged and best[1].cost < _GOOD_SHARE * sum(part.N for part in experiments):
+            break
+    assert best is not None  # noqa: S101 - the loop has two turns
+    return *_refined(*best), start
+
+
+def liveliest(data: Signals) -> Signals:
+    """Return the window of at most `WINDOW` samples in which the outputs deviate most."""
+    if data.N <= 2 * WINDOW:
+        return data
+    windows = [data[k : k + WINDOW] for k in range(0, data.N - WINDOW + 1, WINDOW // 2)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a window without a value is no window
+        spreads = [np.nanmean(np.nanstd(part.y, axis=0)) for part in windows]
+    return windows[int(np.nanargmax(spreads))]
+
+
+def _searched(problem: Shooting, z: Vector) -> Optimum:
+    """Return the minimum that a search from z finds, inside the box of the problem."""
+    free = np.full(z.size - problem.box.low.size, np.inf)
+    walls = Box(low=np.append(problem.box.low, -free), high=np.append(problem.box.high, free))
+    return levenberg_marquardt(
+        problem.linearise, walls.inside(z, z), admissible=lambda _: True, walls=walls
+    )
+
+
+def _refined(problem: Shooting, best: Optimum) -> tuple[Shooting, Optimum]:
+    """Return problem and minimum with the noise of several outputs, and with enough steps."""
+    for _ in range(_MAX_ROUNDS):
+        e = np.vstack(residuals_of(problem, best))
+        noise = np.sqrt(np.nanmean(e**2, axis=0))
+        steps, _ = problem.solver_error(best.theta, _MAX_SOLVER_SHARE * noise)
+        finer = steps > problem.steps
+        std = np.maximum(noise, 1e-12 * problem.std) if noise.size > 1 else problem.std
+        settled = np.max(np.abs(std / problem.std - 1)) < _SETTLED
+        if settled and not finer:
+            break
+        problem = problem.changed(std=std, steps=steps if finer else problem.steps)
+        best = _searched(problem, best.theta)
+    if problem.std.size == 1:  # the inference of a single output takes errors in its unit
+        best = replace(best, cost=best.cost * float(problem.std[0]) ** 2)
+        problem = problem.changed(std=np.ones(1))
+    return problem, best
+
+
+def residuals_of(problem: Shooting, best: Optimum) -> list[Matrix]:
+    """Return the residuals (N, ny) of each experiment."""
+    return problem.residuals(problem.linearise(best.theta)[0])
+
+
+def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int) -> GreyFit:
+    """Return the result, whose loss, fit and whiteness are those of output i."""
+    names, d = problem.names, len(problem.names)
+    at, values = problem.at(best.theta), problem.values(best.theta)
+    bounded = problem.coordinates.bounded()
+    lost = [n for n, s in zip(names, at.size, strict=True) if not s > 0]
+    if lost:
+        raise InputError(
+            f"{', '.join(lost)}: no effect on the output at the end of the search; hold fixed, "
+            "start nearer, or check whether the equations contain it"
+        )
+    stopped = bounded & (np.abs(best.theta[:d] - start) >= MAX_MOVE)
+    free = np.flatnonzero(~stopped)
+    basis = determined(at.Psi[:, free], [names[j] for j in free])
+    found = inferred(problem, at, basis)
+    slope = problem.coordinates.slopes(best.theta[:d])
+    covariances = []
+    for part in (found.covariance, found.covariance_robust):
+        whole = np.full((d, d), np.nan)
+        whole[np.ix_(free, free)] = part
+        covariances.append(whole * np.outer(slope, slope))
+    quality, own = found.quality[i], data.dataset(data.outputs[i], data.inputs[0])
+    noise = float(np.sqrt(found.noise_covariance[i, i]))
+    noises = np.sqrt(np.diag(found.noise_covariance))
+    error = float(problem.solver_error(best.theta, 2 * _MAX_SOLVER_SHARE * noises)[1][i])
+    rounding = ROUNDING_SHARE * float(np.nansum((data.y / problem.std) ** 2))
+    converged = best.converged or best.cost <= rounding
+    steps = [quantum(data.dataset(name, data.inputs[0])) for name in data.outputs]
+    std = named_std(names, covariances[0])
+    sizes = np.linalg.norm(at.Psi[:, free], axis=0)
+    return GreyFit(
+        names=names,
+        values=values,
+        std=std,
+        std_noise=std,
+        std_robust=named_std(names, covariances[1]),
+        covariance=covariances[0],
+        covariance_robust=covariances[1],
+        condition=float(np.linalg.cond(at.Psi[:, free] / sizes)),
+        influence={},
+        fixed={**problem.fixed, **values},
+        fixed_std={},
+        initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
+        offset=tuple(float(x[-1]) for x in at.free),
+        noise_variance=noise**2,
+        loss=quality.loss,
+        fit_percent=quality.fit_percent,
+        whiteness=quality.white.p_value,
+        whiteness_test=quality.white.test,
+        quantum=steps[i],
+        N=quality.N,
+        Ts=own.Ts,
+        converged=converged,
+        physics=Equations(
+            model=problem.ode, output=data.outputs[i], steps=problem.steps, solver_error=error
+        ),
+        by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
+        warnings=(
+            *([] if converged else [f"no convergence in {best.iterations} steps"]),
+            *(
+                f"{names[j]} ended at its bound, and has no deviation"
+                for j in np.flatnonzero(stopped)
+            ),
+            *no_model(min(q.fit_percent for q in found.quality)),
+            *(
+                [f"the integration is exact to {error:.1g}; the noise is {noise:.1g}"]
+                if error > 2 * _MAX_SOLVER_SHARE * noise
+                else []
+            ),
+            *noise_warnings(data.outputs, steps, found, has_friction=True),
+        ),
+        **own.origin() | {"digest": data.digest},
+    )
