@@ -44,6 +44,8 @@ NOT_CALLED = {
     "InputError": "an error",
     "LiveGap": "of a live rig",
     "RarxState": "what rarx_step returns",
+    "Ode": "greybox takes it",
+    "Parameter": "a part of an Ode",
     "Recording": "what load returns",
     "Rig": "a live rig",
     "RigError": "an error",
@@ -1152,6 +1154,24 @@ def greybox() -> Variants:
     yield "both ways", armrig.greybox(both_ways(), friction="coulomb")
     yield "viscous", armrig.greybox(rubbing(), friction="viscous", fixed_std={"K_m": 2e-4})
     yield "arm", armrig.greybox(holed(arm_data(), 160), armrig.arm, ("J_1", "J_2"))
+    chassis = armrig.Ode(
+        f=lambda t, x, u, p: [x[1], (0.167 * u[0] - p.d * x[1]) / p.J],
+        output=lambda t, x, u, p: x[0],
+        states=["theta_1", "rate"],
+        parameters={"J": armrig.Parameter(3e-3, low=0), "d": armrig.Parameter(0.05, low=0)},
+    )
+    yield "equations", armrig.greybox(holed(whole, 200), chassis)
+
+
+@variants
+def friction() -> Variants:
+    curve = {"coulomb": 0.5, "viscous": 0.1, "static": 0.8, "width": 0.05}
+    yield "curve", armrig.friction(np.linspace(-2, 2, 9), **curve)
+
+
+@variants
+def saturation() -> Variants:
+    yield "plain", armrig.saturation(np.linspace(-2, 2, 9), -1.0, 0.5)
 
 
 @cache

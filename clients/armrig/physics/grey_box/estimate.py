@@ -142,10 +142,8 @@ def greybox(
         if isinstance(held, ArmParameters):
             raise InputTypeError("fixed: give a mapping of names to values for own equations")
         return estimated(data, model, held, output if output in data.outputs else None)
-    p = ArmParameters() if fixed is None else fixed
-    if not isinstance(p, ArmParameters):
-        raise InputTypeError("fixed: give ArmParameters, such as armrig.ArmParameters(J_2=0.005)")
-    require_parameters(p, "fixed")
+    require_parameters(ArmParameters() if fixed is None else fixed, "fixed")
+    p = fixed if isinstance(fixed, ArmParameters) else ArmParameters()
     names = free_names(free, friction)
     given = checked_fixed_std(fixed_std or {}, names)
     _require_channels(data, names, output)
