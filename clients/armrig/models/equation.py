@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from armrig.models.estimate import Estimate
+from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.confidence_regions import Band
 from armrig.numerics.quantities import NBSP, listed, near_one, places, plural, with_std
 
@@ -105,15 +106,28 @@ def input_and_output(model: Fit) -> str:
         listed([_with_unit(name, unit) for name, unit in zip(names, units, strict=True)])
         for names, units in ((model.inputs, model.input_units), (model.outputs, model.units))
     )
-    return f"{u} to {y}, Ts {model.Ts:g} s"
+    return f"{u} to {y}, {time_axis(model)}"
+
+
+def time_axis(model: Fit) -> str:
+    """Return the sampling time as text, for a model in s that of its estimation data."""
+    if isinstance(model.form, TransferFunction):
+        return f"continuous time, from Ts {model.form.Ts:g} s"
+    return f"Ts {model.Ts:g} s"
 
 
 def equations(model: Fit, *, with_std: bool = False) -> list[str]:
     """Return lines with the equation and the polynomials."""
     notation = _PLAIN if with_std else _PLAIN._replace(term="{value}{power}")
     lines = [f"  {form(model)}"]
-    lines += [f"  {x}(q) = {_polynomial(model, x, notation)}" for x in letters(model)]
-    if model.integrator:
+    lines += [
+        f"  {x}({_variable(model, x)}) = {_polynomial(model, x, notation)}" for x in letters(model)
+    ]
+    if model.Ts == 0:
+        if model.integrator:
+            lines.append("  F has the factor s by construction")
+        lines += [f"  {line}" for line in repr(model.quantities()).splitlines()]
+    elif model.integrator:
         lines.append(f"  {model.integrating.upper()} has the factor 1 - q^-1 by construction")
     return lines
 
@@ -121,8 +135,9 @@ def equations(model: Fit, *, with_std: bool = False) -> list[str]:
 def form(model: Fit) -> str:
     """Return the model's equation with the letters of its polynomials."""
     known = letters(model)
+    of_q = {letter: f"{letter}({_variable(model, letter)})" for letter in "ABCDF"}
     left = "A(q) y(t)" if "A" in known else "y(t)"
-    driven = "B(q)/F(q)" if "F" in known else "B(q)"
+    driven = f"{of_q['B']}/{of_q['F']}" if "F" in known else "B(q)"
     noise = {
         (False, False): "e(t)",
         (True, False): "C(q) e(t)",
@@ -131,7 +146,13 @@ def form(model: Fit) -> str:
     }["C" in known, "D" in known]
     if model.structure in ("iv4", "channel"):
         noise = "v(t)"
-    return f"{left} = {driven} u(t) + {noise}"
+    delayed = isinstance(model.form, TransferFunction) and model.form.delay > 0
+    return f"{left} = {driven} u(t{' - delay' * delayed}) + {noise}"
+
+
+def _variable(model: Fit, letter: str) -> str:
+    """Return s for B and F of a model in continuous time, otherwise q."""
+    return "s" if model.Ts == 0 and letter in "BF" else "q"
 
 
 def letters(model: Fit) -> list[str]:
@@ -167,11 +188,14 @@ def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -
 def latex(fit: Fit) -> str:
     r"""Return the equation as an `aligned` block, each coefficient with its standard deviation."""
     equation = form(fit).replace(") e(t)", r")\,e(t)").replace("1/D(q)", r"\frac{1}{D(q)}")
-    for ratio in ("B(q)/F(q)", "C(q)/D(q)"):
+    for ratio in ("B(q)/F(q)", "B(s)/F(s)", "C(q)/D(q)"):
         equation = equation.replace(ratio, rf"\frac{{{ratio[:4]}}}{{{ratio[5:]}}}")
-    equation = equation.replace(") y(t)", r")\,y(t)").replace(" u(t)", r"\,u(t)")
+    equation = equation.replace(") y(t)", r")\,y(t)").replace(" u(t", r"\,u(t")
     rows = [equation.replace(" = ", " &= ")]
-    rows += [rf"{letter}(q) &= {_polynomial(fit, letter, _LATEX)}" for letter in letters(fit)]
+    rows += [
+        rf"{letter}({_variable(fit, letter)}) &= {_polynomial(fit, letter, _LATEX)}"
+        for letter in letters(fit)
+    ]
     body = " \\\\\n".join(rows)
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
@@ -179,7 +203,10 @@ def latex(fit: Fit) -> str:
 def typst(fit: Fit) -> str:
     """Return the equation as a block of Typst mathematics, with the content of `latex`."""
     rows = [typst_form(fit).replace(" = ", " &= ")]
-    rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in letters(fit)]
+    rows += [
+        f"{letter}({_variable(fit, letter)}) &= {_polynomial(fit, letter, _TYPST)}"
+        for letter in letters(fit)
+    ]
     return "$ " + " \\\n  ".join(rows) + " $"
 
 
@@ -194,32 +221,52 @@ class _Notation(NamedTuple):
     term: str
     """Template of value, standard deviation and power."""
     power: str
-    """Template of a power of q."""
+    """Template of a power of q or s."""
     times_ten: str
     """Template of mantissa and exponent."""
+    space: str = " "
+    """Space before a power."""
     unknown: str = "?"
     """Text of a number that is not finite; "" for Python's text."""
 
 
-_PLAIN = _Notation("{value} (±{std}){power}", " q^-{lag}", "{mantissa}e{exponent:+03d}", "")
+_PLAIN = _Notation(
+    "{value} (±{std}){power}", " {variable}^{exponent}", "{mantissa}e{exponent:+03d}", " ", ""
+)
 _LATEX = _Notation(
-    r"({value} \pm {std}){power}", r"\,q^{{-{lag}}}", r"{mantissa} \cdot 10^{{{exponent}}}"
+    r"({value} \pm {std}){power}",
+    r"\,{variable}^{{{exponent}}}",
+    r"{mantissa} \cdot 10^{{{exponent}}}",
+    r"\,",
 )
 _TYPST = _Notation(
-    "({value} plus.minus {std}){power}", " thin q^(-{lag})", "{mantissa} dot 10^({exponent})"
+    "({value} plus.minus {std}){power}",
+    " thin {variable}^({exponent})",
+    "{mantissa} dot 10^({exponent})",
+    " thin ",
 )
 
 
 def _polynomial(fit: Fit, letter: str, notation: _Notation) -> str:
     first = fit.nk if letter == "B" else 1
+    variable, last = _variable(fit, letter), fit.polynomial(letter).size - 1
+
+    def power(k: int) -> str:
+        exponent = last - k if variable == "s" else -k
+        if exponent == 1:
+            return notation.power.partition("^")[0].format(variable=variable)
+        return notation.power.format(variable=variable, exponent=exponent) if exponent else ""
+
     values, deviations = fit.polynomial(letter)[first:], fit.std[fit.slice_of(letter.lower())]
-    text = "" if letter == "B" else "1"
+    if variable == "s" and letter == "F" and fit.integrator:  # the last coefficient is 0
+        values, deviations = values[:-1], deviations[:-1]
+    text = "" if letter == "B" else power(0).removeprefix(notation.space) or "1"
     for k, (value, std) in enumerate(zip(values, deviations, strict=True)):
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
         term = notation.term.format(
             value=_number(abs(value), 5, notation),
             std=_number(std, 2, notation),
-            power=notation.power.format(lag=first + k) if first + k else "",
+            power=power(first + k),
         )
         text += f"{sign}{term}"
     return text
@@ -250,7 +297,7 @@ def html(fit: Fit) -> str:
     )
     said = "".join(f"<li>{escape(warning)}</li>" for warning in fit.warnings)
     return (
-        f"<p><b>{fit.heading}</b>, Ts {fit.Ts:g} s, N {fit.N}</p>"
+        f"<p><b>{fit.heading}</b>, {time_axis(fit)}, N {fit.N}</p>"
         f"$$\n{latex(fit)}\n$$"
         "<table><tr><th>coefficient</th><th>estimate</th><th>std</th><th>std_robust</th></tr>"
         f"{rows}</table>"
@@ -383,18 +430,28 @@ def coefficients(fit: Fit) -> list[str]:
         stds = fit.std, fit.std_robust
     rows = zip(fit.names, fit.theta, *stds, strict=True)
     for name, value, std, robust in rows:
-        power = int(name[1:]) - 1 + (fit.nk if name[0] == "b" else 1)
         finite = [s for s in (std, robust) if np.isfinite(s) and s > 0]
         decimals = min(places(min(finite, default=0.0)), _MAX_DECIMALS)
         lines.append(
-            f"  {f'{name} q^-{power}':12} {value:>14.{decimals}f} {_std(std)} {_std(robust)}"
+            f"  {_with_power(fit, name):12} {value:>14.{decimals}f} {_std(std)} {_std(robust)}"
         )
     return lines
 
 
+def _with_power(fit: Fit, name: str) -> str:
+    """Return the name of a parameter with its power of q or s, or the unit of a delay."""
+    if name == "delay":
+        return "delay [s]"
+    k = int(name[1:])
+    if _variable(fit, name[0].upper()) == "s":
+        return f"{name} s^{fit.polynomial(name[0]).size - 1 - k}"
+    return f"{name} q^-{k - 1 + fit.nk if name[0] == 'b' else k}"
+
+
 def root_lines(fit: Fit) -> list[str]:
-    """Return poles and zeros in the z plane with their standard deviations; a pair is one row."""
-    lines = [f"  {'root of z':12} {'value':>22} {'σ':>10} {'σ of the imaginary part':>24}"]
+    """Return poles and zeros in the z plane or the s plane with their deviations, a row a pair."""
+    root = f"root of {'z' if fit.Ts else 's'}"
+    lines = [f"  {root:12} {'value':>22} {'σ':>10} {'σ of the imaginary part':>24}"]
     for name, found in (("pole", fit.poles()), ("zero", fit.zeros())):
         for z, (real, imag) in _each_root(found):
             pair = f" ± {z.imag:.5f}i" if z.imag > 0 else ""
@@ -462,7 +519,9 @@ def _parameters(channel: Fit) -> dict[str, dict[str, float]]:
 
 
 def _form_and_root(fit: Fit) -> str:
-    root = f"; one root of {fit.integrating.upper()} is 1 by construction" if fit.integrator else ""
+    place = 1 if fit.Ts else 0
+    text = f"; one root of {fit.integrating.upper()} is {place} by construction"
+    root = text if fit.integrator else ""
     return f"{form(fit)}{root}"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -15,6 +15,7 @@ from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import Matrix, Vector, freeze
 from armrig.models.structure import FreeResponse
 from armrig.models.structure_table import DESCRIBED, named
+from armrig.models.transfer_function import TransferFunction
 from armrig.numerics import criteria
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.quantities import plural
@@ -41,11 +42,11 @@ class Start:
     """True if the change of the loss and the scaled gradient are within the tolerance."""
 
 
-Form = Polynomials | Matrices
+Form = Polynomials | Matrices | TransferFunction
 T = TypeVar("T")
 
 
-def _of_form(of: Callable[[Polynomials], T], doc: str) -> T:
+def _of_form(of: Callable[[Any], T], doc: str) -> T:
     """Return a property of the polynomials of the only channel."""
     return cast("T", property(lambda self: of(self._polynomials), doc=doc))
 
@@ -68,7 +69,8 @@ class Estimate:
     """Name of a `structure_table.RegisteredStructure`, such as "oe", or of the origin of a model
     that was not estimated, such as "physics"."""
     form: Form
-    """Parameters and equations: polynomials, or the matrices of a state space."""
+    """Parameters and equations: polynomials in q^-1, the matrices of a state space, or a transfer
+    function in s."""
     specification: str = ""
     """Orders as text, such as "nb=[[2],[1]], nf=2, nk=1", for a model of several signals."""
     inputs: tuple[str, ...] = ("u",)
@@ -80,7 +82,7 @@ class Estimate:
     units: tuple[str, ...] = ("",)
     """Units of the outputs."""
     Ts: float
-    """Sampling time, in s."""
+    """Sampling time, in s; 0 for a model in continuous time."""
     offset: bool = False
     """True if the input has an unknown offset, which is estimated again from each data set."""
     shared: bool = False
@@ -220,9 +222,9 @@ class Estimate:
         return bool(self.digest) and self.digest == data.digest
 
     @property
-    def _polynomials(self) -> Polynomials:
+    def _polynomials(self) -> Polynomials | TransferFunction:
         """Polynomials of the only channel."""
-        if self.ny == self.nu == 1 and isinstance(self.form, Polynomials):
+        if self.ny == self.nu == 1 and not isinstance(self.form, Matrices):
             return self.form
         raise InputError(
             f"the model has {plural(self.ny, 'output')} and {plural(self.nu, 'input')}: choose one "
@@ -284,6 +286,8 @@ class Estimate:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters in the order of theta: a1 …, b1 …, c1 …, d1 …, f1 …."""
         form = self._polynomials
+        if isinstance(form, TransferFunction):
+            return form.names
         sizes = ((x, form.slice_of(x, 0, 0)) for x in "abcdf")
         return tuple(f"{x}{k + 1}" for x, part in sizes for k in range(part.stop - part.start))
 
@@ -291,8 +295,14 @@ class Estimate:
     def orders(self) -> dict[str, int]:
         """Orders of the structure by name: na, nb, nc, nd, nf or order, and nk.
 
+        A model in continuous time has poles and zeros, and nc and nd if they are not 0.
+
         A model that was not estimated has nb, nk and all orders that are not 0.
         """
+        if isinstance(self.form, TransferFunction):
+            noise = {"nc": self.C.size - 1, "nd": self.D.size - 1}
+            degrees = {"poles": self.F.size - 1, "zeros": self.B.size - 1}
+            return degrees | {name: n for name, n in noise.items() if n}
         sizes = {"na": self.A.size - 1, "nb": self.B.size - self.nk, "nc": self.C.size - 1}
         sizes |= {"nd": self.D.size - 1, "nf": self.F.size - 1, "nk": self.nk}
         if self.structure not in DESCRIBED:

@@ -54,6 +54,11 @@ _RASTER_POINTS = 120
 _MAX_WIDENINGS = 6  # largest number of widenings of a raster until it contains the whole region
 
 
+def in_discrete_time(models: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the models, those in continuous time sampled as their estimation data."""
+    return tuple(m.to_discrete() if getattr(m, "Ts", None) == 0 else m for m in models)
+
+
 def plot_bode(
     *models: Any, omega: ArrayLike | None = None, labels: Labels = None, ax: Axes | None = None
 ) -> Axes:
@@ -74,6 +79,7 @@ def plot_bode(
         Frequencies in rad/s. The default range ends at the highest Nyquist frequency of the models,
         and begins at 1/600 of this frequency.
     """
+    names, models = labels_of(models, labels), in_discrete_time(models)
     highest = max((np.pi / m.Ts for m in models if hasattr(m, "Ts")), default=1e3)
     w = (
         np.geomspace(highest / 600, highest, 500)
@@ -82,7 +88,7 @@ def plot_bode(
     )
     ax, below = panels(ax, 0.42)
     levels: list[NDArray[np.float64]] = []
-    named = list(zip(models, labels_of(models, labels), strict=True))
+    named = list(zip(models, names, strict=True))
     curves = [one for one in named if not isinstance(one[0], SpectralEstimate)]
     sampled: dict[str, Draws | None] = {}
     for (model, name), pen in zip(curves, pens(len(curves)), strict=True):
@@ -119,8 +125,9 @@ def plot_step(
     ax = axes(ax)
     curves: list[NDArray[np.float64]] = []
     sampled: dict[str, Draws | None] = {}
+    names, models = labels_of(models, labels), in_discrete_time(models)
     rate = all(integrates(model) for model in models)
-    for model, name, pen in zip(models, labels_of(models, labels), pens(len(models)), strict=True):
+    for model, name, pen in zip(models, names, pens(len(models)), strict=True):
         answer = model.step_response(n or max(50, round(1 / model.Ts)), rate=rate)
         # The response is from rest. The first value of a rate is half a sample after the step.
         t, y = np.append(0.0, answer.t), np.append(0.0, answer.y)
@@ -306,8 +313,9 @@ def plot_poles_zeros(*models: Fit, labels: Labels = None, ax: Axes | None = None
     ax.axvline(0, color=GREY, lw=0.5)
     shown: list[Region] = []
     by_draws: dict[str, Draws | None] = {}
+    names, models = labels_of(models, labels), in_discrete_time(models)
     for model, name, pen, size in zip(
-        models, labels_of(models, labels), pens(len(models)), cycle(_MARKER_SIZES), strict=False
+        models, names, pens(len(models)), cycle(_MARKER_SIZES), strict=False
     ):
         colour = pen["color"]
         draws = drawn(model)

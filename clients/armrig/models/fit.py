@@ -10,6 +10,13 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
+from armrig.models.continuous_time import (
+    Quantities,
+    continuous,
+    continuous_response,
+    discrete,
+    quantities,
+)
 from armrig.models.estimate import Estimate
 from armrig.models.polynomials import Polynomials
 from armrig.models.responses import (
@@ -24,6 +31,7 @@ from armrig.models.responses import (
     standard_deviations,
 )
 from armrig.models.state_space import Matrix, Vector
+from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.polynomial import filtered
 
@@ -219,7 +227,7 @@ class Fit(Estimate):
         return polynomial_roots(self, "b")
 
     def frequency_response(self, omega: ArrayLike) -> FrequencyResponse:
-        """Return G at omega (n,) in rad/s, up to the Nyquist frequency pi/Ts.
+        """Return G at omega (n,) in rad/s, for a sampled model up to the Nyquist frequency pi/Ts.
 
         G is (n,) for one input and one output, otherwise (n, ny, nu). The relative error of |G| is
         the real part of d ln G = dG/G. The error of the phase is the imaginary part of d ln G.
@@ -247,7 +255,9 @@ class Fit(Estimate):
                 G[:, i, j] = own.G
                 magnitude[:, i, j], phase[:, i, j] = own.std_magnitude, own.std_phase
             return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
-        G, dlnG = ratio(self, omega_, "b", "af")
+        G, dlnG = (
+            continuous_response(self, omega_) if self.Ts == 0 else ratio(self, omega_, "b", "af")
+        )
         with np.errstate(invalid="ignore"):
             relative, phase = (
                 standard_deviations(d, self.trusted_covariance) for d in (dlnG.real, dlnG.imag)
@@ -276,6 +286,8 @@ class Fit(Estimate):
         >>> (spectrum.Phi / (fit.noise_variance * fit.Ts)).round(3)
         array([1., 1., 1.])
         """
+        if self.Ts == 0:
+            return self.to_discrete().noise_spectrum(omega)
         omega_ = frequencies(self, omega)
         H, dlnH = ratio(self, omega_, "c", "ad")
         Phi = self.noise_variance * self.Ts * np.abs(H) ** 2
@@ -304,6 +316,8 @@ class Fit(Estimate):
         1.86 rad/s per V
         """
         require_integers(n=(n, 1))
+        if self.Ts == 0:
+            return self.to_discrete().step_response(n, rate=rate)
         t: Vector = self.Ts * (np.arange(n, dtype=np.float64) + 0.5 * rate)
         if (self.ny, self.nu) != (1, 1):
             y, std = np.zeros((2, n, self.ny, self.nu))
@@ -332,7 +346,8 @@ class Fit(Estimate):
         u must not contain the input offset. If the offset was estimated, subtract `free[i].offset`,
         the offset of experiment i, from the measured input.
 
-        u has the sampling time `Ts`. For a model of detrended data, first subtract the mean of the
+        u has the sampling time `Ts`; for a model in continuous time, that of the estimation data.
+        For a model of detrended data, first subtract the mean of the
         estimation data's input from u. Add the mean of the output to the result, unless the output
         integrates. `Dataset.trends` contains both means.
 
@@ -349,6 +364,8 @@ class Fit(Estimate):
         >>> print(f"largest {abs(alpha).max():.2f} rad, at the end {abs(alpha[-1]):.2f} rad")
         largest 0.29 rad, at the end 0.00 rad
         """
+        if self.Ts == 0:
+            return self.to_discrete().simulate(u)
         if self.ny == self.nu == 1:
             return filtered(self.B, self.denominator, column("u", u))
         u_ = np.asarray(u, dtype=np.float64)
@@ -417,10 +434,92 @@ class Fit(Estimate):
         s = self.form.realised()
         return s.A, s.B, s.C, s.D, s.K
 
+    def to_discrete(self, Ts: float | None = None) -> Fit:
+        """Return a model in continuous time, sampled exactly at Ts, with its covariance.
+
+        The input is held between samples, or a straight line as in the estimation data. The
+        covariance of the polynomials is J P J^T, with the derivatives J of the sampling. The noise
+        model C/D is known only at the sampling time of the estimation data; at another Ts the noise
+        is white.
+
+        Parameters
+        ----------
+        Ts : float, optional
+            Sampling time in s; that of the estimation data by default.
+
+        Raises
+        ------
+        ValueError
+            The model is sampled already, or Ts is not positive.
+
+        References
+        ----------
+        .. [1] K. J. Åström, B. Wittenmark, *Computer-Controlled Systems*, 3rd ed., 1997, section
+           2.3.
+        .. [2] A. H. Al-Mohy, N. J. Higham, SIAM J. Matrix Anal. Appl. 30 (2009) 1639-1657.
+
+        Examples
+        --------
+        >>> fit = armrig.tf(armrig.example_recording().dataset("alpha"), poles=3, zeros=2)
+        >>> fit.to_discrete(0.01).poles().values.round(2)
+        array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
+        """
+        return discrete(self, Ts)
+
+    def to_continuous(self) -> Fit:
+        """Return the model in s whose sampled response is this model, with its covariance.
+
+        Each pole is s = ln z / Ts, and the numerator follows from the exact sampling of a held
+        input. The covariance is J P J^T, with J the inverse of the derivatives of the sampling.
+
+        Raises
+        ------
+        ValueError
+            A pole is 0 or real and negative, or B has more coefficients than poles.
+
+        References
+        ----------
+        .. [1] K. J. Åström, B. Wittenmark, *Computer-Controlled Systems*, 3rd ed., 1997, section
+           2.3.
+
+        Examples
+        --------
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> print(fit.to_continuous().quantities())
+        gain                    ...
+        time constant           0.0270... ± 0.00016 s
+        natural frequency       18.8... ± 0.014 rad/s
+        damping                 0.426... ± 0.00043
+        ...
+        """
+        return continuous(self)
+
+    def quantities(self) -> Quantities:
+        """Return the physical numbers of the model with their standard deviations.
+
+        The numbers are the gain B(0)/F(0), that of the rate if the output integrates, and the
+        delay. A real pole s has the time constant -1/s. A pair has the natural frequency |s| and
+        the damping ratio -Re s/|s|. Zeros have the same numbers. A sampled model is converted to
+        continuous time first. The deviations are linearised.
+
+        Raises
+        ------
+        ValueError
+            A sampled model has no equivalent in continuous time.
+
+        Examples
+        --------
+        >>> fit = armrig.tf(armrig.example_recording().dataset("alpha"), poles=3, zeros=2)
+        >>> round(fit.quantities()["natural frequency"].value, 1)
+        18...
+        """
+        return quantities(self)
+
     def to_control(self) -> control.TransferFunction | control.StateSpace:
         """Return the model from u to y as a python-control system with named signals and dt=Ts.
 
-        The system is a transfer function for polynomials of one input and one output, and a state
+        A model in continuous time with a delay, which python-control does not have, is sampled. The
+        system is a transfer function for polynomials of one input and one output, and a state
         space for N4SID, ss and several signals.
 
         Examples
@@ -434,6 +533,11 @@ class Fit(Estimate):
         """
         import control
 
+        if isinstance(self.form, TransferFunction) and not self.form.delay:
+            signals = {"inputs": list(self.inputs), "outputs": list(self.outputs)}
+            return control.tf(self.B, self.F, **signals)
+        if self.Ts == 0:
+            return self.to_discrete().to_control()
         names = {"inputs": list(self.inputs), "outputs": list(self.outputs)}
         if (self.ny, self.nu) != (1, 1) or "order" in self.orders:
             s = self.form.realised().deterministic
@@ -458,8 +562,9 @@ class Fit(Estimate):
 
         D = np.convolve(self.D, self.A)
         n = max(self.C.size, D.size)
+        Ts = self.Ts or self.to_discrete().Ts
         padded = [np.pad(p, (0, n - p.size)) for p in (self.C, D)]
-        return control.tf(*padded, self.Ts, inputs=["e"], outputs=[self.output])
+        return control.tf(*padded, Ts, inputs=["e"], outputs=[self.output])
 
     def explain(self) -> str:
         """Return a text with the canonical correlations and the order that the data suggest.

@@ -16,6 +16,7 @@ import numpy as np
 from armrig.data.step import codes_of
 from armrig.models.matrices import Matrices
 from armrig.models.polynomials import Polynomials
+from armrig.models.transfer_function import TransferFunction
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -23,9 +24,10 @@ if TYPE_CHECKING:
 FORMAT = "armrig model"
 VERSION = 2
 """Version 1 contained the polynomials of one input and one output at its top level."""
-FORMS: dict[str, type[Matrices] | type[Polynomials]] = {
+FORMS: dict[str, type[Matrices] | type[Polynomials] | type[TransferFunction]] = {
     "matrices": Matrices,
     "polynomials": Polynomials,
+    "transfer function": TransferFunction,
 }
 """Classes of the parameters, by the names of the classes in a file."""
 

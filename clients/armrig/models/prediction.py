@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,6 +16,7 @@ from armrig.data.step import span_of
 from armrig.models.innovations import Unknown, errors, prepared, regression, summed_input
 from armrig.models.state_space import predicted as of_outputs
 from armrig.models.structure import Structure, free_columns, transient_count
+from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.noise_filter import NoiseFilter
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
@@ -58,6 +59,8 @@ def predicted(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array
     """
     require_same_signals(model, data)
     _require_horizon(horizon)
+    if model.Ts == 0:
+        return predicted(model.to_discrete(data.Ts), data, horizon)
     if (model.ny, model.nu) != (1, 1):
         data = cast("Signals", data)
         system = model.form.realised()
@@ -165,7 +168,21 @@ class Residuals:
 
 
 def prediction_errors(model: Fit, part: Dataset) -> Residuals:
-    """Return the residuals of one experiment, with the unknown past estimated by least squares."""
+    """Return the residuals of one experiment, with the unknown past estimated by least squares.
+
+    A model in continuous time is sampled, and Psi are the derivatives by its own parameters.
+    """
+    if isinstance(model.form, TransferFunction):
+        sampled, J = model.form.sampled(part.Ts)
+        found = prediction_errors(model.to_discrete(part.Ts), part)
+        if model.integrator:  # f̃_k = f_1 + … + f_k
+            of_f = sampled.slice_of("f", 0, 0)
+            J[of_f] = np.cumsum(J[of_f], axis=0)
+            J = np.delete(J, of_f.stop - 1, axis=0)
+        free = np.ones(model.theta.size, dtype=np.bool_)
+        if model.integrator:
+            free[model.slice_of("f").stop - 1] = False
+        return replace(found, Psi=found.Psi @ J[:, free])
     structure = structure_of(model)
     p = {letter: getattr(model, letter) for letter in "ABCDF"}
     if model.integrating:
@@ -247,7 +264,7 @@ def _require_same_channels(model: Fit, data: object) -> None:
 
 
 def _require_same_Ts(model: Fit, Ts: float) -> None:
-    if not np.isclose(model.Ts, Ts, rtol=1e-9, atol=0.0):
+    if model.Ts and not np.isclose(model.Ts, Ts, rtol=1e-9, atol=0.0):
         raise InputError(
             f"the model has Ts={model.Ts:g} s and the data have Ts={Ts:g} s; "
             "identify and validate at the same rate"

@@ -28,7 +28,7 @@ class Roots:
     """Poles or zeros with their covariance; numpy.asarray returns the complex values."""
 
     values: Complex
-    """Roots in the z plane, (n,)."""
+    """Roots in the z plane, or in the s plane in 1/s for a model in continuous time, (n,)."""
     covariance: NDArray[np.float64]
     """Covariance of (real, imaginary part) of each root, (n, 2, 2)."""
 
@@ -127,7 +127,7 @@ def root_derivatives(model: Fit, letter: str) -> tuple[Complex, Complex]:
     """Return the roots of one polynomial, and their derivatives (n, k) by its k parameters.
 
     If p_k changes by dp_k, a root z of p(z) = sum p_k z^(n-k) changes by dz = -z^(n-k) / p'(z)
-    dp_k. A root that is 1 by construction does not change.
+    dp_k. A root of an integrator does not change. A polynomial in s has the same form.
     """
     first = int(letter != "b")
     p = model.polynomial(letter)[0 if first else model.nk :]
@@ -137,8 +137,9 @@ def root_derivatives(model: Fit, letter: str) -> tuple[Complex, Complex]:
     powers = p.size - 1 - np.arange(first, p.size)
     with np.errstate(divide="ignore", invalid="ignore"):
         if letter == model.integrating:
-            fixed = np.argmin(np.abs(z - 1))
-            z[fixed] = 1.0
+            root = 1.0 if model.Ts else 0.0
+            fixed = np.argmin(np.abs(z - root))
+            z[fixed] = root
         dz = -(z[:, None] ** powers) / np.polyval(np.polyder(p), z)[:, None]
     if letter == model.integrating:
         dz[fixed] = 0.0
@@ -146,8 +147,12 @@ def root_derivatives(model: Fit, letter: str) -> tuple[Complex, Complex]:
 
 
 def frequencies(model: Fit, omega: ArrayLike) -> Vector:
-    """Return omega (n,) in rad/s; refuse a frequency outside 0 to pi/Ts."""
+    """Return omega (n,) in rad/s; refuse one below 0, or above pi/Ts for a sampled model."""
     omega_ = np.atleast_1d(np.asarray(omega, dtype=np.float64))
+    if model.Ts == 0:
+        if omega_.size and not (omega_.min() >= 0 and np.isfinite(omega_).all()):
+            raise InputError(f"omega from {omega_.min():g} rad/s must be 0 or more, and finite")
+        return omega_
     nyquist = np.pi / model.Ts
     if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
         raise InputError(

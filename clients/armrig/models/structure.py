@@ -38,6 +38,9 @@ class Structure:
     integrator the level is always estimated, unless `at_rest` is True."""
     at_rest: bool = False
     """True if each experiment begins with all signals at zero."""
+    reach: int = 0
+    """Least number of lags of u for which the start has pulses. A search over delays has the pulses
+    of the longest delay, so that the costs of all delays are comparable."""
 
     def lags(self, j: int) -> range:
         """Return the lags of input j in B."""
@@ -84,7 +87,7 @@ class Structure:
         return tuple(
             0
             if self.at_rest or (nf + inside == 0 and self.memory > 0)
-            else max(self._reach(group), nf + inside) - inside
+            else max(self._reach(group), self.reach, nf + inside) - inside
             for group, nf in zip(self.groups, self.sizes, strict=True)
         )
 

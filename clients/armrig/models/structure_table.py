@@ -34,7 +34,7 @@ COUNTED = {"na": "a's", "nb": "b's", "nc": "c's", "nd": "d's", "nf": "f's", "ord
 class RegisteredStructure:
     """Specification of one structure."""
 
-    name: StructureName | Literal["channel"]
+    name: StructureName | Literal["channel", "tf", "process"]
     """Name of the structure and of its estimator, in small letters."""
     equation: str
     """Equation of y, without delays and levels."""
@@ -56,7 +56,7 @@ class RegisteredStructure:
     @property
     def poles(self) -> str:
         """Name of the order that is the number of poles from u to y; nb if there are no poles."""
-        return next(name for name in ("order", "nf", "na", "nb") if name in self.orders)
+        return next(name for name in ("order", "nf", "na", "poles", "nb") if name in self.orders)
 
     @property
     def title(self) -> str:
@@ -118,7 +118,17 @@ STRUCTURES: dict[str, RegisteredStructure] = {row.name: row for row in _ROWS}
 CHANNEL = _row("channel", "y = B/F u + v", {"nb": None, "nf": None})
 """Specification of one channel of a model with several inputs or outputs. The noise of a channel
 depends on several e, so the channel has no C and no D."""
-DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
+_TF = {"poles": _N, "zeros": _N - 1}
+_OF_TF = ("delay", "noise", "integrator", "offset")
+CONTINUOUS: dict[str, RegisteredStructure] = {
+    row.name: row
+    for row in (
+        _row("tf", "y = B(s)/F(s) u + C/D e", _TF, _OF_TF, several=False, closed_loop=True),
+        _row("process", "y = B(s)/F(s) u + C/D e", _TF, _OF_TF, several=False, closed_loop=True),
+    )
+}
+"""Structures in continuous time by name, for Python only: `armrig.tf` and `armrig.process`."""
+DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | CONTINUOUS | {CHANNEL.name: CHANNEL}
 """Specifications of all structures that a `Fit` may have, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
 """Specifications of the structures that the commands offer, by name."""

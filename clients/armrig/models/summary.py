@@ -116,8 +116,11 @@ def summary(model: Fit) -> Summary:
     are 1000 draws for poles and zeros, and 400 draws for the other numbers. P is the trusted
     covariance. A range by draws is valid for a nonlinear function of theta, but not if the
     distribution of theta itself is far from normal. Therefore the range of a pole that nearly
-    cancels with a zero is too narrow.
+    cancels with a zero is too narrow. A model in continuous time is sampled as its estimation data;
+    its `quantities` have the numbers in s.
     """
+    if model.Ts == 0:
+        model = model.to_discrete()
     draws = drawn(model)
     return Summary(
         poles=tuple(pole_regions(model, draws)),

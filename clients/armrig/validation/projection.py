@@ -76,6 +76,8 @@ def _to_free(fit: Fit) -> Array:
     if not fit.integrator:
         return J
     part = fit.slice_of(fit.integrating)
+    if fit.Ts == 0:  # the coefficient that is 0
+        return np.delete(J, part.stop - 1, axis=0)
     # f̃_k = f_1 + … + f_k undoes f_k = f̃_k - f̃_(k-1).
     J[part, part] = np.tri(part.stop - part.start)
     return np.delete(J, part.stop - 1, axis=0)

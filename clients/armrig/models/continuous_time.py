@@ -1,0 +1,262 @@
+"""Models in continuous time: sampling, conversion of a sampled model, responses and quantities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from armrig_core.errors import InputError
+
+from armrig.models.responses import root_derivatives, standard_deviations
+from armrig.models.state_space import Complex, Matrix, Vector
+from armrig.models.transfer_function import TransferFunction
+from armrig.numerics.polynomial import roots
+
+if TYPE_CHECKING:
+    from armrig.models.fit import Fit
+
+_REAL_TOLERANCE = 1e-7
+_ORIGIN_TOLERANCE = 1e-12
+_ROUNDING = 1e-9
+
+
+def discrete(fit: Fit, Ts: float | None) -> Fit:
+    """Return the sampled model, as `Fit.to_discrete` documents."""
+    form = _transfer_function(fit)
+    Ts = form.Ts if Ts is None else float(Ts)
+    if not (np.isfinite(Ts) and Ts > 0):
+        raise InputError(f"Ts={Ts} s must be a positive number")
+    sampled, J = form.sampled(Ts)
+    white = sampled.C[0].size == sampled.D[0].size == 1
+    return replace(
+        fit,
+        structure="oe" if white else "bj",
+        form=sampled,
+        Ts=Ts,
+        covariance=J @ fit.covariance @ J.T,
+        covariance_robust=J @ fit.covariance_robust @ J.T,
+        free=fit.free if np.isclose(Ts, form.Ts, rtol=1e-9, atol=0.0) else (),
+    )
+
+
+def continuous(fit: Fit) -> Fit:
+    """Return the model in continuous time, as `Fit.to_continuous` documents."""
+    if fit.Ts == 0:
+        return fit
+    F, nk = fit.denominator, fit.nk
+    n = F.size - 1
+    b = fit.B[nk:]
+    _require_logarithms(fit, roots(F))
+    if nk < 1 or b.size > n:
+        raise InputError(
+            f"{fit.label} has {b.size} numerator coefficients from lag {nk} and {n} poles; a held "
+            f"input gives at most {n}, from lag 1 on. Estimate with nk=1 and nb={n}, or in s"
+        )
+    s = np.log(_with_exact_root(fit, roots(F).astype(np.complex128)))
+    scaled = np.real(np.poly(s))  # s in 1/sample
+    scaled[n:] = 0.0 if fit.integrator else scaled[n:]
+    powers = fit.Ts ** np.arange(n + 1.0)
+    trial = TransferFunction(B=((np.ones(n),),), F=((scaled / powers,),), Ts=fit.Ts)
+    sampled, by_f = trial.sampled(fit.Ts)
+    of_b = by_f[sampled.slice_of("b", 0, 0), trial.slice_of("b")]
+    numerator = np.linalg.solve(of_b, np.append(b, np.zeros(n - b.size)))
+    # A coefficient that is rounding noise would be a zero far outside the sampled frequencies.
+    size = np.abs(numerator) * fit.Ts ** np.arange(1.0, n + 1)
+    kept = int(np.argmax(size > _ROUNDING * size.max()))
+    form = replace(
+        trial,
+        B=((numerator[kept:],),),
+        C=(fit.C,),
+        D=(np.convolve(fit.A, fit.D),),
+        delay=(nk - 1) * fit.Ts,
+        integrators=(fit.integrator,),
+    )
+    whole = replace(trial, B=((numerator,),))
+    J = _derivatives(fit, whole, form)
+    return replace(
+        fit,
+        structure="tf",
+        form=form,
+        Ts=0.0,
+        covariance=J @ fit.covariance @ J.T,
+        covariance_robust=J @ fit.covariance_robust @ J.T,
+    )
+
+
+def _derivatives(fit: Fit, driven: TransferFunction, form: TransferFunction) -> Matrix:
+    """Return the derivatives of the parameters in s by those of the sampled model.
+
+    `driven` is the response to u alone, whose exact sampling is inverted.
+    """
+    n = driven.F[0][0].size - 1
+    sampled, forward = driven.sampled(fit.Ts)
+    rows = np.r_[sampled.slice_of("b", 0, 0), sampled.slice_of("f", 0, 0)]
+    columns = np.r_[driven.slice_of("b"), driven.slice_of("f")]
+    inverse = np.linalg.inv(forward[np.ix_(rows, columns)])
+    by_theta = np.zeros((2 * n, fit.theta.size))  # of (b, f of the denominator A F)
+    own = fit.slice_of("b")
+    by_theta[: own.stop - own.start, own] = np.eye(own.stop - own.start)
+    by_theta[n:, fit.slice_of("a")] = _products(fit.F, fit.A.size - 1, n)
+    by_theta[n:, fit.slice_of("f")] = _products(fit.A, fit.F.size - 1, n)
+    J = np.zeros((form.theta.size, fit.theta.size))
+    own = form.slice_of("b")
+    J[np.r_[own, form.slice_of("f")]] = (inverse @ by_theta)[n - own.stop + own.start :]
+    if fit.integrator:
+        J[form.slice_of("f").stop - 1] = 0.0
+    C, D = form.slice_of("c"), form.slice_of("d")
+    J[C, fit.slice_of("c")] = np.eye(C.stop - C.start)
+    J[D, fit.slice_of("a")] = _products(fit.D, fit.A.size - 1, D.stop - D.start)
+    J[D, fit.slice_of("d")] = _products(fit.A, fit.D.size - 1, D.stop - D.start)
+    return J
+
+
+def _products(p: Vector, count: int, size: int) -> Matrix:
+    """Return the derivatives of p q by the coefficients q_1 … q_count, without that of q^0."""
+    found = np.zeros((size, count))
+    for k in range(count):
+        found[k : k + p.size, k] = p
+    return found
+
+
+def _with_exact_root(fit: Fit, z: Complex) -> Complex:
+    if fit.integrator:
+        z[np.argmin(np.abs(z - 1))] = 1.0
+    return z
+
+
+def _require_logarithms(fit: Fit, z: Complex) -> None:
+    """Refuse a pole at 0 or on the negative real axis, which no held model in s has."""
+    bad = z[(z.real <= 0) & (np.abs(z.imag) <= _REAL_TOLERANCE)]
+    if bad.size:
+        raise InputError(
+            f"{fit.label} has a pole at z = {bad[0].real:.3g}: no model in s of the same order has "
+            "this pole when sampled; lower the order, or estimate in s with armrig.tf"
+        )
+
+
+def _transfer_function(fit: Fit) -> TransferFunction:
+    if not isinstance(fit.form, TransferFunction):
+        raise InputError(
+            f"{fit.label} is already sampled, with Ts={fit.Ts:g} s; "
+            "fit.to_continuous().to_discrete(Ts) samples it at another Ts"
+        )
+    return fit.form
+
+
+def continuous_response(fit: Fit, omega: Vector) -> tuple[Complex, Complex]:
+    """Return G(i omega) (n,), and the gradients of ln G (n, d)."""
+    form = _transfer_function(fit)
+    s = 1j * omega
+    b, F = form.B[0][0], form.F[0][0]
+    dlnG = np.zeros((s.size, form.theta.size), dtype=np.complex128)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        above, below = np.polyval(b, s), np.polyval(F, s)
+        dlnG[:, form.slice_of("b")] = s[:, None] ** np.arange(b.size - 1.0, -1, -1) / above[:, None]
+        dlnG[:, form.slice_of("f")] = (
+            -(s[:, None] ** np.arange(F.size - 2.0, -1, -1)) / below[:, None]
+        )
+        dlnG[:, form.slice_of("delay")] = -s[:, None]
+        if form.integrators[0]:
+            dlnG[:, form.slice_of("f").stop - 1] = 0.0
+        return above / below * np.exp(-s * form.delay), dlnG
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """One physical number of a model."""
+
+    name: str
+    """Name, such as "gain" or "time constant 1"."""
+    value: float
+    std: float
+    """Standard deviation by linearisation, from the trusted covariance."""
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Quantities(Mapping[str, Quantity]):
+    """Physical numbers of a model by name, as a table to print."""
+
+    items_: tuple[Quantity, ...]
+
+    def __getitem__(self, name: str) -> Quantity:
+        """Return the number with this name."""
+        for item in self.items_:
+            if item.name == name:
+                return item
+        raise KeyError(f"{name!r}: the model has {', '.join(self)}")
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return (item.name for item in self.items_)
+
+    def __len__(self) -> int:
+        """Return how many numbers there are."""
+        return len(self.items_)
+
+    def __repr__(self) -> str:
+        """Return a table with a line for each number."""
+        width = max(map(len, self), default=0)
+        return "\n".join(
+            f"{q.name:{width}}  {q.value:.5g} ± {q.std:.2g} {q.unit}".rstrip() for q in self.items_
+        )
+
+
+def quantities(fit: Fit) -> Quantities:
+    """Return the physical numbers of a model, as `Fit.quantities` documents."""
+    fit = continuous(fit)
+    form = _transfer_function(fit)
+    each = [_gain(fit, form)]
+    each += _of_roots(fit, "f", "time constant", "natural frequency", "damping")
+    each += _of_roots(fit, "b", "zero's time constant", "zero's frequency", "zero's damping")
+    if form.delay or form.delay_estimated:
+        std = fit.trusted_covariance[form.slice_of("delay"), form.slice_of("delay")]
+        std_ = float(np.sqrt(np.maximum(std[0, 0], 0.0))) if std.size else 0.0
+        each.append(Quantity(name="delay", value=form.delay, std=std_, unit="s"))
+    return Quantities(tuple(each))
+
+
+def _gain(fit: Fit, form: TransferFunction) -> Quantity:
+    """Return B(0)/F(0), or that of the rate of an integrating output."""
+    last = form.theta[form.slice_of("f")][::-1]
+    at_f = form.slice_of("f").stop - 1 - int(form.integrators[0])
+    below = 1.0 if last.size == int(form.integrators[0]) else float(form.theta[at_f])
+    at_b = form.slice_of("b").stop - 1
+    gradient = np.zeros((1, form.theta.size))
+    b = float(form.theta[at_b])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gradient[0, at_b] = np.divide(1.0, below)
+        if last.size > int(form.integrators[0]):
+            gradient[0, at_f] = -np.divide(b, below**2)
+        value = float(np.divide(b, below))
+    rate = "/s" if form.integrators[0] else ""
+    unit = f"{fit.unit}{rate}/{fit.input_unit}" if fit.unit and fit.input_unit else ""
+    std = float(standard_deviations(gradient, fit.trusted_covariance)[0])
+    return Quantity(name="gain (rate)" if rate else "gain", value=value, std=std, unit=unit)
+
+
+def _of_roots(fit: Fit, letter: str, real: str, frequency: str, damping: str) -> list[Quantity]:
+    """Return -1/s of each real root, and |s| and -Re s/|s| of each pair, slowest first."""
+    s, ds = root_derivatives(fit, letter)
+    P = fit.trusted_covariance[fit.slice_of(letter), fit.slice_of(letter)]
+    order = [k for k in np.argsort(np.abs(s)) if s[k].imag >= 0 and abs(s[k]) > _ORIGIN_TOLERANCE]
+    reals = [k for k in order if s[k].imag == 0]
+    pairs = [k for k in order if s[k].imag > 0]
+    rows = [(real, -1 / s[k].real, ds[k].real / s[k].real ** 2, "s", reals, k) for k in reals]
+    for k in pairs:
+        size = abs(s[k])
+        by_size = (np.conj(s[k]) * ds[k]).real / size
+        rows.append((frequency, size, by_size, "rad/s", pairs, k))
+        by_damping = -ds[k].real / size + s[k].real * by_size / size**2
+        rows.append((damping, -s[k].real / size, by_damping, "", pairs, k))
+    return [
+        Quantity(
+            name=name if len(group) == 1 else f"{name} {group.index(k) + 1}",
+            value=float(value),
+            std=float(standard_deviations(gradient[None], P)[0]),
+            unit=unit,
+        )
+        for name, value, gradient, unit, group, k in rows
+    ]
