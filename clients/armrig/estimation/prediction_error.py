@@ -303,7 +303,7 @@ def _fit(data: Dataset, one: _Estimated, estimate: EstimatedOutput, W: Array, **
         curved = curvature(problem, theta, variance * own @ own.T, variance)
     agreed = same_minimum(problem, best.cost, one.ends[-1][1].cost)
     free = [
-        _free_response(n, p, part, s)
+        free_response(n, p, part, s)
         for part, (s,) in zip(data.experiments(), solution.parts, strict=True)
     ]
     fit = fit_of_outputs(
@@ -352,7 +352,8 @@ def with_integrator(n: Structure) -> Array:
     return np.vstack(whole)
 
 
-def _free_response(n: Structure, p: dict[str, Any], part: Dataset, errors: Errors) -> FreeResponse:
+def free_response(n: Structure, p: dict[str, Any], part: Dataset, errors: Errors) -> FreeResponse:
+    """Return the initial state and the input offset of one experiment."""
     count = sum(n.counts)
     transients = tuple(float(v) for v in errors.state[:count])
     coefficients = [float(v) for v in errors.state[count:]]

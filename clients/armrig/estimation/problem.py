@@ -106,8 +106,8 @@ class Solution:
     e: Array
     """Residuals of all experiments, (M,); 0 in rows without a residual."""
     by_ab: Array
-    """Derivatives of the prediction with respect to `ab`, (M, n). Their projection on the effects
-    of the unknown past is subtracted."""
+    """Derivatives of the prediction with respect to `linear`, (M, n). Their projection on the
+    effects of the unknown past is subtracted."""
     by_theta: Array
     """Derivatives of the prediction with respect to theta, (M, n). Their projection on the effects
     of the unknown past is subtracted."""
@@ -115,6 +115,8 @@ class Solution:
     """Derivatives `by_theta` minus their projection on `by_ab`."""
     rank: int
     """Number of linear parameters that the data determine."""
+    linear: Array
+    """Linear parameters: `ab`, or the weights of the columns of `PolynomialProblem.combination`."""
 
     @property
     def Psi(self) -> Array:
@@ -153,11 +155,13 @@ class PolynomialProblem:
     """Signals of each experiment and row."""
     weights: tuple[Array, ...] = ()
     """Whitening matrices of each experiment, (N, ny, ny), from `whitening`; empty for one row."""
+    combination: Array | None = None
+    """Columns (n, m): the linear parameters are a combination of them. None if they are free."""
     layout: Layout = field(init=False)
     """Places of the coefficients."""
     projects: bool = field(init=False)
     """True if `projection` applies: one experiment of one input and one output, without A, gaps,
-    an integrator and an offset."""
+    an integrator, an offset and a combination."""
 
     def __post_init__(self) -> None:
         """Find the places of the coefficients."""
@@ -167,7 +171,8 @@ class PolynomialProblem:
         single = len(self.rows) == len(self.experiments) == len(n.nb) == 1
         projects = single and self.experiments[0][0].whole and n.na == n.trend == 0
         object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
-        object.__setattr__(self, "projects", projects)
+        free = self.combination is None
+        object.__setattr__(self, "projects", projects and free)
 
     @property
     def N(self) -> int:
@@ -243,18 +248,22 @@ class PolynomialProblem:
         """Return e and J, maybe times one orthogonal matrix, scaled so that |e|² is the cost."""
         if (one := self._projection(theta)) is not None:
             return one.e, one.J()
-        equations = self._equations(theta)
-        found = self._solved(theta, equations, scaled=True)
-        if equations.scale == 1.0:
+        found, scale = self.solve_scaled(theta)
+        if scale == 1.0:
             return found.e, found.J
-        return equations.scale * found.e, equations.scale * found.J
+        return scale * found.e, scale * found.J
+
+    def solve_scaled(self, theta: Array) -> tuple[Solution, float]:
+        """Return the solution at theta, and the scale of its errors and derivatives in the cost."""
+        equations = self._equations(theta)
+        return self._solved(theta, equations, scaled=True), equations.scale
 
     def cost(self, theta: Array) -> float:
         """Return the sum of squared errors at theta, scaled as the class describes."""
         if (one := self._projection(theta)) is not None:
             return float(one.e[0]) ** 2
         equations = self._equations(theta)
-        basis, _, y = equations.projected()
+        basis, _, y = equations.projected(self.combination)
         e = basis.without(y)
         return float(e @ e) * equations.scale**2
 
@@ -321,9 +330,11 @@ class PolynomialProblem:
     def _solved(
         self, theta: Array, equations: _Equations, *, ab: Array | None = None, scaled: bool = False
     ) -> Solution:
-        basis, by_ab, y = equations.projected()
+        basis, by_ab, y = equations.projected(self.combination)
         e = basis.without(y) if ab is None else y - by_ab @ ab
-        ab = basis.coefficients(y) if ab is None else ab
+        linear = ab = basis.coefficients(y) if ab is None else ab
+        if self.combination is not None:
+            ab = self.combination @ linear
         parts = self._parts(theta, equations, ab)
         by_theta = self._by_theta(parts, equations, theta.size, scaled=scaled)
         return Solution(
@@ -337,6 +348,7 @@ class PolynomialProblem:
             by_theta=by_theta,
             J=basis.without(by_theta),
             rank=basis.rank,
+            linear=linear,
         )
 
     def _parts(self, theta: Array, equations: _Equations, ab: Array) -> list[tuple[Errors, ...]]:
@@ -473,8 +485,9 @@ class _Equations:
         """True if a scale is not 1: after gaps, or with several experiments and a C."""
         return self.scale != 1.0 or any(scale != 1.0 for scale in self.scales)
 
-    def projected(self) -> tuple[Basis, Array, Array]:
-        """Return a basis of the derivatives by `ab`, these derivatives, and y, without the past."""
+    def projected(self, combination: Array | None) -> tuple[Basis, Array, Array]:
+        """Return a basis of the derivatives by the linear parameters, these, and y; less the past."""
         blocks = [g.unknown.without(np.column_stack([g.X, g.y])) for g in self.joined]
         whole = blocks[0] if len(blocks) == 1 else np.vstack(blocks)
-        return orthonormal(whole[:, :-1]), whole[:, :-1], whole[:, -1]
+        columns = whole[:, :-1] if combination is None else whole[:, :-1] @ combination
+        return orthonormal(columns), columns, whole[:, -1]
