@@ -35,6 +35,8 @@ from armrig.estimation.recursive import rarx as rarx
 from armrig.estimation.recursive import rarx_start as rarx_start
 from armrig.estimation.recursive import rarx_step as rarx_step
 from armrig.estimation.ss import ss as ss
+from armrig.estimation.transfer_functions import process as process
+from armrig.estimation.transfer_functions import tf as tf
 from armrig.excitation import chirp as chirp
 from armrig.excitation import from_csv as from_csv
 from armrig.excitation import multisine as multisine

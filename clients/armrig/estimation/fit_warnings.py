@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from armrig.data.finding import Finding, warning
+from armrig.estimation.continuous_problem import ContinuousProblem
 from armrig.estimation.problem import PolynomialProblem
 from armrig.models.estimate import MAX_TRUSTED_CURVATURE, Start
 from armrig.numerics.levenberg_marquardt import Optimum
@@ -60,7 +61,10 @@ def parameter_warnings(W: Array, white: Whiteness, C: Array, curved: float) -> I
 
 
 def curvature(
-    problem: PolynomialProblem, theta: Array, covariance: Array, noise_variance: float
+    problem: PolynomialProblem | ContinuousProblem,
+    theta: Array,
+    covariance: Array,
+    noise_variance: float,
 ) -> float:
     """Return the largest |ln r|; r is the rise of the loss divided by the rise of a parabola.
 

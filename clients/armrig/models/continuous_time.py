@@ -56,7 +56,8 @@ def continuous(fit: Fit) -> Fit:
         )
     s = np.log(_with_exact_root(fit, roots(F).astype(np.complex128)))
     scaled = np.real(np.poly(s))  # s in 1/sample
-    scaled[n:] = 0.0 if fit.integrator else scaled[n:]
+    if fit.integrator:
+        scaled[n] = 0.0
     powers = fit.Ts ** np.arange(n + 1.0)
     trial = TransferFunction(B=((np.ones(n),),), F=((scaled / powers,),), Ts=fit.Ts)
     sampled, by_f = trial.sampled(fit.Ts)
@@ -179,28 +180,29 @@ class Quantity:
 class Quantities(Mapping[str, Quantity]):
     """Physical numbers of a model by name, as a table to print."""
 
-    items_: tuple[Quantity, ...]
+    numbers: tuple[Quantity, ...]
+    """Gain, poles, zeros and delay, in the order of the table."""
 
     def __getitem__(self, name: str) -> Quantity:
         """Return the number with this name."""
-        for item in self.items_:
+        for item in self.numbers:
             if item.name == name:
                 return item
         raise KeyError(f"{name!r}: the model has {', '.join(self)}")
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
-        return (item.name for item in self.items_)
+        return (item.name for item in self.numbers)
 
     def __len__(self) -> int:
         """Return how many numbers there are."""
-        return len(self.items_)
+        return len(self.numbers)
 
     def __repr__(self) -> str:
         """Return a table with a line for each number."""
         width = max(map(len, self), default=0)
         return "\n".join(
-            f"{q.name:{width}}  {q.value:.5g} ± {q.std:.2g} {q.unit}".rstrip() for q in self.items_
+            f"{q.name:{width}}  {q.value:.5g} ± {q.std:.2g} {q.unit}".rstrip() for q in self.numbers
         )
 
 
@@ -212,29 +214,27 @@ def quantities(fit: Fit) -> Quantities:
     each += _of_roots(fit, "f", "time constant", "natural frequency", "damping")
     each += _of_roots(fit, "b", "zero's time constant", "zero's frequency", "zero's damping")
     if form.delay or form.delay_estimated:
-        std = fit.trusted_covariance[form.slice_of("delay"), form.slice_of("delay")]
-        std_ = float(np.sqrt(np.maximum(std[0, 0], 0.0))) if std.size else 0.0
-        each.append(Quantity(name="delay", value=form.delay, std=std_, unit="s"))
+        of_delay = np.diag(fit.trusted_covariance)[form.slice_of("delay")]  # empty if it was given
+        std = float(np.sqrt(np.maximum(of_delay.sum(), 0.0)))
+        each.append(Quantity(name="delay", value=form.delay, std=std, unit="s"))
     return Quantities(tuple(each))
 
 
 def _gain(fit: Fit, form: TransferFunction) -> Quantity:
     """Return B(0)/F(0), or that of the rate of an integrating output."""
-    last = form.theta[form.slice_of("f")][::-1]
-    at_f = form.slice_of("f").stop - 1 - int(form.integrators[0])
-    below = 1.0 if last.size == int(form.integrators[0]) else float(form.theta[at_f])
-    at_b = form.slice_of("b").stop - 1
-    gradient = np.zeros((1, form.theta.size))
-    b = float(form.theta[at_b])
+    theta, f = form.theta, form.slice_of("f")
+    at_b, at_f = form.slice_of("b").stop - 1, f.stop - 1 - int(form.integrators[0])
+    gradient = np.zeros((1, theta.size))
     with np.errstate(divide="ignore", invalid="ignore"):
-        gradient[0, at_b] = np.divide(1.0, below)
-        if last.size > int(form.integrators[0]):
-            gradient[0, at_f] = -np.divide(b, below**2)
-        value = float(np.divide(b, below))
+        below = theta[at_f] if at_f >= f.start else np.float64(1.0)  # 1/s has no f but 0
+        value = theta[at_b] / below
+        gradient[0, at_b] = 1 / below
+        if at_f >= f.start:
+            gradient[0, at_f] = -value / below
     rate = "/s" if form.integrators[0] else ""
     unit = f"{fit.unit}{rate}/{fit.input_unit}" if fit.unit and fit.input_unit else ""
     std = float(standard_deviations(gradient, fit.trusted_covariance)[0])
-    return Quantity(name="gain (rate)" if rate else "gain", value=value, std=std, unit=unit)
+    return Quantity(name="gain (rate)" if rate else "gain", value=float(value), std=std, unit=unit)
 
 
 def _of_roots(fit: Fit, letter: str, real: str, frequency: str, damping: str) -> list[Quantity]:

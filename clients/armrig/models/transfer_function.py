@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from armrig_core.errors import InputError
 
 from armrig.models.polynomials import Polynomials
 from armrig.models.state_space import Matrix, StateSpace, Vector, frozen
@@ -164,10 +163,3 @@ class TransferFunction:
     def realised(self) -> StateSpace:
         """Return the innovations form, sampled as the estimation data."""
         return self.sampled(self.Ts)[0].realised()
-
-
-def refuse_continuous(what: str) -> InputError:
-    """Return the error for a function that needs a model in discrete time."""
-    return InputError(
-        f"{what} needs a model in discrete time: sample this one with fit.to_discrete(Ts)"
-    )

@@ -122,7 +122,11 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 
 
 def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], Iterator[Finding]]]:
-    """Yield the names and the findings of each channel of a model: of each output and input."""
+    """Yield the names and the findings of each channel of a model: of each output and input.
+
+    A model in continuous time is examined as sampled.
+    """
+    structure, fit = fit.structure, fit if fit.Ts else fit.to_discrete()
     channels = {(fit.outputs[i], fit.inputs[j]): one for i, j, one in fit.channels()}
     pairs = {name: overlapping(one) for name, one in channels.items()}
     # Of channels with the same poles, a pole is superfluous only if a zero cancels it in each.
@@ -132,7 +136,7 @@ def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], Iterator[Fin
     for name, one in channels.items():
         superfluous = [p for p in pairs[name] if all(_cancels(p[0], of) for of in everywhere)]
         channel = replace(one, starts=fit.starts, findings=own)
-        yield name, examine_channel(channel, pairs[name], superfluous, fit.structure)
+        yield name, examine_channel(channel, pairs[name], superfluous, structure)
 
 
 def _cancels(pole: complex, pairs: list[_Pair]) -> bool:

@@ -1,0 +1,540 @@
+"""Estimates of transfer functions in s by prediction errors, through exact sampling."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from armrig_core.errors import InputError
+
+from armrig.data.argument import takes_data
+from armrig.data.dataset import Dataset, Signals
+from armrig.data.finding import Finding, warning
+from armrig.estimation.continuous_problem import MAX_RATE, ContinuousProblem
+from armrig.estimation.continuous_starts import continuous_starts, moved_modes
+from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, data_faults
+from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
+from armrig.estimation.fit_warnings import curvature, parameter_warnings, search_warnings
+from armrig.estimation.orders import require_samples
+from armrig.estimation.prediction_error import free_response
+from armrig.estimation.problem import PolynomialProblem, Solution
+from armrig.estimation.search import Ends, rounding_floor, same_minimum
+from armrig.models.estimate import Start
+from armrig.models.fit import Fit
+from armrig.models.innovations import prepared
+from armrig.models.structure import Structure
+from armrig.models.transfer_function import TransferFunction
+from armrig.numerics.checks import require_integers
+from armrig.numerics.exact_sampling import Hold
+from armrig.numerics.inference import OutputResiduals
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.levenberg_marquardt import Optimum
+from armrig.numerics.polynomial import Array, monic, roots
+
+Delay = float | Literal["estimate"] | None
+
+_LONGEST_SHARE = 0.25  # share of the record that an estimated delay may have
+_MAX_LONGEST = 400  # samples
+_LIMIT_SHARE = 0.9  # share of the largest rate above which a pole is at the limit
+_MAX_ROUNDS = 4
+_FIRST_STEPS = 10
+_MOVED_STARTS = 8
+_FINISHED = 2  # searches from moved modes that continue to the end
+_NO_DELAY = 1e-3  # samples; a delay so near to a whole number of samples is that number
+_NO_DELAY_TEXT = (
+    "the best delay is 0, the end of its range, so it is fixed at 0 and has no standard deviation; "
+    "leave delay out, or lower the number of poles"
+)
+
+
+@takes_data
+def tf(
+    data: Dataset | Signals,
+    *,
+    poles: int,
+    zeros: int | None = None,
+    delay: Delay = None,
+    noise: tuple[int, int] = (0, 0),
+    integrator: bool = False,
+    offset: bool = False,
+) -> Fit:
+    """Estimate B and F in y(t) = B(s)/F(s) u(t - delay) + C(q)/D(q) e(t).
+
+    The method minimises the prediction errors of the exactly sampled model. The numerator, the
+    initial state and the offset are projected out. The search starts from a sampled model of the
+    same order and from refined instrumental variables.
+
+    Parameters
+    ----------
+    data : Dataset or Signals
+        N samples of one input and one output. The input is held between samples, or a straight
+        line if `Signals.intersample` is "foh". A missing y removes its own equation.
+    poles : int
+        Degree n of F, at least 1, including the integrator.
+    zeros : int, optional
+        Degree m of B, 0 to n - 1. The default is n - 1, the number of an exactly sampled model.
+    delay : float or "estimate", optional
+        Time from u to y in s, 0 by default. The delay may be any part of Ts. With "estimate" it is
+        a parameter with a standard deviation.
+    noise : (int, int), default (0, 0)
+        Numbers of coefficients of C and D. (0, 0) is white noise on the output.
+    integrator : bool, default False
+        If True, F has the factor s. The level and the input offset of each experiment are then
+        estimated.
+    offset : bool, default False
+        If True, the input offset of each experiment is estimated, as in `oe`.
+
+    Returns
+    -------
+    Fit
+        A model with Ts = 0. Its parameters are b0 …, c1 …, d1 …, f1 … and delay, each with a
+        standard deviation. `quantities()` returns gain, time constants, natural frequencies,
+        damping ratios and delay. `to_discrete(Ts)` samples the model.
+
+    Raises
+    ------
+    ValueError
+        An order is out of range, or the delay is longer than the record. There are too few samples,
+        or u is constant. A pole is too fast for the sampling time.
+
+    References
+    ----------
+    .. [1] G. P. Rao, H. Garnier, *Continuous-time system identification of a benchmark*, in
+       Identification of Continuous-time Models from Sampled Data, 2008, chapter 9.
+    .. [2] L. Ljung, *Experiments with identification of continuous time models*, Proc. 15th IFAC
+       Symposium on System Identification, 2009.
+    .. [3] G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432.
+
+    Examples
+    --------
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> fit = armrig.tf(data, poles=3, zeros=2)
+    >>> fit.poles().values.round(1)
+    array([-37.  +0.j ,  -8.1+17.1j,  -8.1-17.1j])
+    """
+    zeros = poles - 1 if zeros is None else zeros
+    nc, nd = noise
+    require_integers(poles=(poles, 1), zeros=(zeros, 0), nc=(nc, 0), nd=(nd, 0))
+    if zeros >= poles:
+        raise InputError(
+            f"zeros={zeros} must be less than poles={poles}: a sampled record does not show a "
+            "direct path in continuous time; lower zeros or raise poles"
+        )
+    return _estimated(
+        data,
+        "tf",
+        poles=poles,
+        zeros=zeros,
+        delay=delay,
+        noise=(nc, nd),
+        integrator=integrator,
+        offset=offset,
+    )
+
+
+_PROCESS = re.compile(r"P(?P<poles>[0-3])(?P<marks>[DZIU]*)")
+
+
+@takes_data
+def process(
+    data: Dataset | Signals,
+    kind: str,
+    *,
+    delay: Delay = None,
+    noise: tuple[int, int] = (0, 0),
+    offset: bool = False,
+) -> Fit:
+    """Estimate a process model: gain, time constants or resonance, dead time, integrator.
+
+    The model is a transfer function of `tf` in the terms of a plant ::
+
+        K (1 + T_z s) / ((1 + T_1 s) (1 + T_2 s) …) exp(-delay s)
+
+    Parameters
+    ----------
+    data : Dataset or Signals
+        N samples of one input and one output.
+    kind : str
+        P and the number of time constants, then letters: D a dead time, Z a zero, I an integrator,
+        U a resonance with natural frequency and damping. "P1D" is one time constant with dead time.
+    delay : float or "estimate", optional
+        Dead time in s. By default it is estimated if the kind has a D, and 0 otherwise.
+    noise, offset
+        As in `tf`.
+
+    Returns
+    -------
+    Fit
+        A model with Ts = 0; `quantities()` returns the gain, the times and the damping.
+
+    Raises
+    ------
+    ValueError
+        The kind is unknown, or as for `tf`.
+
+    References
+    ----------
+    .. [1] K. J. Åström, T. Hägglund, *Advanced PID Control*, 2006, chapter 2.
+
+    Examples
+    --------
+    >>> data = armrig.example_recording().dataset("theta_1")
+    >>> fit = armrig.process(data, "P1I")
+    >>> print(fit.quantities())
+    gain (rate)    1.86... ± 0.0014 rad/s/V
+    time constant  0.083... ± 0.0011 s
+    """
+    found = _PROCESS.fullmatch(kind)
+    marks = found["marks"] if found else ""
+    if not found or len(set(marks)) < len(marks) or ("U" in marks and found["poles"] in "01"):
+        raise InputError(
+            f"{kind!r} is no process model: give P, the number of time constants 0 to 3, and D, Z, "
+            'I or U (U needs two), such as "P1D" or "P2DU"'
+        )
+    integrator = "I" in marks
+    poles, zeros = int(found["poles"]) + integrator, int("Z" in marks)
+    if zeros >= poles:
+        raise InputError(f"{kind!r} needs more poles than zeros: add a time constant or an I")
+    if delay is None and "D" in marks:
+        delay = "estimate"
+    fit = _estimated(
+        data,
+        "process",
+        poles=poles,
+        zeros=zeros,
+        delay=delay,
+        noise=noise,
+        integrator=integrator,
+        offset=offset,
+    )
+    paired = bool(np.any(np.abs(fit.poles().values.imag) > 0))
+    if paired == ("U" in marks):
+        return fit
+    said = (
+        "the poles are a resonant pair; name it by the letter U"
+        if paired
+        else ("the poles are real, so the model has time constants and no resonance; leave U out")
+    )
+    return replace(fit, findings=(*fit.findings, warning("process_kind", said)))
+
+
+def _estimated(
+    data: Dataset | Signals,
+    structure: Literal["tf", "process"],
+    *,
+    poles: int,
+    zeros: int,
+    delay: Delay,
+    noise: tuple[int, int],
+    integrator: bool,
+    offset: bool,
+) -> Fit:
+    """Return the transfer function at the lowest minimum of the prediction error."""
+    signals = data.signals()
+    if (signals.nu, signals.ny) != (1, 1):
+        raise InputError(
+            f"a transfer function in s needs one input and one output, got {signals.nu} and "
+            f"{signals.ny}; choose them with signals.dataset(output, input)"
+        )
+    hold: Hold = signals.intersample[0]
+    data = signals.dataset()
+    if constant_input(data) and (integrator or offset or not data.u.any()):
+        raise InputError(CONSTANT_INPUT)
+    problem = _problem(
+        data,
+        poles=poles,
+        zeros=zeros,
+        delay=delay,
+        noise=noise,
+        integrator=integrator,
+        offset=offset,
+        hold=hold,
+    )
+    text = f"poles={poles}, zeros={zeros}"
+    nuisance = sum(sum(n.counts) + n.trend for n in problem.sampled_problem.rows) * len(
+        problem.sampled_problem.experiments
+    )
+    size = problem.size + zeros + 1
+    measured = int(np.isfinite(data.y).sum())
+    require_samples(text, needed=size + nuisance + 1, got=measured)
+    searches_delay = problem.delay is None
+    problem, ends = searched(problem)
+    theta = ends[0][1].theta
+    point = problem.at(theta)
+    solution = point.problem.solve(point.theta)
+    if solution.rank < zeros + 1:
+        raise InputError(
+            f"{text}: u determines only {solution.rank} of {zeros + 1} numerator coefficients; "
+            "lower zeros or excite with a richer input"
+        )
+    _require_slow_poles(problem, theta, data.Ts)
+    fit = _fit(data, structure, problem, ends, solution)
+    if searches_delay and problem.delay is not None:
+        return replace(fit, findings=(*fit.findings, warning("no_delay", _NO_DELAY_TEXT)))
+    return fit
+
+
+def _problem(
+    data: Dataset,
+    *,
+    poles: int,
+    zeros: int,
+    delay: Delay,
+    noise: tuple[int, int],
+    integrator: bool,
+    offset: bool,
+    hold: Hold,
+) -> ContinuousProblem:
+    """Return the problem; refuse a delay that the record does not allow."""
+    parts = list(data.experiments())
+    shortest = min(part.N for part in parts)
+    samples: float | None = None
+    if delay is None or not isinstance(delay, str):
+        samples = float(delay or 0.0) / data.Ts
+        if not 0 <= samples < shortest:
+            raise InputError(
+                f"delay={delay} s must be 0 or more and shorter than the record, "
+                f"{shortest * data.Ts:g} s"
+            )
+        longest = samples
+    elif delay == "estimate":
+        longest = min(_LONGEST_SHARE * shortest, _MAX_LONGEST)
+    else:
+        raise InputError(f'delay={delay!r} must be a number of seconds, "estimate" or None')
+    row = Structure(
+        nb=(poles + 1,),
+        nk=(1,),
+        nf=(poles - integrator,),
+        nc=noise[0],
+        nd=noise[1],
+        integrator="f" if integrator else "",
+        offset=offset and not integrator,
+    )
+    experiments = tuple((prepared(part.u, part.y, row),) for part in parts)
+    return ContinuousProblem(
+        sampled_problem=PolynomialProblem(rows=(row,), experiments=experiments),
+        poles=poles,
+        zeros=zeros,
+        hold=hold,
+        delay=samples,
+        longest=longest,
+    )
+
+
+def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
+    """Return the problem, and the minimum reached from each start value, best first.
+
+    In a search over the delay, all delays have the pulses of the longest start delay, so that their
+    costs are comparable. The last search then has the pulses of the best delay.
+    """
+    starts = list(continuous_starts(problem))
+    if problem.delay is None:
+        longest = max((float(theta[-1]) for _, theta in starts), default=0.0)
+        problem = problem.reaching(longest)
+    ends: Ends = []
+    for _, name, theta in _cheapest(problem, starts):
+        known = min((end.cost for _, end in ends), default=float("nan"))
+        ends.append((name, problem.minimise(theta, known=known)))
+    ends.sort(key=lambda end: end[1].cost)
+    for _ in range(_MAX_ROUNDS if _doubtful(problem, ends) else 0):
+        lower = _lowest_beside(problem, ends[0][1])
+        if same_minimum(problem.sampled_problem, lower.cost, ends[0][1].cost):
+            break
+        ends.insert(0, ("mode at another rate", lower))
+    # A pole at the limit is a direct path, which the refusal names. A higher minimum comes first.
+    ends.sort(key=lambda end: _at_limit(problem, end[1].theta))
+    if problem.delay is not None:
+        return problem, ends
+    name, best = ends[0]
+    delay = float(best.theta[-1])
+    problem, theta = problem.reaching(delay), best.theta
+    if delay < _NO_DELAY:  # a parameter at its bound has no deviation
+        problem, theta = replace(problem, delay=0.0), theta[:-1]
+    end = problem.minimise(theta)
+    # The derivative by the delay has a step at a whole number of samples, if zeros is poles - 1. A
+    # minimum at such a step has no vanishing gradient.
+    at_step = problem.delay is None and abs(end.theta[-1] - round(end.theta[-1])) < _NO_DELAY
+    return problem, [(name, replace(end, converged=end.converged or at_step))]
+
+
+def _doubtful(problem: ContinuousProblem, ends: Ends) -> bool:
+    """Return whether the searches ended in different minima, or with a pole at the limit."""
+    costs = [end.cost for _, end in ends]
+    agreed = same_minimum(problem.sampled_problem, min(costs), max(costs))
+    return not agreed or _at_limit(problem, ends[0][1].theta)
+
+
+def _lowest_beside(problem: ContinuousProblem, best: Optimum) -> Optimum:
+    """Return the lowest minimum reached from a moved mode, or `best` if none is lower."""
+    priced = [
+        (problem.cost(theta), theta)
+        for theta in moved_modes(problem, best.theta)
+        if problem.admits(theta)
+    ]
+    priced.sort(key=lambda start: start[0])
+    ends = [problem.minimise(theta, most=_FIRST_STEPS) for _, theta in priced[:_MOVED_STARTS]]
+    ends.sort(key=lambda end: end.cost)
+    finished = [problem.minimise(end.theta, known=best.cost) for end in ends[:_FINISHED]]
+    return min([best, *finished], key=lambda end: end.cost)
+
+
+def _fastest(problem: ContinuousProblem, theta: Array) -> float:
+    """Return the largest modulus of a pole, in 1/sample."""
+    return float(np.max(np.abs(roots(monic(problem.parts_of(theta)[1]))), initial=0.0))
+
+
+def _at_limit(problem: ContinuousProblem, theta: Array) -> bool:
+    return _fastest(problem, theta) > _LIMIT_SHARE * MAX_RATE
+
+
+def _cheapest(
+    problem: ContinuousProblem, starts: list[tuple[str, Array]]
+) -> list[tuple[float, str, Array]]:
+    """Return the admissible start values with their costs; of each delay, that of least cost."""
+    priced = [(problem.cost(theta), name, theta) for name, theta in starts if problem.admits(theta)]
+    priced.sort(key=lambda start: start[0])
+    if problem.delay is not None:
+        return priced
+    kept: dict[float, tuple[float, str, Array]] = {}
+    for start in priced:
+        kept.setdefault(float(start[2][-1]), start)
+    return list(kept.values())
+
+
+def _require_slow_poles(problem: ContinuousProblem, theta: Array, Ts: float) -> None:
+    """Refuse poles that are so fast that the samples do not determine them."""
+    if _at_limit(problem, theta):
+        fastest = _fastest(problem, theta)
+        raise InputError(
+            f"the fastest pole, at {fastest / Ts:.3g} rad/s, is too fast for Ts {Ts:g} s (Nyquist "
+            f"frequency {np.pi / Ts:.3g} rad/s): sample faster or lower poles"
+        )
+
+
+def _fast_poles(s: Array, Ts: float) -> tuple[Finding, ...]:
+    fast = float(np.max(np.abs(s), initial=0.0))
+    if fast * Ts <= np.pi:
+        return ()
+    said = (
+        f"a pole at {fast:.3g} rad/s is above the Nyquist frequency, {np.pi / Ts:.3g} rad/s: the "
+        "data hardly determine it; sample faster or lower poles"
+    )
+    return (warning("fast_pole", said, rate=fast),)
+
+
+def _fit(
+    data: Dataset, structure: str, problem: ContinuousProblem, ends: Ends, solution: Solution
+) -> Fit:
+    """Return the model with its covariance, tests and findings."""
+    best = ends[0][1]
+    theta, Ts = best.theta, data.Ts
+    point = problem.at(theta)
+    Psi = np.hstack([solution.by_ab, point.derivatives(solution)])
+    basis = orthonormal(Psi)
+    form, J = _form(problem, theta, solution.linear, Ts)
+    sampled_row = point.problem.rows[0]
+    named = point.problem.named(solution.ab, point.theta)
+    parts = list(data.experiments())
+    shares = np.split(basis.Q, np.cumsum([part.N for part in parts])[:-1])
+    residuals = tuple(
+        OutputResiduals(e=np.where(x.rows, errors.e, np.nan), y=part.y, H=H, Z=given.unknown.span)
+        for part, (x,), (errors,), (given,), H in zip(
+            parts,
+            problem.sampled_problem.experiments,
+            solution.parts,
+            solution.given,
+            shares,
+            strict=True,
+        )
+    )
+    F = named["F"][0]
+    estimate = EstimatedOutput(
+        polynomials={
+            "A": (np.ones(1),),
+            "B": (named["B"][0],),
+            "C": named["C"],
+            "D": named["D"],
+            "F": (np.convolve(F, [1.0, -1.0]) if problem.integrates else F,),
+            "nk": sampled_row.nk,
+            "integrators": problem.integrates,
+        },
+        residuals=residuals,
+        parameters=Psi.shape[1],
+        J=J,
+    )
+    W, floor = basis.W, rounding_floor(problem.sampled_problem)
+    curved = 0.0
+    if best.cost > floor:
+        degrees = problem.N - Psi.shape[1] - sum(past.rank for past in solution.past)
+        variance = float(solution.e @ solution.e) / max(degrees, 1)
+        own = W[problem.zeros + 1 :]
+        curved = curvature(problem, theta, variance * own @ own.T, variance)
+    starts = tuple(
+        Start(name=name, loss=o.cost / problem.N, iterations=o.iterations, converged=o.converged)
+        for name, o in ends
+    )
+    agreed = problem.delay is None or same_minimum(
+        problem.sampled_problem, best.cost, ends[-1][1].cost
+    )
+    fit = fit_of_outputs(
+        data,
+        [estimate],
+        W,
+        structure=structure,
+        score="exogenous" if sampled_row.white else "correlated",
+        rounding=floor,
+        offset=bool(sampled_row.trend),
+        converged=best.converged or best.cost <= floor,
+        starts=starts if len(starts) > 1 else (),
+        agreed=agreed,
+        free=tuple(
+            free_response(sampled_row, named, part, errors)
+            for part, (errors,) in zip(parts, solution.parts, strict=True)
+        ),
+        curvature=curved,
+    )
+    way_out = "" if sampled_row.trend else "estimate it, too (option offset)"
+    fit = replace(fit, form=form, Ts=0.0)
+    findings = (
+        *search_warnings(best, starts, agreed=agreed),
+        *parameter_warnings(W, fit.white, named["C"], curved),
+        *data_faults(data, [r.e for r in residuals], way_out=way_out),
+        *_fast_poles(fit.poles().values, Ts),
+    )
+    return replace(fit, findings=findings)
+
+
+def _form(
+    problem: ContinuousProblem, theta: Array, linear: Array, Ts: float
+) -> tuple[TransferFunction, Array]:
+    """Return the transfer function, and the derivatives of its parameters.
+
+    The derivatives are those by the numerator in 1/sample, lowest power first, and by theta.
+    """
+    noise, f, delay = problem.parts_of(theta)
+    n, m, k = problem.poles, problem.zeros, problem.noise_size
+    nc = problem.sampled_problem.rows[0].nc
+    of_b = Ts ** (np.arange(m + 1.0) - n)
+    of_f = Ts ** -np.arange(1.0, n + 1)
+    form = TransferFunction(
+        B=(((linear * of_b)[::-1],),),
+        F=((monic(f * of_f),),),
+        C=(monic(noise[:nc]),),
+        D=(monic(noise[nc:]),),
+        delay=delay * Ts,
+        delay_estimated=problem.delay is None,
+        integrators=(problem.integrates,),
+        Ts=Ts,
+        hold=problem.hold,
+    )
+    free = n - problem.integrates
+    J = np.zeros((form.theta.size, m + 1 + theta.size))
+    J[: m + 1, : m + 1] = np.diag(of_b)[::-1]
+    J[m + 1 : m + 1 + k, m + 1 : m + 1 + k] = np.eye(k)
+    at = slice(m + 1 + k, m + 1 + k + free)
+    J[at, at] = np.diag(of_f[:free])
+    if problem.delay is None:
+        J[-1, -1] = Ts
+    return form, J
