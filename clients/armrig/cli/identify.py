@@ -266,7 +266,7 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
 def identify(
     *,
     file: DataFile,
-    given: Annotated[Given, estimation_options(without_nk=_NK)],
+    given: Annotated[Given, estimation_options(default_nk=_NK)],
     searching: Annotated[_Search, group(_Search, ("search", "most", "jobs"))],
     validate: Path | None = chosen(
         None, "Recording, or other data, for validation.", metavar="F2", parser=recording_path
@@ -587,7 +587,7 @@ def identify_each(
     *,
     folder: Folder,
     output: Table,
-    given: Annotated[Given, estimation_options(structure="oe", nk=1)],
+    given: Annotated[Given, estimation_options(structure="oe")],
     signal: OutputName = chosen(THETA_1, "Output of the model."),
     detrend: Detrend = False,
     selection: Selection,

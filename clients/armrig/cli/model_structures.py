@@ -28,30 +28,31 @@ Given = dict[str, Any]
 _SEARCHED = ("structure", "nk", "integrator", "offset")
 _NOT_SEARCHED = {"stable": "whose models are always stable"}
 _NOT_WITH = {"stable": "; not with --search"}
+_MAX_OTHERS = 3  # structures without an option that its help names
 _COUNTED_AS = {"nf": "; an integrator counts as one"}
 _WAY_OUT = {
     "integrator": "{model} finds an integrator by itself",
     "offset": "subtract the means with --detrend",
+    "nk": "give --delay in seconds",
+    "delay": "give --nk in samples",
     **dict.fromkeys(COUNTED, "{model} has {orders}"),
 }
 """Advice to a user who gives an option that the structure does not have, by the option's name."""
 
 
-def estimation_options(
-    *, structure: OfferedName | None = None, nk: int | None = None, without_nk: str = ""
-) -> Group:
-    """Return the options of an estimation as a group, with the defaults of structure and nk.
+def estimation_options(*, structure: OfferedName | None = None, default_nk: str = "1") -> Group:
+    """Return the options of an estimation as a group, with the default of structure.
 
-    `without_nk` is the text for the default of nk in the help, if `nk` is None.
+    `default_nk` is the text for the default of nk in the help.
     """
     searches = structure is None
     what = "Model structure" + "; required without --search" * searches
     which = option("--structure", f"{what}.", not searches)
-    late = _option("nk", "Delay from u to y, in samples", without_nk)
+    late = _option("nk", "Delay from u to y, in samples", default_nk)
     options = [
         parameter("structure", OfferedName | None if searches else OfferedName, which, structure),
         *(parameter(name, int | None, _order(name)) for name in COUNTED),
-        parameter("nk", int | None if nk is None else int, late, nk),
+        parameter("nk", int | None, late),
     ]
     for name, (kind, one) in OPTIONS.items():
         if searches or one.channels == 1:
@@ -64,7 +65,8 @@ def estimation_options(
 
 def _order(name: str) -> Any:
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
-    shown = {"by the data" if n is None else str(n) for n in default.values()}
+    decided = "poles - 1" if name == "zeros" else "by the data"
+    shown = {decided if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
         shown = {", ".join(f"{title} {n}" for title, n in default.items())}
     return _option(name, f"Number of {COUNTED[name]}", shown.pop(), _COUNTED_AS.get(name, ""))
@@ -74,7 +76,8 @@ def _option(name: str, what: str, default: str = "", more: str = "") -> Any:
     """Return an option; if only some structures have the option, its help names them."""
     titles = [OFFERED[user].title for user in users(name)]
     others = [row.title for row in OFFERED.values() if row.title not in titles]
-    which = f" (not {others[0]})" if len(others) == 1 else f" ({', '.join(titles)})"
+    few = len(others) <= _MAX_OTHERS
+    which = f" (not {', '.join(others)})" if few else f" ({', '.join(titles)})"
     which = which if others else ""
     return option(flag(name), f"{what}{which}{more}.", default or True)
 
@@ -92,6 +95,8 @@ def requested(given: Given, ny: int = 1, nu: int = 1) -> Request:
     asked = _asked(given)
     _check_taken(structure, asked)
     _check_shape(structure, asked, ny, nu)
+    if "form" in OFFERED[structure].takes and "form" not in asked:
+        raise typer.BadParameter(f"--structure {structure} needs --form, such as --form P1D")
     own = OFFERED[structure].orders
     orders = {name: asked.get(name, default) for name, default in own.items()}
     options = {name: value for name, value in asked.items() if name not in own}
@@ -109,6 +114,11 @@ def searched_for(given: Given, ny: int = 1, nu: int = 1) -> dict[str, Any]:
     structure = asked.pop("structure", None)
     if structure is not None:
         _check_taken(structure, asked)
+        if OFFERED[structure].continuous:
+            raise typer.BadParameter(
+                f"--structure {structure}: --search tries models in discrete time; leave out "
+                "--search, or convert its model with fit.to_continuous()"
+            )
         asked["families"] = (structure,)
     if (ny, nu) != (1, 1):
         if structure not in (None, *tried):
@@ -134,8 +144,14 @@ def _check_taken(structure: OfferedName, asked: Given) -> None:
     for name, value in asked.items():
         able = OFFERED_NAMES if name == "structure" else users(name)
         if structure not in able:
-            way_out = _WAY_OUT.get(name, "").format(
-                model=f"{with_article(kind.title)} model", orders=listed([*kind.orders, "nk"])
+            of_form = "form" in kind.takes and name in (*COUNTED, "integrator")
+            way_out = (
+                "--form gives it"
+                if of_form
+                else _WAY_OUT.get(name, "").format(
+                    model=f"{with_article(kind.title)} model",
+                    orders=listed([*kind.counts] or ["--form"]),
+                )
             )
             raise typer.BadParameter(
                 f"{_typed(name, value)} goes with --structure {' or '.join(able)}"
@@ -162,7 +178,7 @@ def estimated(data: Dataset | Signals, request: Request) -> Fit:
     import numpy as np
 
     request.check(data)
-    named = listed([*request.orders])
+    named = listed([*request.orders] or ["the number of time constants"])
     with estimating(named):
         fit = request.estimated(data)
     if not np.isfinite([*fit.theta, *(q.loss for q in fit.quality)]).all():

@@ -341,7 +341,11 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         validation = typed(found.validate)
     else:
         validation = validation_beside(found.file) if signals.read else ""
-    values: dict[str, str | float] = {"file": file, "Ts": fit.Ts, "validation": validation}
+    values: dict[str, str | float] = {
+        "file": file,
+        "Ts": data.Ts or fit.Ts,
+        "validation": validation,
+    }
     values["model"] = quote(str(found.save or "model.json"))
     values["options"] = options + given + (f" --validate {validation}" if validation else "")
     channel = signals
@@ -413,9 +417,8 @@ def after_validate(
 
 def options_of(request: Request) -> str:
     """Return the options of `armrig identify` for a request."""
-    orders = {**request.orders, "nk": request.nk}
     asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
-    values = {name: x for name, x in (orders | asked).items() if x is not None}
+    values = {name: x for name, x in (request.counts | asked).items() if x is not None}
     given = [
         flag(name) if x is True or isinstance(x, tuple) else f"{flag(name)} {x}"
         for name, x in values.items()
@@ -445,13 +448,14 @@ def options_after(
     # A constant level of y looks like an integrator. Angles are not tested for a level.
     level = "level" in remedies and not fit.integrator
     asked = "integrator" in remedies and not level
-    integrator = fit.integrator or (asked and "integrator" in kind.takes)
-    offset = (fit.offset or level) and "offset" in kind.takes and not integrator
+    integrator = (fit.integrator or asked) and "integrator" in kind.takes
+    offset = (fit.offset or level) and "offset" in kind.takes and not (integrator or fit.integrator)
     detrend = level and not (offset or detrended)
     # If the level was removed or estimated and is found again, the order is too high.
     seen = level and not detrend and offset == fit.offset
-    after = structs.replace(request, integrator=integrator, offset=offset)
-    if "order" in remedies or seen:
+    form = f"{request.form}I" if request.form and asked else request.form
+    after = structs.replace(request, integrator=integrator, offset=offset, form=form)
+    if request.orders and ("order" in remedies or seen):
         many = max((int(f.numbers.get("poles", 1)) for f in findings), default=1)
         after = structs.replace(after, orders=_lower(fit, many, integrator=integrator))
     options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in remedies)
@@ -461,15 +465,24 @@ def options_after(
     if "check" in remedies:
         return CHECK
     if "search" in remedies and not searched and fit.structure != "pem":
-        return f"--structure {fit.structure} --search"
+        if richer := _richer(request.form or ""):
+            return options_of(structs.replace(request, form=richer))
+        return "--search" if kind.continuous else f"--structure {fit.structure} --search"
     return options
+
+
+def _richer(form: str) -> str:
+    """Return a process with a dead time, or with one time constant more; "" if there is none."""
+    if form and "D" not in form:
+        return f"{form}D"
+    return f"P{int(form[1]) + 1}{form[2:]}" if form and form[1] < "3" else ""
 
 
 def _lower(fit: Fit, many: int, *, integrator: bool) -> dict[str, int]:
     """Return the orders without the `many` cancelling poles; noise orders do not change."""
-    least = {"nb": 1, STRUCTURES[fit.structure].poles: 1 + integrator}
+    least = {"nb": 1, "zeros": 0, STRUCTURES[fit.structure].poles: 1 + integrator}
     return {
         name: max(n - many, min(n, least[name])) if name in least else n
         for name, n in fit.orders.items()
-        if name != "nk"
+        if name in STRUCTURES[fit.structure].orders
     }

@@ -68,6 +68,16 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     """False if a state-space model has no gain K of the innovations."""
     replicates: int | None = None
     """Number of replicates from which the covariance of a subspace model is computed."""
+    delay: Annotated[str | None, Option('Delay from u to y in seconds, or "estimate"', "0")] = None
+    form: Annotated[
+        str | None, Option("Process with 0 to 3 time constants and letters D, Z, I, U, such as P1D")
+    ] = None
+
+    @property
+    def counts(self) -> dict[str, int | None]:
+        """Orders by name, with nk if the structure has it."""
+        delay = {} if STRUCTURES[self.structure].continuous else {"nk": self.nk}
+        return self.orders | delay
 
     @property
     def asked(self) -> dict[str, Any]:
@@ -83,7 +93,7 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
 
     def arguments(self, data: Dataset | Signals) -> dict[str, Any]:
         """Return the arguments of the estimator; refuse an order that is too low for an output."""
-        given: dict[str, Any] = dict(self.orders) | {"nk": self.nk} | self.asked
+        given: dict[str, Any] = self.counts | self.asked
         if self.shared:
             given["shared"] = "denominator"
         if "order" in self.orders and self.integrator:
@@ -122,12 +132,15 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
         """
         if (fit.ny, fit.nu) != (1, 1):
             return self
-        orders = dict(fit.orders)
-        nk = orders.pop("nk")
+        row = STRUCTURES[self.structure]
         # With an integrator the offset is always estimated.
         offset = fit.offset and not fit.integrator
         return msgspec.structs.replace(
-            self, orders=orders, nk=nk, integrator=fit.integrator, offset=offset
+            self,
+            orders={name: fit.orders[name] for name in row.orders},
+            nk=fit.orders.get("nk", self.nk),
+            integrator=fit.integrator and "form" not in row.takes,
+            offset=offset,
         )
 
     def of_structure(self, structure: OfferedName, orders: dict[str, int]) -> Self:

@@ -33,7 +33,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, monic, roots
 
-Delay = float | Literal["estimate"] | None
+Delay = float | str | None  # seconds, or "estimate"
 
 _LONGEST_SHARE = 0.25  # share of the record that an estimated delay may have
 _MAX_LONGEST = 400  # samples
@@ -140,7 +140,7 @@ _PROCESS = re.compile(r"P(?P<poles>[0-3])(?P<marks>[DZIU]*)")
 @takes_data
 def process(
     data: Dataset | Signals,
-    kind: str,
+    form: str,
     *,
     delay: Delay = None,
     noise: tuple[int, int] = (0, 0),
@@ -156,11 +156,11 @@ def process(
     ----------
     data : Dataset or Signals
         N samples of one input and one output.
-    kind : str
+    form : str
         P and the number of time constants, then letters: D a dead time, Z a zero, I an integrator,
         U a resonance with natural frequency and damping. "P1D" is one time constant with dead time.
     delay : float or "estimate", optional
-        Dead time in s. By default it is estimated if the kind has a D, and 0 otherwise.
+        Dead time in s. By default it is estimated if the form has a D, and 0 otherwise.
     noise, offset
         As in `tf`.
 
@@ -172,7 +172,7 @@ def process(
     Raises
     ------
     ValueError
-        The kind is unknown, or as for `tf`.
+        The form is unknown, or as for `tf`.
 
     References
     ----------
@@ -186,17 +186,17 @@ def process(
     gain (rate)    1.86... ± 0.0014 rad/s/V
     time constant  0.083... ± 0.0011 s
     """
-    found = _PROCESS.fullmatch(kind)
+    found = _PROCESS.fullmatch(form)
     marks = found["marks"] if found else ""
     if not found or len(set(marks)) < len(marks) or ("U" in marks and found["poles"] in "01"):
         raise InputError(
-            f"{kind!r} is no process model: give P, the number of time constants 0 to 3, and D, Z, "
+            f"{form!r} is no process model: give P, the number of time constants 0 to 3, and D, Z, "
             'I or U (U needs two), such as "P1D" or "P2DU"'
         )
     integrator = "I" in marks
     poles, zeros = int(found["poles"]) + integrator, int("Z" in marks)
     if zeros >= poles:
-        raise InputError(f"{kind!r} needs more poles than zeros: add a time constant or an I")
+        raise InputError(f"{form!r} needs more poles than zeros: add a time constant or an I")
     if delay is None and "D" in marks:
         delay = "estimate"
     fit = _estimated(
@@ -209,6 +209,7 @@ def process(
         integrator=integrator,
         offset=offset,
     )
+    fit = replace(fit, specification=form)
     paired = bool(np.any(np.abs(fit.poles().values.imag) > 0))
     if paired == ("U" in marks):
         return fit
@@ -290,19 +291,17 @@ def _problem(
     """Return the problem; refuse a delay that the record does not allow."""
     parts = list(data.experiments())
     shortest = min(part.N for part in parts)
-    samples: float | None = None
-    if delay is None or not isinstance(delay, str):
-        samples = float(delay or 0.0) / data.Ts
+    samples, longest = None, min(_LONGEST_SHARE * shortest, _MAX_LONGEST)
+    if delay != "estimate":
+        try:
+            samples = longest = float(delay or 0.0) / data.Ts
+        except ValueError:
+            raise InputError(f'delay={delay!r} must be a number of seconds or "estimate"') from None
         if not 0 <= samples < shortest:
             raise InputError(
                 f"delay={delay} s must be 0 or more and shorter than the record, "
                 f"{shortest * data.Ts:g} s"
             )
-        longest = samples
-    elif delay == "estimate":
-        longest = min(_LONGEST_SHARE * shortest, _MAX_LONGEST)
-    else:
-        raise InputError(f'delay={delay!r} must be a number of seconds, "estimate" or None')
     row = Structure(
         nb=(poles + 1,),
         nk=(1,),

@@ -101,6 +101,8 @@ def model_characteristics(model: Fit) -> ModelCharacteristics:
     linearisation is poor, the range is computed from 400 draws of the parameters (see
     `armrig.numerics.confidence_regions`).
     """
+    if model.Ts == 0:
+        model = model.to_discrete()
     integrating = integrates(model)
     own = _scalars(model, model.theta, integrating=integrating)
     s = _continuous(model, integrating=integrating)

@@ -358,11 +358,15 @@ def short_lines(fit: Fit, *, roots: bool) -> list[str]:
         return list(outputs_and_poles(fit))
     std, which = (fit.std_robust, "σ robust") if fit.trusts_robust else (fit.std, "σ")
     texts: dict[str, list[str]] = {}
-    for name, value, deviation in zip(fit.names, fit.theta, std, strict=True):
-        texts.setdefault(name[0], []).append(with_std(float(value), float(deviation)))
+    for letter, first in ((x.lower(), int(x != "B" or fit.Ts > 0)) for x in letters(fit)):
+        own = fit.slice_of(letter)
+        each = zip(fit.theta[own], std[own], strict=True)
+        texts[f"{letter}{first} …"] = [with_std(float(x), float(s)) for x, s in each]
     lines = [f"  {_form_and_root(fit)}", f"  {signals(fit)}; below, ± is {which}"]
-    lines += [f"  {letter}1 …   {_listed(values)}" for letter, values in texts.items()]
-    if roots:
+    lines += [f"  {name}   {_listed(values)}" for name, values in texts.items()]
+    if roots and fit.Ts == 0:
+        lines += [f"  {line}" for line in repr(fit.quantities()).splitlines()]
+    elif roots:
         lines += [f"  poles  {_roots(fit.poles())}", f"  zeros  {_roots(fit.zeros())}"]
     return lines
 
@@ -480,6 +484,8 @@ def estimation_facts(fit: Fit) -> dict[str, Any]:
         "N": fit.N,
         "answers": fit.summary().facts(),
     }
+    if fit.Ts == 0:
+        facts["quantities"] = {q.name: q for q in fit.quantities().numbers}
     if fit.canonical_correlations.size:
         facts |= _fields(fit, "canonical_correlations suggested_order")
     return facts

@@ -308,7 +308,7 @@ class Estimate:
         if self.structure not in DESCRIBED:
             return {name: n for name, n in sizes.items() if n or name in ("nb", "nk")}
         sizes["order"] = self.order
-        return {name: sizes[name] for name in (*DESCRIBED[self.structure].orders, "nk")}
+        return {name: sizes[name] for name in DESCRIBED[self.structure].counts}
 
     @property
     def order(self) -> int:

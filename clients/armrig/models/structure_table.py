@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal, get_args
 
-OfferedName = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx", "ss"]
+OfferedName = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx", "ss", "tf", "process"]
 """Structures offered by the commands; `pem` is for Python only."""
 OFFERED_NAMES: tuple[OfferedName, ...] = get_args(OfferedName)
 StructureName = Literal[OfferedName, "pem"]
@@ -27,6 +27,7 @@ ARM_POLES = 4
 equal."""
 
 COUNTED = {"na": "a's", "nb": "b's", "nc": "c's", "nd": "d's", "nf": "f's", "order": "states"}
+COUNTED |= {"poles": "poles", "zeros": "zeros"}
 """Name of the items that an order counts, for each order except nk."""
 
 
@@ -34,13 +35,13 @@ COUNTED = {"na": "a's", "nb": "b's", "nc": "c's", "nd": "d's", "nf": "f's", "ord
 class RegisteredStructure:
     """Specification of one structure."""
 
-    name: StructureName | Literal["channel", "tf", "process"]
+    name: StructureName | Literal["channel"]
     """Name of the structure and of its estimator, in small letters."""
     equation: str
     """Equation of y, without delays and levels."""
     orders: Mapping[str, int | None]
-    """Default orders of models of the arm by name, without nk; None if the data decide the
-    order."""
+    """Default orders of models of the arm by name, without nk; None if the data or the other
+    orders decide the order."""
     takes: tuple[str, ...] = ()
     """Arguments of the estimator in addition to the orders and nk."""
     _: KW_ONLY
@@ -52,11 +53,20 @@ class RegisteredStructure:
     """True if a search with one input and one output includes this structure by default."""
     searched_of_several: bool = False
     """True if a search with several signals tries this structure."""
+    continuous: bool = False
+    """True if the model is in continuous time, without nk."""
+
+    @property
+    def counts(self) -> tuple[str, ...]:
+        """Names of the orders, with nk."""
+        return tuple(self.orders) if self.continuous else (*self.orders, "nk")
 
     @property
     def poles(self) -> str:
         """Name of the order that is the number of poles from u to y; nb if there are no poles."""
-        return next(name for name in ("order", "nf", "na", "poles", "nb") if name in self.orders)
+        if self.continuous:
+            return "poles"
+        return next(name for name in ("order", "nf", "na", "nb") if name in self.orders)
 
     @property
     def title(self) -> str:
@@ -111,6 +121,24 @@ _ROWS = (
         searched=False,
         searched_of_several=True,
     ),
+    _row(
+        "tf",
+        "y = B(s)/F(s) u + e",
+        {"poles": _N, "zeros": None},
+        ("delay", "noise", "integrator", "offset"),
+        several=False,
+        searched=False,
+        continuous=True,
+    ),
+    _row(
+        "process",
+        "y = K/(1 + T s) u + e",
+        {},
+        ("form", "delay", "noise", "offset"),
+        several=False,
+        searched=False,
+        continuous=True,
+    ),
     _row("pem", "A y = B/F u + C/D e", _PEM, _SEARCHED[1:], closed_loop=True),
 )
 STRUCTURES: dict[str, RegisteredStructure] = {row.name: row for row in _ROWS}
@@ -118,17 +146,7 @@ STRUCTURES: dict[str, RegisteredStructure] = {row.name: row for row in _ROWS}
 CHANNEL = _row("channel", "y = B/F u + v", {"nb": None, "nf": None})
 """Specification of one channel of a model with several inputs or outputs. The noise of a channel
 depends on several e, so the channel has no C and no D."""
-_TF = {"poles": _N, "zeros": _N - 1}
-_OF_TF = ("delay", "noise", "integrator", "offset")
-CONTINUOUS: dict[str, RegisteredStructure] = {
-    row.name: row
-    for row in (
-        _row("tf", "y = B(s)/F(s) u + C/D e", _TF, _OF_TF, several=False, closed_loop=True),
-        _row("process", "y = B(s)/F(s) u + C/D e", _TF, _OF_TF, several=False, closed_loop=True),
-    )
-}
-"""Structures in continuous time by name, for Python only: `armrig.tf` and `armrig.process`."""
-DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | CONTINUOUS | {CHANNEL.name: CHANNEL}
+DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
 """Specifications of all structures that a `Fit` may have, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
 """Specifications of the structures that the commands offer, by name."""
@@ -136,5 +154,4 @@ OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for na
 
 def users(argument: str) -> list[OfferedName]:
     """Return the offered structures whose estimators have an order or argument of this name."""
-    all_of = {name: ("nk", *row.orders, *row.takes) for name, row in OFFERED.items()}
-    return [name for name, arguments in all_of.items() if argument in arguments]
+    return [name for name, row in OFFERED.items() if argument in (*row.counts, *row.takes)]

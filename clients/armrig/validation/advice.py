@@ -20,6 +20,7 @@ from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_chan
 COLOURED = "raise the orders, look at the delay, or add a noise model"
 """Remedy for residuals that are not white."""
 _FIX_POLE = "fix it (OE with the option integrator)"
+_FIX_POLE_IN_S = "fix it (TF with the option integrator, or a process with the letter I)"
 _DEVIATIONS = "the ordinary deviations", "the robust deviations"
 _MAX_IMAGINARY = 1e-9  # imaginary part below which a pole counts as real
 _MAX_POLE_WIDTH = 0.258  # of an interval above which the data do not determine a pole
@@ -126,7 +127,9 @@ def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], Iterator[Fin
 
     A model in continuous time is examined as sampled.
     """
-    structure, fit = fit.structure, fit if fit.Ts else fit.to_discrete()
+    structure = fit.structure
+    if fit.Ts == 0:
+        fit = fit.to_discrete()
     channels = {(fit.outputs[i], fit.inputs[j]): one for i, j, one in fit.channels()}
     pairs = {name: overlapping(one) for name, one in channels.items()}
     # Of channels with the same poles, a pole is superfluous only if a zero cancels it in each.
@@ -164,8 +167,10 @@ def not_repeated(own: Iterable[Finding], advised: Iterable[Finding]) -> Iterator
 def _advised(
     fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], structure: str
 ) -> Iterator[Finding]:
+    described = DESCRIBED.get(structure)
+    in_s = described is not None and described.continuous
     if fit.converged and fit.agreed:
-        yield good("search", "one minimum" if fit.starts else "closed form")
+        yield good("search", "one minimum" if fit.starts or in_s else "closed form")
     text = whiteness_sentence(fit, *_DEVIATIONS)
     if fit.trusts_robust:
         yield warning("residuals", f"{text}; {COLOURED}", "search")
@@ -179,8 +184,9 @@ def _advised(
     yield from _about_pair_at_one(fit, at_one)
     yield from _about_negative_poles(fit)
     if not _by_distance_from_one(pairs)[1]:
-        yield from _about_integrator(fit)
-    yield from _about_first_coefficient(fit)
+        yield from _about_integrator(fit, structure)
+    if not in_s:
+        yield from _about_first_coefficient(fit)
     if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
         text = "ARX assumes noise that passes through 1/A; an angle has noise at the output: "
         text += "compare with OE and the option integrator"
@@ -205,7 +211,8 @@ def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:
         f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order is "
     )
     kind = DESCRIBED[structure]
-    lower = " and ".join(name for name in ("nb", kind.poles) if name in kind.orders)
+    each = [name for name in ("nb", kind.poles) if name in kind.orders]
+    lower = " and ".join(each) or "the number of time constants"
     lower = "the order" if lower == "order" else lower
     poles = sum(2 if pole.imag else 1 for pole, *_ in pairs)
     text += f"too high by the number of pairs; lower {lower}"
@@ -232,12 +239,14 @@ def _about_negative_poles(fit: Fit) -> Iterator[Finding]:
             yield warning("poles", text, "order")
 
 
-def _about_integrator(fit: Fit) -> Iterator[Finding]:
+def _about_integrator(fit: Fit, structure: str) -> Iterator[Finding]:
     if fit.integrator:
         return
     poles, known = fit.poles(), fit.output in INTEGRATING_OUTPUTS
-    described = DESCRIBED.get(fit.structure)
-    without = described is not None and "integrator" not in described.takes
+    described = DESCRIBED.get(structure)
+    in_s = described is not None and described.continuous
+    fix = _FIX_POLE_IN_S if in_s else _FIX_POLE
+    without = described is not None and not in_s and "integrator" not in described.takes
     remedy: Remedy = "structure" if without else "integrator"
     for z, std in zip(poles.values, poles.std, strict=True):
         near = (
@@ -246,11 +255,11 @@ def _about_integrator(fit: Fit) -> Iterator[Finding]:
             else may_be_one(z.real, std, fit.N)
         )
         if abs(z.imag) < _MAX_IMAGINARY and near:
-            text = f"pole {near_one(z.real, std)} is 1 within its accuracy: {_FIX_POLE}"
+            text = f"pole {near_one(z.real, std)} is 1 within its accuracy: {fix}"
             yield warning("integrator", text, remedy)
             return
     if known:
-        text = f"{fit.output} integrates, and no pole of the model is 1: {_FIX_POLE}"
+        text = f"{fit.output} integrates, and no pole of the model is 1: {fix}"
         yield warning("integrator", text, remedy)
 
 

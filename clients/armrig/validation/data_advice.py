@@ -25,6 +25,7 @@ from armrig.estimation.data_faults import (
 from armrig.estimation.polynomial_structures import oe
 from armrig.excitation.input_description import excitation_order
 from armrig.models.fit import Fit
+from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -147,6 +148,8 @@ def examine_fit_of(
 
 def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
     """Yield the findings on excitation, integrator, feedback and delay of tested data."""
+    free = isinstance(fit.form, TransferFunction) and fit.form.delay_estimated
+    in_s, fit = fit.Ts == 0, fit.to_discrete() if fit.Ts == 0 else fit
     order, needed = excitation_order(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
     if order < needed and not constant_input(data):
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "
@@ -164,10 +167,9 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
     late = known.late
     if isinstance(late, str):
         yield from _about_delay(known)
-    elif not late.interval[0] <= fit.nk <= late.interval[1]:
-        text = (
-            f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: use nk={late.nk}"
-        )
+    elif not (free or late.interval[0] <= fit.nk <= late.interval[1]):
+        way_out = 'estimate the delay (delay "estimate")' if in_s else f"use nk={late.nk}"
+        text = f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: {way_out}"
         yield warning("delay", text, "check")
 
 

@@ -23,7 +23,7 @@ from armrig.estimation.orders import integrating_outputs
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
-from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
+from armrig.models.structure_table import OFFERED, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
 from armrig.validation.data_advice import Tested, doubts, doubts_of_channels, tested
@@ -35,6 +35,7 @@ Data = TypeVar("Data", Dataset, Signals)
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is decided
+_SEARCHABLE = [name for name, row in OFFERED.items() if not row.continuous]
 _ORDERS = range(1, 9)  # default orders
 _ALWAYS_TRIED = 5  # highest default order that does not depend on the models of lower order
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
@@ -243,7 +244,7 @@ def _planned(
             open_loop = not known.closed
             rows = [(name, row) for name, row in OFFERED.items() if row.searched]
             families = [name for name, row in rows if open_loop or row.closed_loop]
-        offered = several_of("families", families, OFFERED_NAMES)
+        offered = several_of("families", families, _SEARCHABLE)
         offset, against, notes = _offset(
             data, as_dataset(validation), known, offset, offered, doubts(data, known)
         )

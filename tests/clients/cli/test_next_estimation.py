@@ -21,6 +21,8 @@ PEM: dict[str, Any] = {
     **{"structure": "pem", "orders": {"na": 0, "nb": 2, "nc": 0, "nd": 0, "nf": 2}}
 }
 ARX: dict[str, Any] = {"structure": "arx", "orders": {"na": 2, "nb": 3}}
+TF: dict[str, Any] = {"structure": "tf", "orders": {"poles": 4, "zeros": 1}, "delay": "0.1"}
+P1: dict[str, Any] = {"structure": "process", "orders": {}}
 OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
 
 
@@ -49,6 +51,12 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
         (ARX, "structure", "", "--structure oe --nb 3 --nf 2 --nk 1 --integrator"),
         (BJ, "order", "2 poles", "--structure bj --nb 1 --nc 2 --nd 3 --nf 2 --nk 1"),
+        (TF, "order", "2 poles", "--structure tf --poles 2 --zeros 0 --delay 0.1"),
+        (TF, "search", "", "--search"),
+        (P1 | {"form": "P1"}, "integrator", "", "--structure process --form P1I"),
+        (P1 | {"form": "P1"}, "search", "", "--structure process --form P1D"),
+        (P1 | {"form": "P2DI"}, "search order", "", "--structure process --form P3DI"),
+        (P1 | {"form": "P3D"}, "search", "", "--search"),
         (PEM, "search", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
     ],
 )

@@ -67,6 +67,7 @@ VALUES = {
     **{"--tolerance": "0.02", "--free": "J_2", "--friction": "both", "--parts": "2,3"},
     **{"--from": "0.5", "--to": "2.5", "--level": "0.002", "--lags": "7", "--horizon": "3"},
     **{"--model": "m2.json", "--calibration": "c.toml", "--validate": OTHER},
+    **{"--poles": "3", "--zeros": "1", "--delay": "0.1", "--form": "P1D"},
 }
 OF_THE_OUTPUT = {
     *("--json", "--verbose", "--plot", "--save", "--open", "--foxglove", "--dashboard", "--force"),

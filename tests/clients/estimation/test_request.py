@@ -28,10 +28,11 @@ def _with(option: str) -> Request:
     """Return a request with an option that is not its default, and one of each kind of order."""
     kind, _ = OPTIONS[option]
     flags = (bool, bool | None, bool | tuple[str, ...])
-    value = True if kind in flags else get_args(get_args(kind)[0])[-1]
+    value = True if kind in flags else (get_args(get_args(kind)[0]) or ["P1D"])[-1]
     structure = users(option)[0]
     orders = dict.fromkeys(OFFERED[structure].orders, 2)
-    return Request(structure=structure, orders=orders, nk=0, **{option: value})
+    nk = int(OFFERED[structure].continuous)  # the default, since these have no nk
+    return Request(structure=structure, orders=orders, nk=nk, **{option: value})
 
 
 @pytest.mark.parametrize("option", OPTIONS)

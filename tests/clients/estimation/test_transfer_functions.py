@@ -152,7 +152,7 @@ def test_a_delay_at_zero_is_no_parameter() -> None:
         ({"poles": 0}, "poles=0"),
         ({"poles": 2, "delay": 81.0}, "shorter than the record, 80 s"),
         ({"poles": 2, "delay": -1.0}, "must be 0 or more"),
-        ({"poles": 2, "delay": "guess"}, '"estimate" or None'),
+        ({"poles": 2, "delay": "guess"}, 'or "estimate"'),
     ],
 )
 def test_a_refusal_says_what_is_allowed(options: dict[str, Any], said: str) -> None:

@@ -184,7 +184,7 @@ def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, sai
     of = {"integrator": False, "output": "theta_1", "structure": "oe"}
     fit: Any = SimpleNamespace(poles=lambda: poles, **of)
 
-    [found] = _about_integrator(fit)
+    [found] = _about_integrator(fit, "oe")
 
     assert found.text.startswith(said)
     assert found.remedy == "integrator"
@@ -196,7 +196,7 @@ def test_neither_a_wide_interval_nor_a_slow_pole_is_an_integrator(pole: float, s
     of = {"integrator": False, "output": "y", "structure": "oe", "N": 4000}
     fit: Any = SimpleNamespace(poles=lambda: poles, **of)
 
-    assert not [*_about_integrator(fit)]
+    assert not [*_about_integrator(fit, "oe")]
 
 
 def test_a_real_negative_pole_is_impossible_for_the_rig() -> None:
