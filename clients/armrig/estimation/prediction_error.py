@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Experiments
 from armrig.data.finding import Finding
+from armrig.estimation.continuous_problem import ContinuousProblem
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
     constant_input,
@@ -85,7 +86,7 @@ class _Task:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Estimated:
+class Estimated:
     """Estimate of the outputs that share a polynomial, or of one output."""
 
     outputs: tuple[int, ...]
@@ -94,12 +95,12 @@ class _Estimated:
     solution: Solution
     theta: Array
     ends: Ends
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def parameters(self) -> int:
         """Number of estimated coefficients."""
-        return self.problem.linear_size + self.theta.size
+        return int(self.solution.by_ab.shape[1] + self.solution.by_theta.shape[1])
 
     def starts(self, prefix: str = "") -> Iterator[Start]:
         """Yield the result from each start value, with the mean square of the whitened errors."""
@@ -159,7 +160,7 @@ def estimated(
     task = _Task(data=data, orders=text, initial=initial, stable=stable, thorough=thorough)
     groups = [tuple(range(len(rows)))] if shared else [(i,) for i in range(len(rows))]
     found = [_chosen(task, [rows[i] for i in group], group) for group in groups]
-    estimates, W = _outputs(data, found)
+    estimates, W = outputs_of(data, found)
     white = all(n.white for n in rows)
     fields: dict[str, Any] = {
         "structure": name,
@@ -167,7 +168,7 @@ def estimated(
         "converged": all(one.ends[0][1].converged for one in found),
     }
     if isinstance(data, Dataset):
-        return _fit(data, found[0], estimates[0], W, **fields)
+        return with_stability_warning(fit_of_one(data, found[0], estimates[0], W, **fields))
     fields |= {"specification": text, "offset": offset, "shared": bool(shared)}
     notes, starts_ = [note for one in found for note in one.findings], list[Start]()
     for one in found:
@@ -178,7 +179,7 @@ def estimated(
     return replace(fit, findings=(*notes, *instability(fit.form)))
 
 
-def _chosen(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> _Estimated:
+def _chosen(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> Estimated:
     """Return the estimate; with initial="auto" an F-test chooses the treatment of the state."""
     free, at_rest = ([replace(n, at_rest=rest) for n in rows] for rest in (False, True))
     if task.initial != "auto":
@@ -187,11 +188,11 @@ def _chosen(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) ->
     return found if _state_matters(found, simpler) else simpler
 
 
-def _searched(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> _Estimated:
+def _searched(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> Estimated:
     data, orders = task.data, task.orders
     problem = _problem(data, rows, outputs)
     measured = sum(int(np.isfinite(_output(data, i)).sum()) for i in outputs)
-    require_samples(orders, needed=_size(problem) + 1 + _nuisance(problem), got=measured)
+    require_samples(orders, needed=_size(problem) + 1 + nuisance(problem), got=measured)
     if len(rows) == 1:
         part = _part(data, rows, outputs)
         ends = searched_minimum(problem, part, thorough=task.thorough)
@@ -213,7 +214,7 @@ def _searched(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) 
     notes: tuple[Finding, ...] = ()
     if task.stable:
         theta, solution, notes = with_stable_poles(problem, solution, theta)
-    return _Estimated(
+    return Estimated(
         outputs=outputs, problem=problem, solution=solution, theta=theta, ends=ends, findings=notes
     )
 
@@ -252,7 +253,7 @@ def _part(
     begin = int(begins[np.argmax(moves[begins + PART_SAMPLES] - moves[begins])])
     part = data[begin : begin + PART_SAMPLES]
     problem = _problem(part, [replace(n, at_rest=False) for n in rows], outputs)
-    enough = 2 * (_size(problem) + _nuisance(problem))
+    enough = 2 * (_size(problem) + nuisance(problem))
     measured = sum(int(np.isfinite(_output(part, i)).sum()) for i in outputs)
     return problem if measured > enough else None
 
@@ -261,7 +262,7 @@ def _size(problem: PolynomialProblem) -> int:
     return problem.linear_size + problem.size
 
 
-def _nuisance(problem: PolynomialProblem) -> int:
+def nuisance(problem: PolynomialProblem) -> int:
     """Return the number of samples that are needed to determine the unknown past."""
     return sum(
         sum(n.counts) + n.trend + (0 if n.white else n.forgotten(x.begin))
@@ -270,7 +271,7 @@ def _nuisance(problem: PolynomialProblem) -> int:
     )
 
 
-def _state_matters(free: _Estimated, at_rest: _Estimated) -> bool:
+def _state_matters(free: Estimated, at_rest: Estimated) -> bool:
     """Return whether the initial state is significant, by an F-test."""
     from scipy.special import fdtrc
 
@@ -286,21 +287,29 @@ def _state_matters(free: _Estimated, at_rest: _Estimated) -> bool:
     return bool(fdtrc(p, degrees, max(sse_rest - sse, 0.0) / p / (sse / degrees)) < AUTO_LEVEL)
 
 
-def _degrees(one: _Estimated) -> int:
+def _degrees(one: Estimated) -> int:
     """Return the degrees of freedom of the errors."""
     return one.problem.N - one.parameters - sum(past.rank for past in one.solution.past)
 
 
-def _fit(data: Dataset, one: _Estimated, estimate: EstimatedOutput, W: Array, **fields: Any) -> Fit:
-    """Return the model of one input and one output."""
-    problem, solution, theta = one.problem, one.solution, one.theta
+def fit_of_one(
+    data: Dataset,
+    one: Estimated,
+    estimate: EstimatedOutput,
+    W: Array,
+    in_s: ContinuousProblem | None = None,
+    **fields: Any,
+) -> Fit:
+    """Return the model of one input and one output; `in_s` is the problem of a search in s."""
+    problem, solution = one.problem, one.solution
     floor, n, best = rounding_floor(problem), problem.rows[0], one.ends[0][1]
-    p, starts = problem.named(solution.ab, theta), tuple(one.starts())
+    p, starts = problem.named(solution.ab, one.theta), tuple(one.starts())
     curved = 0.0
     if best.cost > floor:
         variance = float(solution.e @ solution.e) / max(_degrees(one), 1)
         own = W[problem.linear_size :]
-        curved = curvature(problem, theta, variance * own @ own.T, variance)
+        at = one.theta if in_s is None else best.theta
+        curved = curvature(in_s or problem, at, variance * own @ own.T, variance)
     agreed = same_minimum(problem, best.cost, one.ends[-1][1].cost)
     free = [
         free_response(n, p, part, s)
@@ -326,7 +335,7 @@ def _fit(data: Dataset, one: _Estimated, estimate: EstimatedOutput, W: Array, **
         *data_faults(data, residuals, way_out=way_out),
         *one.findings,
     )
-    return with_stability_warning(replace(fit, findings=findings))
+    return replace(fit, findings=findings)
 
 
 def with_integrator(n: Structure) -> Array:
@@ -367,10 +376,13 @@ def free_response(n: Structure, p: dict[str, Any], part: Dataset, errors: Errors
     return FreeResponse(transients=transients, offset=offset_from_ramp(B, F, coefficients[0], 0.0))
 
 
-def _outputs(
-    data: Dataset | Signals, found: Sequence[_Estimated]
+def outputs_of(
+    data: Dataset | Signals, found: Sequence[Estimated], J: Array | None = None
 ) -> tuple[list[EstimatedOutput], Array]:
-    """Return the polynomials and residuals of each output, and the matrix W of `fit_of_outputs`."""
+    """Return the polynomials and residuals of each output, and the matrix W of `fit_of_outputs`.
+
+    J are the derivatives of the coefficients of a single output, by default of polynomials.
+    """
     bases = [orthonormal(one.solution.Psi) for one in found]
     W = block_diag(*(basis.W for basis in bases))
     alone = W.shape[1] == bases[0].rank and len(found[0].outputs) == 1
@@ -414,8 +426,10 @@ def _outputs(
                     "integrators": bool(n.integrator),
                 },
                 residuals=tuple(residuals),
-                parameters=n.parameters - common + common / k,
-                J=with_integrator(n) @ np.eye(W.shape[0])[row + problem.columns_of(r)],
+                parameters=n.parameters - common + common / k if k > 1 else one.parameters,
+                J=with_integrator(n) @ np.eye(W.shape[0])[row + problem.columns_of(r)]
+                if J is None
+                else J,
             )
         row, column = row + one.parameters, column + basis.rank
     return [outputs[i] for i in range(ny)], W

@@ -187,6 +187,8 @@ class PolynomialProblem:
     @property
     def linear_size(self) -> int:
         """Number of linear parameters."""
+        if self.combination is not None:
+            return int(self.combination.shape[1])
         return 1 + max(int(columns.max(initial=-1)) for columns in self.layout.linear)
 
     @property
@@ -486,7 +488,7 @@ class _Equations:
         return self.scale != 1.0 or any(scale != 1.0 for scale in self.scales)
 
     def projected(self, combination: Array | None) -> tuple[Basis, Array, Array]:
-        """Return a basis of the derivatives by the linear parameters, these, and y; less the past."""
+        """Return a basis of the linear derivatives, these derivatives, and y, without the past."""
         blocks = [g.unknown.without(np.column_stack([g.X, g.y])) for g in self.joined]
         whole = blocks[0] if len(blocks) == 1 else np.vstack(blocks)
         columns = whole[:, :-1] if combination is None else whole[:, :-1] @ combination

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -14,22 +13,16 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
 from armrig.estimation.continuous_problem import MAX_RATE, ContinuousProblem
 from armrig.estimation.continuous_starts import continuous_starts, moved_modes
-from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, data_faults
-from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
-from armrig.estimation.fit_warnings import curvature, parameter_warnings, search_warnings
+from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input
 from armrig.estimation.orders import require_samples
-from armrig.estimation.prediction_error import free_response
+from armrig.estimation.prediction_error import Estimated, fit_of_one, nuisance, outputs_of
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.estimation.search import Ends, rounding_floor, same_minimum
-from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import require_integers
-from armrig.numerics.exact_sampling import Hold
-from armrig.numerics.inference import OutputResiduals
-from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, monic, roots
 
@@ -122,16 +115,51 @@ def tf(
             f"zeros={zeros} must be less than poles={poles}: a sampled record does not show a "
             "direct path in continuous time; lower zeros or raise poles"
         )
-    return _estimated(
-        data,
-        "tf",
+    signals = data.signals()
+    if (signals.nu, signals.ny) != (1, 1):
+        raise InputError(
+            f"a transfer function in s needs one input and one output, got {signals.nu} and "
+            f"{signals.ny}; choose them with signals.dataset(output, input)"
+        )
+    data = signals.dataset()
+    if constant_input(data) and (integrator or offset or not data.u.any()):
+        raise InputError(CONSTANT_INPUT)
+    row = Structure(
+        nb=(poles + 1,),
+        nk=(1,),
+        nf=(poles - integrator,),
+        nc=nc,
+        nd=nd,
+        integrator="f" if integrator else "",
+        offset=offset and not integrator,
+    )
+    experiments = tuple((prepared(part.u, part.y, row),) for part in data.experiments())
+    given, longest = _delay(delay, data)
+    problem = ContinuousProblem(
+        sampled_problem=PolynomialProblem(rows=(row,), experiments=experiments),
         poles=poles,
         zeros=zeros,
-        delay=delay,
-        noise=(nc, nd),
-        integrator=integrator,
-        offset=offset,
+        hold=signals.intersample[0],
+        delay=given,
+        longest=longest,
     )
+    text, size = f"poles={poles}, zeros={zeros}", problem.size + zeros + 1
+    needed = size + nuisance(problem.sampled_problem) + 1
+    require_samples(text, needed=needed, got=int(np.isfinite(data.y).sum()))
+    problem, ends = searched(problem)
+    theta = ends[0][1].theta
+    point = problem.at(theta)
+    solution = point.problem.solve(point.theta)
+    if solution.rank < zeros + 1:
+        raise InputError(
+            f"{text}: u determines only {solution.rank} of {zeros + 1} numerator coefficients; "
+            "lower zeros or excite with a richer input"
+        )
+    _require_slow_poles(problem, theta, data.Ts)
+    fit = _fit(data, problem, ends, solution)
+    if given is None and problem.delay is not None:
+        return replace(fit, findings=(*fit.findings, warning("no_delay", _NO_DELAY_TEXT)))
+    return fit
 
 
 _PROCESS = re.compile(r"P(?P<poles>[0-3])(?P<marks>[DZIU]*)")
@@ -199,9 +227,8 @@ def process(
         raise InputError(f"{form!r} needs more poles than zeros: add a time constant or an I")
     if delay is None and "D" in marks:
         delay = "estimate"
-    fit = _estimated(
+    fit = tf(
         data,
-        "process",
         poles=poles,
         zeros=zeros,
         delay=delay,
@@ -209,7 +236,7 @@ def process(
         integrator=integrator,
         offset=offset,
     )
-    fit = replace(fit, specification=form)
+    fit = replace(fit, structure="process", specification=form)
     paired = bool(np.any(np.abs(fit.poles().values.imag) > 0))
     if paired == ("U" in marks):
         return fit
@@ -221,105 +248,21 @@ def process(
     return replace(fit, findings=(*fit.findings, warning("process_kind", said)))
 
 
-def _estimated(
-    data: Dataset | Signals,
-    structure: Literal["tf", "process"],
-    *,
-    poles: int,
-    zeros: int,
-    delay: Delay,
-    noise: tuple[int, int],
-    integrator: bool,
-    offset: bool,
-) -> Fit:
-    """Return the transfer function at the lowest minimum of the prediction error."""
-    signals = data.signals()
-    if (signals.nu, signals.ny) != (1, 1):
+def _delay(delay: Delay, data: Dataset) -> tuple[float | None, float]:
+    """Return the delay in samples, None if it is searched, and the longest delay of a search."""
+    shortest = min(part.N for part in data.experiments())
+    if delay == "estimate":
+        return None, min(_LONGEST_SHARE * shortest, _MAX_LONGEST)
+    try:
+        samples = float(delay or 0.0) / data.Ts
+    except ValueError:
+        raise InputError(f'delay={delay!r} must be a number of seconds or "estimate"') from None
+    if not 0 <= samples < shortest:
         raise InputError(
-            f"a transfer function in s needs one input and one output, got {signals.nu} and "
-            f"{signals.ny}; choose them with signals.dataset(output, input)"
+            f"delay={delay} s must be 0 or more and shorter than the record, "
+            f"{shortest * data.Ts:g} s"
         )
-    hold: Hold = signals.intersample[0]
-    data = signals.dataset()
-    if constant_input(data) and (integrator or offset or not data.u.any()):
-        raise InputError(CONSTANT_INPUT)
-    problem = _problem(
-        data,
-        poles=poles,
-        zeros=zeros,
-        delay=delay,
-        noise=noise,
-        integrator=integrator,
-        offset=offset,
-        hold=hold,
-    )
-    text = f"poles={poles}, zeros={zeros}"
-    nuisance = sum(sum(n.counts) + n.trend for n in problem.sampled_problem.rows) * len(
-        problem.sampled_problem.experiments
-    )
-    size = problem.size + zeros + 1
-    measured = int(np.isfinite(data.y).sum())
-    require_samples(text, needed=size + nuisance + 1, got=measured)
-    searches_delay = problem.delay is None
-    problem, ends = searched(problem)
-    theta = ends[0][1].theta
-    point = problem.at(theta)
-    solution = point.problem.solve(point.theta)
-    if solution.rank < zeros + 1:
-        raise InputError(
-            f"{text}: u determines only {solution.rank} of {zeros + 1} numerator coefficients; "
-            "lower zeros or excite with a richer input"
-        )
-    _require_slow_poles(problem, theta, data.Ts)
-    fit = _fit(data, structure, problem, ends, solution)
-    if searches_delay and problem.delay is not None:
-        return replace(fit, findings=(*fit.findings, warning("no_delay", _NO_DELAY_TEXT)))
-    return fit
-
-
-def _problem(
-    data: Dataset,
-    *,
-    poles: int,
-    zeros: int,
-    delay: Delay,
-    noise: tuple[int, int],
-    integrator: bool,
-    offset: bool,
-    hold: Hold,
-) -> ContinuousProblem:
-    """Return the problem; refuse a delay that the record does not allow."""
-    parts = list(data.experiments())
-    shortest = min(part.N for part in parts)
-    samples, longest = None, min(_LONGEST_SHARE * shortest, _MAX_LONGEST)
-    if delay != "estimate":
-        try:
-            samples = longest = float(delay or 0.0) / data.Ts
-        except ValueError:
-            raise InputError(f'delay={delay!r} must be a number of seconds or "estimate"') from None
-        if not 0 <= samples < shortest:
-            raise InputError(
-                f"delay={delay} s must be 0 or more and shorter than the record, "
-                f"{shortest * data.Ts:g} s"
-            )
-    row = Structure(
-        nb=(poles + 1,),
-        nk=(1,),
-        nf=(poles - integrator,),
-        nc=noise[0],
-        nd=noise[1],
-        integrator="f" if integrator else "",
-        offset=offset and not integrator,
-    )
-    experiments = tuple((prepared(part.u, part.y, row),) for part in parts)
-    return ContinuousProblem(
-        sampled_problem=PolynomialProblem(rows=(row,), experiments=experiments),
-        poles=poles,
-        zeros=zeros,
-        hold=hold,
-        delay=samples,
-        longest=longest,
-    )
+    return samples, samples
 
 
 def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
@@ -423,86 +366,29 @@ def _fast_poles(s: Array, Ts: float) -> tuple[Finding, ...]:
     return (warning("fast_pole", said, rate=fast),)
 
 
-def _fit(
-    data: Dataset, structure: str, problem: ContinuousProblem, ends: Ends, solution: Solution
-) -> Fit:
+def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Solution) -> Fit:
     """Return the model with its covariance, tests and findings."""
-    best = ends[0][1]
-    theta, Ts = best.theta, data.Ts
-    point = problem.at(theta)
-    Psi = np.hstack([solution.by_ab, point.derivatives(solution)])
-    basis = orthonormal(Psi)
-    form, J = _form(problem, theta, solution.linear, Ts)
-    sampled_row = point.problem.rows[0]
-    named = point.problem.named(solution.ab, point.theta)
-    parts = list(data.experiments())
-    shares = np.split(basis.Q, np.cumsum([part.N for part in parts])[:-1])
-    residuals = tuple(
-        OutputResiduals(e=np.where(x.rows, errors.e, np.nan), y=part.y, H=H, Z=given.unknown.span)
-        for part, (x,), (errors,), (given,), H in zip(
-            parts,
-            problem.sampled_problem.experiments,
-            solution.parts,
-            solution.given,
-            shares,
-            strict=True,
-        )
+    point = problem.at(ends[0][1].theta)
+    floor = rounding_floor(point.problem)
+    ends = [(name, replace(o, converged=o.converged or o.cost <= floor)) for name, o in ends]
+    solution = replace(solution, by_theta=point.derivatives(solution))
+    one = Estimated(
+        outputs=(0,), problem=point.problem, solution=solution, theta=point.theta, ends=ends
     )
-    F = named["F"][0]
-    estimate = EstimatedOutput(
-        polynomials={
-            "A": (np.ones(1),),
-            "B": (named["B"][0],),
-            "C": named["C"],
-            "D": named["D"],
-            "F": (np.convolve(F, [1.0, -1.0]) if problem.integrates else F,),
-            "nk": sampled_row.nk,
-            "integrators": problem.integrates,
-        },
-        residuals=residuals,
-        parameters=Psi.shape[1],
-        J=J,
-    )
-    W, floor = basis.W, rounding_floor(problem.sampled_problem)
-    curved = 0.0
-    if best.cost > floor:
-        degrees = problem.N - Psi.shape[1] - sum(past.rank for past in solution.past)
-        variance = float(solution.e @ solution.e) / max(degrees, 1)
-        own = W[problem.zeros + 1 :]
-        curved = curvature(problem, theta, variance * own @ own.T, variance)
-    starts = tuple(
-        Start(name=name, loss=o.cost / problem.N, iterations=o.iterations, converged=o.converged)
-        for name, o in ends
-    )
-    agreed = problem.delay is None or same_minimum(
-        problem.sampled_problem, best.cost, ends[-1][1].cost
-    )
-    fit = fit_of_outputs(
+    form, J = _form(problem, ends[0][1].theta, solution.linear, data.Ts)
+    [estimate], W = outputs_of(data, [one], J)
+    fit = fit_of_one(
         data,
-        [estimate],
+        one,
+        estimate,
         W,
-        structure=structure,
-        score="exogenous" if sampled_row.white else "correlated",
-        rounding=floor,
-        offset=bool(sampled_row.trend),
-        converged=best.converged or best.cost <= floor,
-        starts=starts if len(starts) > 1 else (),
-        agreed=agreed,
-        free=tuple(
-            free_response(sampled_row, named, part, errors)
-            for part, (errors,) in zip(parts, solution.parts, strict=True)
-        ),
-        curvature=curved,
+        problem,
+        structure="tf",
+        score="exogenous" if point.problem.rows[0].white else "correlated",
+        converged=ends[0][1].converged,
     )
-    way_out = "" if sampled_row.trend else "estimate it, too (option offset)"
     fit = replace(fit, form=form, Ts=0.0)
-    findings = (
-        *search_warnings(best, starts, agreed=agreed),
-        *parameter_warnings(W, fit.white, named["C"], curved),
-        *data_faults(data, [r.e for r in residuals], way_out=way_out),
-        *_fast_poles(fit.poles().values, Ts),
-    )
-    return replace(fit, findings=findings)
+    return replace(fit, findings=(*fit.findings, *_fast_poles(fit.poles().values, data.Ts)))
 
 
 def _form(

@@ -260,7 +260,7 @@ def test_a_start_at_rest_reserves_no_samples_for_the_past(gaps: list[int]) -> No
 
     needed = {
         at_rest: [
-            prediction_error._nuisance(problem_of(x, replace(free, at_rest=at_rest)))
+            prediction_error.nuisance(problem_of(x, replace(free, at_rest=at_rest)))
             for x in (data, whole)
         ]
         for at_rest in (True, False)
