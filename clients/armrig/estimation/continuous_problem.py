@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.estimation.problem import PolynomialProblem, Solution
+from armrig.models.structure import Structure
 from armrig.numerics.exact_sampling import Hold, SampledSystem, sampled
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array, monic, roots, stable
@@ -69,15 +70,19 @@ class ContinuousProblem:
         return self.sampled_problem.N
 
     @property
+    def row(self) -> Structure:
+        """Orders of the sampled model."""
+        return self.sampled_problem.rows[0]
+
+    @property
     def noise_size(self) -> int:
         """Number of coefficients of C and D."""
-        n = self.sampled_problem.rows[0]
-        return n.nc + n.nd
+        return self.row.nc + self.row.nd
 
     @property
     def integrates(self) -> bool:
         """True if F has the factor s."""
-        return bool(self.sampled_problem.rows[0].integrator)
+        return bool(self.row.integrator)
 
     @property
     def size(self) -> int:
@@ -98,10 +103,8 @@ class ContinuousProblem:
 
     def reaching(self, delay: float) -> ContinuousProblem:
         """Return the problem with the pulses of an unknown past for this delay, in samples."""
-        row = self.sampled_problem.rows[0]
-        reach = int(delay) + self.poles + 2
-        rows = (replace(row, reach=reach),)
-        return replace(self, sampled_problem=replace(self.sampled_problem, rows=rows))
+        row = replace(self.row, reach=int(delay) + self.poles + 2)
+        return replace(self, sampled_problem=replace(self.sampled_problem, rows=(row,)))
 
     def at(self, theta: Array) -> Point:
         """Return the sampled model at theta, with its derivatives."""
@@ -117,13 +120,10 @@ class ContinuousProblem:
         by_combination[:, :, k : k + n] = exact.B_by_f[:, used, :n]
         if self.delay is None:
             by_combination[:, :, -1] = exact.B_by_delay[:, used]
-        row = replace(
-            self.sampled_problem.rows[0], nk=(exact.nk,), nb=(exact.B.shape[0],), nf=(F.size - 1,)
-        )
+        row = replace(self.row, nk=(exact.nk,), nb=(exact.B.shape[0],), nf=(F.size - 1,))
+        columns = np.array(exact.B[:, used])
         return Point(
-            problem=replace(
-                self.sampled_problem, rows=(row,), combination=np.array(exact.B[:, used])
-            ),
+            problem=replace(self.sampled_problem, rows=(row,), combination=columns),
             theta=np.append(noise, F[1:]),
             by_theta=by_theta,
             by_combination=by_combination,
@@ -150,7 +150,7 @@ class ContinuousProblem:
             return False
         s = roots(monic(f[:-1] if self.integrates else f))
         inside = np.all(s.real < 0) and np.all(np.abs(s) < MAX_RATE) and np.all(s.imag < np.pi)
-        return bool(inside) and stable(monic(noise[: self.sampled_problem.rows[0].nc]))
+        return bool(inside) and stable(monic(noise[: self.row.nc]))
 
     @property
     def circle(self) -> ContinuousProblem:
@@ -170,10 +170,7 @@ def _without_root(exact: SampledSystem) -> tuple[Array, Array]:
 
 
 def continuous_denominator(F: Array) -> Array:
-    """Return f_1 … f_n in s for a sampled F, for a start value: each pole s is ln z.
-
-    A negative real z, which no s gives, becomes a fast real pole.
-    """
+    """Return f_1 … f_n with the poles ln z of a sampled F, and a fast pole for a negative z."""
     z = roots(F).astype(np.complex128)
     z[(z.real <= 0) & (np.abs(z.imag) < _REAL)] = _FAST
     s = np.log(z)

@@ -90,10 +90,10 @@ def _from_sampled(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
     """Yield start values from the start values of the sampled model with free coefficients."""
     free = problem.at(problem.joined(*_any(problem))).problem
     free = replace(free, combination=None)
-    best = min(((name, theta) for name, theta in start_values(free)), key=lambda s: free.cost(s[1]))
+    name, theta = min(start_values(free), key=lambda start: free.cost(start[1]))
     k = problem.noise_size
-    f = continuous_denominator(monic(best[1][k:]))
-    yield f"sampled, {best[0]}", problem.joined(best[1][:k], _with_root(problem, f), 0.0)
+    f = continuous_denominator(monic(theta[k:]))
+    yield f"sampled, {name}", problem.joined(theta[:k], _with_root(problem, f), 0.0)
 
 
 def _any(problem: ContinuousProblem) -> tuple[Array, Array, float]:
@@ -115,12 +115,8 @@ def _by_instruments(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
     n = problem.poles - problem.integrates
     if n == 0:
         return
-    output_error = replace(
-        problem,
-        sampled_problem=replace(
-            problem.sampled_problem, rows=(problem.sampled_problem.rows[0].output_error,)
-        ),
-    )
+    white = replace(problem.sampled_problem, rows=(problem.row.output_error,))
+    output_error = replace(problem, sampled_problem=white)
 
     def cost(f: Array) -> float:
         theta = output_error.joined(np.zeros(0), _with_root(problem, f), 0.0)
@@ -144,13 +140,12 @@ def _by_instruments(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
 def _regressed(problem: ContinuousProblem, f: Array, *, instruments: bool) -> Array:
     """Return f_1 … of the regression with signals filtered by 1/F(s), with stable poles."""
     n, m = f.size, min(problem.zeros, f.size - 1)
-    row = problem.sampled_problem.rows[0]
     hold: Hold = "foh" if problem.integrates else problem.hold
     of_y, of_u = sampled(f, 0.0, "foh"), sampled(f, problem.delay or 0.0, hold)
     blocks, tools = [], []
     for (x,) in problem.sampled_problem.experiments:
         y, u = _derivatives(x.y, of_y), _derivatives(x.u[:, 0], of_u)
-        driven = np.column_stack([u[:, : m + 1], trend(row, x.y.size)])
+        driven = np.column_stack([u[:, : m + 1], trend(problem.row, x.y.size)])
         top = x.y - y[:, ::-1] @ f  # s^n/F y
         blocks.append(np.column_stack([-y[:, ::-1], driven, top])[x.known])
         if instruments:
@@ -166,11 +161,7 @@ def _regressed(problem: ContinuousProblem, f: Array, *, instruments: bool) -> Ar
 
 
 def moved_modes(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
-    """Yield theta with one mode of F at another rate or damping.
-
-    A real pole is replaced by another real pole. A pair, or two real poles, are replaced by another
-    pair or by two other real poles.
-    """
+    """Yield theta with a real pole moved, or two poles replaced by a pair or two real poles."""
     noise, f, delay = problem.parts_of(theta)
     s = roots(monic(f[:-1] if problem.integrates else f)).astype(np.complex128)
     rates = np.geomspace(max(2.0 / problem.N, 1e-4), _FASTEST_MODE, _RATES)

@@ -394,15 +394,10 @@ def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Soluti
 def _form(
     problem: ContinuousProblem, theta: Array, linear: Array, Ts: float
 ) -> tuple[TransferFunction, Array]:
-    """Return the transfer function, and the derivatives of its parameters.
-
-    The derivatives are those by the numerator in 1/sample, lowest power first, and by theta.
-    """
+    """Return the transfer function, and its derivatives by `linear` and theta in 1/sample."""
     noise, f, delay = problem.parts_of(theta)
-    n, m, k = problem.poles, problem.zeros, problem.noise_size
-    nc = problem.sampled_problem.rows[0].nc
-    of_b = Ts ** (np.arange(m + 1.0) - n)
-    of_f = Ts ** -np.arange(1.0, n + 1)
+    n, m, k, nc = problem.poles, problem.zeros, problem.noise_size, problem.row.nc
+    of_b, of_f = Ts ** (np.arange(m + 1.0) - n), Ts ** -np.arange(1.0, n + 1)
     form = TransferFunction(
         B=(((linear * of_b)[::-1],),),
         F=((monic(f * of_f),),),
@@ -414,12 +409,7 @@ def _form(
         Ts=Ts,
         hold=problem.hold,
     )
-    free = n - problem.integrates
-    J = np.zeros((form.theta.size, m + 1 + theta.size))
-    J[: m + 1, : m + 1] = np.diag(of_b)[::-1]
-    J[m + 1 : m + 1 + k, m + 1 : m + 1 + k] = np.eye(k)
-    at = slice(m + 1 + k, m + 1 + k + free)
-    J[at, at] = np.diag(of_f[:free])
-    if problem.delay is None:
-        J[-1, -1] = Ts
-    return form, J
+    used = of_f[: n - problem.integrates]
+    J = np.diag(np.concatenate([of_b, np.ones(k), used, [Ts] * form.delay_estimated]))
+    J[: m + 1] = J[m::-1]  # the highest power comes first
+    return form, np.insert(J, m + 1 + k + n - 1, 0.0, axis=0) if problem.integrates else J

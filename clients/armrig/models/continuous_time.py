@@ -54,8 +54,10 @@ def continuous(fit: Fit) -> Fit:
             f"{fit.label} has {b.size} numerator coefficients from lag {nk} and {n} poles; a held "
             f"input gives at most {n}, from lag 1 on. Estimate with nk=1 and nb={n}, or in s"
         )
-    s = np.log(_with_exact_root(fit, roots(F).astype(np.complex128)))
-    scaled = np.real(np.poly(s))  # s in 1/sample
+    z = roots(F).astype(np.complex128)
+    if fit.integrator:
+        z[np.argmin(np.abs(z - 1))] = 1.0
+    scaled = np.real(np.poly(np.log(z)))  # s in 1/sample
     if fit.integrator:
         scaled[n] = 0.0
     powers = fit.Ts ** np.arange(n + 1.0)
@@ -87,10 +89,7 @@ def continuous(fit: Fit) -> Fit:
 
 
 def _derivatives(fit: Fit, driven: TransferFunction, form: TransferFunction) -> Matrix:
-    """Return the derivatives of the parameters in s by those of the sampled model.
-
-    `driven` is the response to u alone, whose exact sampling is inverted.
-    """
+    """Return the derivatives in s by the sampled model, from `driven`, the response to u alone."""
     n = driven.F[0][0].size - 1
     sampled, forward = driven.sampled(fit.Ts)
     rows = np.r_[sampled.slice_of("b", 0, 0), sampled.slice_of("f", 0, 0)]
@@ -119,12 +118,6 @@ def _products(p: Vector, count: int, size: int) -> Matrix:
     for k in range(count):
         found[k : k + p.size, k] = p
     return found
-
-
-def _with_exact_root(fit: Fit, z: Complex) -> Complex:
-    if fit.integrator:
-        z[np.argmin(np.abs(z - 1))] = 1.0
-    return z
 
 
 def _require_logarithms(fit: Fit, z: Complex) -> None:

@@ -145,16 +145,13 @@ class TransferFunction:
         own = {letter: self.slice_of(letter) for letter in ("b", "c", "d", "f", "delay")}
         to = {letter: form.slice_of(letter, 0, 0) for letter in "bcdf"}
         J[to["b"], own["b"]] = M
-        at = b * scale
-        J[to["b"], own["f"]] = (
-            np.einsum("lpk,p->lk", exact.B_by_f[:, b.size - 1 :: -1], at) * powers
-        )
+        at, used = b * scale, slice(b.size - 1, None, -1)
+        J[to["b"], own["f"]] = np.einsum("lpk,p->lk", exact.B_by_f[:, used], at) * powers
         J[to["f"], own["f"]] = exact.F_by_f[1:] * powers
         if self.integrators[0]:  # f_n is fixed
             J[:, own["f"].stop - 1] = 0.0
         if self.delay_estimated:
-            by_delay = exact.B_by_delay[:, b.size - 1 :: -1] @ at / Ts
-            J[to["b"], own["delay"]] = by_delay[:, None]
+            J[to["b"], own["delay"]] = (exact.B_by_delay[:, used] @ at / Ts)[:, None]
         if same:
             for letter in "cd":
                 J[to[letter], own[letter]] = np.eye(to[letter].stop - to[letter].start)

@@ -100,12 +100,9 @@ def sampled(f: Array, delay: float, hold: Hold = "zoh", *, fraction: bool = Fals
 
 
 def _exponential(A: Array, n: int, time: float = 1.0) -> tuple[Array, Array]:
-    """Return expm(A), and its derivatives (n, …) by f_1 … f_n, which A contains times `time`.
-
-    The Taylor polynomial of the scaled A is squared. The derivative in the direction E follows the
-    same steps: d(A T) = E T + A dT and d(X X) = X dX + dX X. The expm_frechet of scipy returns the
-    same, but its linear solver starts threads, which take ten times longer on a busy machine.
-    """
+    """Return expm(A), and its derivatives (n, …) by f_1 … f_n, which A contains times `time`."""
+    # The derivative in the direction E follows the scaled and squared Taylor polynomial. The linear
+    # solver of scipy's expm_frechet starts threads, which take ten times longer on a busy machine.
     norm = float(np.max(np.sum(np.abs(A), axis=0)))
     squarings = max(int(np.ceil(np.log2(max(norm, 1e-300) / _TAYLOR_NORM))), 0)
     A, size = A / 2.0**squarings, A.shape[0]
@@ -132,12 +129,9 @@ def _weights(
     fraction: bool,
     hold: Hold,
 ) -> tuple[Array, Array, Array]:
-    """Return G (L, n), from the latest sample of u on, and its derivatives by f and by the delay.
-
-    A held input acts on x(k+1) by Gamma(1 - rest) u(k) + (Gamma(1) - Gamma(1 - rest)) u(k - 1). The
-    weights of a straight line follow from the response R to a ramp, and from the sum of the
-    weights, which is Gamma(1).
-    """
+    """Return G (L, n), from the latest sample of u on, and its derivatives by f and the delay."""
+    # A held input acts on x(k+1) by Gamma(1 - rest) u(k) + (Gamma(1) - Gamma(1 - rest)) u(k - 1).
+    # The weights of a straight line follow from the response R to a ramp and the sum Gamma(1).
     Gamma = [np.concatenate([x[0][None, :n, n], x[1][:, :n, n]]) for x in (one, part)]
     of_b = part[0][:n, n - 1]  # Phi(1 - rest) b is the derivative of Gamma
     none = np.zeros(n)
