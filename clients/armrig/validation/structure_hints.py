@@ -26,7 +26,7 @@ from armrig.models.spectral_estimate import (
     low_slope,
     phase_delay,
 )
-from armrig.numerics.quantities import minus, plural, times
+from armrig.numerics.quantities import listed, minus, plural, times
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -42,6 +42,9 @@ SURE = 3.0  # standard deviations by which |G| at an extreme must differ from |G
 DRAWS = 200  # random draws of the error of the impulse response
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
+_ROUNDING = 1e-9  # 1/sample; a slower pole counts as a pole at 1
+FLAT_SLOPE = 5.0  # largest slope of a gain that counts as constant, in dB a decade
+_ORDINALS = {1: "first", 2: "second", 3: "third"}
 AGREED_PEAK = 0.12  # largest relative difference from an extreme of the first structure
 
 
@@ -62,6 +65,9 @@ class StructureHints:
     low_slope_std: float
     """Standard deviation of `low_slope`, from the scatter of the points about the fitted line. The
     points are correlated by smoothing, so the true standard deviation is larger."""
+    flat: bool
+    """True if the gain of the first structure is constant below its slowest pole. If y integrates,
+    the gain is that of the rate of y."""
     low_band: Vector
     """Frequencies at which `low_slope` was estimated, in rad/s."""
     high_slope: float | None
@@ -119,6 +125,15 @@ class StructureHints:
         """Number of samples before u affects y in the first structure."""
         return self.structures[0].nk
 
+    @property
+    def process(self) -> str:
+        """Form of `process` with the poles of the first structure, or "" if a zero is needed."""
+        n, needs_zero = self.nf - self.integrator, self.antiresonances or not self.flat
+        if n not in _ORDINALS or needs_zero or (n == 1 and self.resonances):
+            return ""
+        letters = {"D": self.nk > 1, "I": self.integrator, "U": bool(self.resonances)}
+        return f"P{n}{''.join(letter for letter, has in letters.items() if has)}"
+
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of |G| with slopes and extremes: see `armrig.plots.plot_structure`."""
         from armrig.plots.layout import figure_of
@@ -136,6 +151,8 @@ class StructureHints:
         """Texts of the findings, and the further structures."""
         others = ", ".join(_named(s) for s in self.structures[1:])
         more = [f"try also: {others}"] if others else []
+        if self.process:
+            more.append(f"in s: {_process_told(self.process)}")
         return (*(f"{f.about}: {f.text}" for f in self.findings), *more)
 
     def explain(self) -> str:
@@ -244,6 +261,7 @@ def structure_hints(
         integrator_shown=best.shown,
         low_slope=_agreed(slope - 20, best, low, data.Ts),
         low_slope_std=slope_std,
+        flat=_is_flat(best, data.Ts),
         low_band=low,
         high_slope=_agreed(fall, best, high, data.Ts),
         high_band=high,
@@ -276,6 +294,17 @@ def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> flo
     """Return `slope` if the slope of the first structure at `omega` is nearly equal, else None."""
     other, _ = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
+
+
+def _is_flat(best: Recommendation, Ts: float) -> bool:
+    """Return whether the gain of the first structure is constant a decade below its poles."""
+    integrator = best.structures[0].integrator
+    with np.errstate(divide="ignore"):
+        rates = np.sort(np.abs(np.log(np.roots(best.F).astype(np.complex128))))[int(integrator) :]
+    if not rates.size or rates[0] < _ROUNDING:  # a pole at 1 that may be a slow one
+        return not rates.size
+    omega = rates[0] / Ts * np.geomspace(0.03, 0.1, 5)
+    return abs(log_slope(omega, np.abs(best.G(omega, Ts)))[0] + 20 * integrator) < FLAT_SLOPE
 
 
 def _confirmed(
@@ -355,6 +384,14 @@ def _extremes_told(h: StructureHints) -> str:
         several, each = ("s", " each") if len(x) > 1 else ("", "")
         told.append(f"{name}{several} at {at} rad/s (two {wants}{each})" if x else f"no {name}")
     return ", ".join(told)
+
+
+def _process_told(form: str) -> str:
+    """Return the name of a process model and the call that estimates it."""
+    parts = {"D": "dead time", "I": "an integrator", "U": "a resonance"}
+    has = [name for letter, name in parts.items() if letter in form]
+    more = f" with {listed(has)}" if has else ""
+    return f'a {_ORDINALS[int(form[1])]}-order process{more}: process(data, "{form}")'
 
 
 def _named(s: Recommended) -> str:

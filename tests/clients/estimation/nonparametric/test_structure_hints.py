@@ -38,6 +38,25 @@ def test_hints_on_the_arm_are_its_four_poles_and_its_notch(arm: Any, output: str
     assert any(14 < w < 17.5 for w in found.antiresonances)
     assert "oe(data, nb=4, nf=4, nk=1, integrator=True)" in repr(found)
     assert found.explain().startswith("- integrator: ")
+    assert found.process == ""  # which has no notch
+
+
+@pytest.mark.parametrize(
+    ("F", "form", "name"),
+    [
+        ([1, -0.9], "P1D", "a first-order process with dead time"),
+        ([1, -1.77, 0.8281], "P2DU", "a second-order process with dead time and a resonance"),
+    ],
+)
+def test_hints_name_the_process_model_of_a_plant(F: list[float], form: str, name: str) -> None:
+    u = telegraph(1500, 0.1, seed=1)
+    e = np.random.default_rng(1).standard_normal(1500)
+    y = filtered([*np.zeros(6), sum(F) / 2, sum(F) / 2], F, u) + 0.02 * e
+
+    found = structure_hints(Dataset(u=u, y=y, Ts=1.0), integrator=False)
+
+    assert found.process == form
+    assert found.reasons[-1] == f'in s: {name}: process(data, "{form}")'
 
 
 @pytest.mark.exhaustive
