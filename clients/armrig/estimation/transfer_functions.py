@@ -363,7 +363,7 @@ def _fast_poles(s: Array, Ts: float) -> tuple[Finding, ...]:
         f"a pole at {fast:.3g} rad/s is above the Nyquist frequency, {np.pi / Ts:.3g} rad/s: the "
         "data hardly determine it; sample faster or lower poles"
     )
-    return (warning("fast_pole", said, rate=fast),)
+    return (warning("fast_pole", said, "order", rate=fast),)
 
 
 def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Solution) -> Fit:
