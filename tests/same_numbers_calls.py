@@ -59,6 +59,9 @@ NOT_CALLED = {
 PROJECTION = ("order", "horizon", "suggested_order", "singular_values", "canonical_correlations")
 """Members of a `Fit` that only n4sid fills."""
 NO_MEMBERS = {
+    "Fit.quantities": "stand in the calls of tf and process",
+    "Fit.to_continuous": "test_continuous_time compares it with tf",
+    "Fit.to_discrete": "test_continuous_time compares it with tf",
     "*.plot": "plots draws it",
     "*.save": "load_fit reads it again",
     "*.to_pandas": "export has the columns",
@@ -669,6 +672,19 @@ def armax() -> Variants:
     yield "offset", armrig.armax(integrating(), na=2, nb=2, nc=1, integrator=True, offset=True)
     yield "zero", armrig.armax(data()["mean"], na=2, nb=3, nc=1, nk=0, initial="zero")
     yield "unlike", armrig.armax(unlike(), na=2, nb=2, nc=1, nk=3)
+
+
+@variants
+def tf() -> Variants:
+    fit = armrig.tf(holed(arm_data(3), 300), poles=4, zeros=2, integrator=True)
+    yield "holes", (fit.theta, fit.std_robust, fit.quantities())
+
+
+@variants
+def process() -> Variants:
+    system = of_a_system([0] * 5 + [0.5, 0.3], [1, -0.8], N=400, Ts=0.2)
+    fit = armrig.process(system, "P1D")
+    yield "dead time", (fit.theta, fit.std_robust, fit.quantities())
 
 
 @variants
