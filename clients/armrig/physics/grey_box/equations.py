@@ -60,7 +60,7 @@ class Ode:
     ----------
     f : callable
         Function (t, x, u, p) that returns the derivative of each state. x[i] and u[j] are arrays of
-        one shape, because many trajectories are integrated at once: use numpy's functions, and
+        one shape, because many trajectories are integrated at once. Use numpy's functions, and
         `numpy.where` in place of `if`. p has an attribute for each parameter.
     output : callable
         Function (t, x, u, p) that returns the measured output, or a list of outputs.
