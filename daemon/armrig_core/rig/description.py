@@ -1,0 +1,316 @@
+"""The description of a rig in a TOML file: its input, its outputs and, if known, its model."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from math import inf, isfinite
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from armrig_core.errors import FileError, InputError
+from armrig_core.process.bounded import read_bounded
+from armrig_core.process.printable import printable
+from armrig_core.process.toml_file import convert, toml_tables
+
+LIMIT_BYTES = 1 << 16
+"""Largest size of a description, in B."""
+MAX_OUTPUTS = 2
+"""Largest number of outputs: the device's channels."""
+IMAGES = ("uno",)
+"""Firmware images by name."""
+COUNTS = 65536
+"""Full scale of a reading, in counts."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+_RESERVED = {"k", "t", "u", "flags", "valid", "outputs", "signals"}
+_MAX_TEXT = 80
+_MAX_STATES = 40
+_MAX_DELAY_S = 3600.0
+_ROUNDING = 1e-9  # of the real part of a pole at 0, in 1/s
+_TABLES = ("rig", "input", "outputs", "model")
+Matrix = list[list[float]]
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+def _check_name(key: str, name: str) -> None:
+    if not _NAME.fullmatch(name) or (name in _RESERVED and (key, name) != ("input name", "u")):
+        raise InputError(
+            f"{key} = '{printable(name[:_MAX_TEXT])}': a name has 1 to 32 letters a-z, A-Z, digits "
+            f"and _, begins with a letter, and is none of {', '.join(sorted(_RESERVED))}"
+        )
+
+
+def _check_text(key: str, text: str) -> None:
+    if not text.isprintable() or len(text) > _MAX_TEXT:
+        raise InputError(
+            f"{key} = '{printable(text[:_MAX_TEXT])}': at most {_MAX_TEXT} printable characters"
+        )
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of the file."""
+
+
+class RigTable(_Table, frozen=True, kw_only=True):
+    """`[rig]`: the names of the rig, and its firmware."""
+
+    name: str
+    """Name of the rig, of letters, digits and _."""
+    title: str = ""
+    """Name of the rig for people, on one line."""
+    image: str = "uno"
+    """Firmware image of the device."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that cannot be printed or used in a file's name."""
+        _check_name("name", self.name)
+        _check_text("title", self.title)
+        if self.image not in IMAGES:
+            raise InputError(f"image = {self.image!r}: allowed are {', '.join(IMAGES)}")
+
+
+class Input(_Table, frozen=True, kw_only=True):
+    """`[input]`: the input as people call it; commands and files have it in V."""
+
+    name: str = "u"
+    unit: str = "V"
+    per_volt: float = 1.0
+    """Value of the input at 1 V, in its unit."""
+
+    def __post_init__(self) -> None:
+        """Refuse a name or a unit that cannot be printed, and a factor of 0."""
+        _check_name("input name", self.name)
+        _check_text("unit", self.unit)
+        if not (isfinite(self.per_volt) and self.per_volt):
+            raise InputError(f"per_volt = {self.per_volt!r} must be finite and not 0")
+
+
+class Output(_Table, frozen=True, kw_only=True):
+    """`[outputs.NAME]`: an output of the rig, in the order of the device's channels."""
+
+    unit: str
+    zero_counts: float = 0.0
+    """Reading at the value 0, in counts; full scale is 65536 counts."""
+    per_count: float
+    """Change of the value by one count, in the unit; negative if the value falls with counts."""
+    turning: bool = False
+    """True if the shaft turns through a dead band, so that its turns are counted."""
+    rate: str = ""
+    """Name of the output's rate if the rate is an output, too; otherwise empty."""
+    low: float = -inf
+    """Lowest value of a run, in the unit."""
+    high: float = inf
+    """Highest value of a run, in the unit."""
+    samples: Annotated[int, Meta(ge=1, le=1000)] = 2
+    """Number of consecutive samples outside the limits that stop a run."""
+    blind_s: Annotated[float, Meta(gt=0, le=3600)] | None = None
+    """Time without a valid sample that stops a run, in s; without this key there is no limit."""
+
+    def __post_init__(self) -> None:
+        """Refuse a conversion or a limit that no reading can have."""
+        _check_text("unit", self.unit)
+        if not (isfinite(self.per_count) and self.per_count):
+            raise InputError(f"per_count = {self.per_count!r} must be finite and not 0")
+        if not abs(self.zero_counts) <= 100 * COUNTS:
+            raise InputError(f"zero_counts = {self.zero_counts!r} must be within ±{100 * COUNTS}")
+        if self.rate:
+            _check_name("rate", self.rate)
+        if not self.low < self.high:  # NaN fails this, too
+            raise InputError(f"low = {self.low!r} must be below high = {self.high!r}")
+        ends = sorted((self.value(0), self.value(COUNTS - 1)))
+        if self.low > ends[1] or self.high < ends[0]:
+            raise InputError(
+                f"low = {self.low:g}, high = {self.high:g}: every reading breaks a limit; the "
+                f"converter reads {ends[0]:.4g} to {ends[1]:.4g}"
+            )
+
+    @property
+    def limited(self) -> bool:
+        """True if a value or the time without a value can stop a run."""
+        return isfinite(self.low) or isfinite(self.high) or self.blind_s is not None
+
+    def value(self, counts: float) -> float:
+        """Return the value of a reading in counts, in the output's unit."""
+        return (counts - self.zero_counts) * self.per_count
+
+
+class Model(_Table, frozen=True, kw_only=True):
+    """`[model]`: what the emulator and the rehearsal simulate, by matrices, by file or by kind.
+
+    x' = A x + B u(t - delay_s), y = C x + offset, with u in V and y in the units of the outputs.
+    """
+
+    A: Matrix = []
+    B: Matrix = []
+    C: Matrix = []
+    offset: list[float] = []
+    """Values of the outputs at rest; default: 0."""
+    noise: list[float] = []
+    """Standard deviations of the outputs' noise; default: 0."""
+    delay_s: Annotated[float, Meta(ge=0, le=_MAX_DELAY_S)] = 0.0
+    """Dead time of the input, in s."""
+    unstable: bool = False
+    """True to allow a pole in the right half-plane."""
+    file: str = ""
+    """Model that `armrig identify --save` wrote; relative to the description."""
+    kind: Literal["", "arm", "chassis"] = ""
+
+    def __post_init__(self) -> None:
+        """Refuse no way or two ways of giving the model, and matrices that do not fit."""
+        given = [key for key in ("A", "file", "kind") if getattr(self, key)]
+        if len(given) != 1:
+            came = " and ".join(given) or "none"
+            raise InputError(f"{came} is given: give A, B and C, or file, or kind")
+        if self.A:
+            self._check_matrices()
+
+    def _check_matrices(self) -> None:
+        n = len(self.A)
+        if n > _MAX_STATES:
+            raise InputError(f"A has {n} rows; at most {_MAX_STATES} are allowed")
+        for name, rows, wide in (("A", n, n), ("B", n, 1), ("C", len(self.C), n)):
+            matrix: Matrix = getattr(self, name)
+            if len(matrix) != rows or not rows or any(len(row) != wide for row in matrix):
+                shape = f"{len(matrix)} rows of {sorted({len(row) for row in matrix})}"
+                raise InputError(f"{name} has {shape} numbers; with A it must be {rows} by {wide}")
+        for name in ("A", "B", "C"):
+            if not all(isfinite(x) for row in getattr(self, name) for x in row):
+                raise InputError(f"{name} has a number that is not finite")
+        if not self.unstable and (pole := _rightmost(self.A)) > _ROUNDING:
+            raise InputError(
+                f"A has a pole with real part {pole:.3g} 1/s: the rig is unstable; correct A, or "
+                "set unstable = true"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Description:
+    """A rig, as its file describes it."""
+
+    rig: RigTable
+    input: Input
+    outputs: dict[str, Output]
+    """Outputs by name, in the order of the device's channels."""
+    model: Model | None
+    """Model of the emulator and the rehearsal; None if none is given."""
+    text: bytes
+    """Contents of the file, as attached to recordings."""
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the file."""
+        return hashlib.sha256(self.text).hexdigest()
+
+    @classmethod
+    def of(cls, text: bytes) -> Self:
+        """Return the description in the contents of a file.
+
+        Raises
+        ------
+        FileError
+            The text is longer than `LIMIT_BYTES`, or is no TOML in UTF-8.
+        InputError
+            A key or a value is not allowed.
+        """
+        if len(text) > LIMIT_BYTES:
+            raise FileError(f"{len(text)} B: a description has at most {LIMIT_BYTES} B")
+        try:
+            tables = toml_tables(text.decode())
+        except UnicodeDecodeError as err:
+            raise FileError(
+                f"no text in UTF-8: byte {err.start} is {text[err.start]:#04x}"
+            ) from err
+        unknown = next((key for key in tables if key not in _TABLES), "")
+        if unknown or not tables.keys() >= {"rig", "outputs"}:
+            came = (
+                f"[{printable(unknown)}]: no such table"
+                if unknown
+                else "[rig] or [outputs] is missing"
+            )
+            raise InputError(f"{came}; allowed are {', '.join(f'[{key}]' for key in _TABLES)}")
+        outputs = {
+            name: _table(f"outputs.{name}", table, Output)
+            for name, table in _checked(tables["outputs"]).items()
+        }
+        given = tables.get("model")
+        described = cls(
+            rig=_table("rig", tables["rig"], RigTable),
+            input=_table("input", tables.get("input", {}), Input),
+            outputs=outputs,
+            model=None if given is None else _table("model", given, Model),
+            text=text,
+        )
+        described._check_signals()
+        return described
+
+    def _check_signals(self) -> None:
+        """Refuse a name that stands twice, and a model of other outputs."""
+        rates = (output.rate for output in self.outputs.values() if output.rate)
+        names = [self.input.name, *self.outputs, *rates]
+        if twice := next((name for name in names if names.count(name) > 1), ""):
+            raise InputError(f"{twice}: names two signals; give each signal a name of its own")
+        if self.model is not None and self.model.A:
+            _check_outputs(self.model, self.outputs)
+
+
+def read_description(path: Path) -> Description:
+    """Return the rig that the file at `path` describes; raise FileError, which names the file."""
+    try:
+        return Description.of(read_bounded(path, LIMIT_BYTES))
+    except OSError as err:
+        raise FileError(f"{path}: {err.strerror}") from err
+    except InputError as err:
+        raise FileError(f"{path}: {err}") from err
+
+
+def _checked(outputs: object) -> dict[str, object]:
+    """Return the tables of the outputs; refuse too many outputs, and names that cannot be used."""
+    if not isinstance(outputs, dict) or not 1 <= len(outputs) <= MAX_OUTPUTS:
+        raise InputError(f"[outputs.NAME]: 1 to {MAX_OUTPUTS} tables are allowed, one each output")
+    for name in outputs:
+        _check_name("outputs", name)
+    return outputs
+
+
+def _table(key: str, table: object, kind: type[T]) -> T:
+    """Return a table of the file as a value; the message of an InputError begins with the key."""
+    if not isinstance(table, dict):
+        raise InputError(f"{key}: must be a table, [{key}]")
+    try:
+        return convert(table, kind)
+    except InputError as err:
+        raise InputError(f"{key}: {err}") from err
+
+
+def _check_outputs(model: Model, outputs: dict[str, Output]) -> None:
+    """Refuse a model of another number of outputs, and a limit that the rig breaks at rest."""
+    for name in ("C", "offset", "noise"):
+        numbers: list[object] = getattr(model, name)
+        if numbers and len(numbers) != len(outputs):
+            raise InputError(
+                f"model.{name} has {len(numbers)} rows; the rig has {len(outputs)} outputs"
+            )
+    if (
+        not all(isfinite(x) for x in (*model.offset, *model.noise))
+        or min(model.noise, default=0) < 0
+    ):
+        raise InputError("model.offset and model.noise must be finite, and noise not below 0")
+    rest = model.offset or [0.0] * len(outputs)
+    for (name, output), y in zip(outputs.items(), rest, strict=True):
+        if not output.low <= y <= output.high:
+            raise InputError(
+                f"outputs.{name}: the rig reads {y:g} {output.unit} at rest, outside "
+                f"{output.low:g} to {output.high:g}; correct the limits, or model.offset"
+            )
+
+
+def _rightmost(A: Matrix) -> float:
+    """Return the largest real part of the eigenvalues of A."""
+    # Imported here: a description without matrices is read without numpy.
+    import numpy as np
+
+    return float(np.linalg.eigvals(np.array(A)).real.max())
