@@ -1,4 +1,4 @@
-"""The wheel contains the firmware's image and the glossary, and nothing of the GPL harness."""
+"""The wheel contains image, descriptions of rigs and glossary, and nothing of the GPL harness."""
 
 from __future__ import annotations
 
@@ -39,6 +39,12 @@ def wheel(unpacked: Path) -> dict[str, bytes]:
 
 def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
     assert wheel[IMAGE] == shipped_image().read_bytes()
+
+
+def test_the_descriptions_of_rigs_are_in_the_wheel(wheel: dict[str, bytes]) -> None:
+    shipped = {name for name in wheel if name.startswith("armrig_core/rigs/")}
+
+    assert shipped == {f"armrig_core/rigs/{rig}.toml" for rig in ("arm", "chassis", "heater", "rc")}
 
 
 @pytest.mark.usefixtures("wheel")

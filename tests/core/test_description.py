@@ -1,0 +1,127 @@
+"""A description of a rig is read, or refused in a sentence with what is allowed."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from math import inf
+from pathlib import Path
+
+import pytest
+from armrig_core.errors import FileError, InputError
+from armrig_core.rig import description
+from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.description import Description, read_description
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+RIGS = Path(description.__file__).parents[1] / "rigs"
+HEATER = (RIGS / "heater.toml").read_text()
+OUTPUTS = {
+    "arm": {"theta_1": "rad", "alpha": "rad"},
+    "chassis": {"theta_1": "rad"},
+    "heater": {"T1": "degC", "T2": "degC"},
+    "rc": {"y": "V"},
+}
+
+
+def test_each_shipped_description_is_read() -> None:
+    read = {path.stem: read_description(path) for path in RIGS.glob("*.toml")}
+
+    units = {name: {o: y.unit for o, y in d.outputs.items()} for name, d in read.items()}
+    assert units == OUTPUTS
+    assert all(d.rig.name == name and d.model for name, d in read.items())
+    assert [d.rig.name for d in read.values() if any(y.limited for y in d.outputs.values())] == [
+        "heater"
+    ]
+
+
+def test_the_arm_has_the_default_calibration() -> None:
+    theta_1, alpha = read_description(RIGS / "arm.toml").outputs.values()
+    default = Calibration()
+
+    for output, meter in ((theta_1, default.theta_1), (alpha, default.alpha)):
+        assert (output.zero_counts, output.per_count) == (meter.zero_counts, meter.rad_per_count)
+        assert output.turning is meter.wraps
+
+
+def test_a_reading_in_counts_has_a_value() -> None:
+    T1 = Description.of(HEATER.encode()).outputs["T1"]
+
+    assert (T1.low, T1.high, T1.samples, T1.blind_s) == (-inf, 70.0, 2, 0.5)
+    assert T1.value(6553.6) == 0
+    assert T1.value(16384) == pytest.approx(74.71, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        ("[input]", "[inputs]", "[inputs]: no such table; allowed are [rig], [input], [outputs]"),
+        ('[rig]\nname = "heater"\n', "[input]\n", "not a TOML file: Cannot declare ('input',)"),
+        ("title =", "label =", "rig: label = 'Heater with two thermometers': no such key; allowed"),
+        ('"heater"', '"the heater"', "name = 'the heater': a name has 1 to 32 letters a-z, A-Z"),
+        ("Heater with", "\\u001b[2J", "title = '\\x1b[2J two thermometers': at most 80 printable"),
+        ("[input]", '[rig.x]\n[input]', "rig: x = {}: no such key; allowed are name, title, image"),
+        ("title", 'image = "mega"\ntitle', "image = 'mega': allowed are uno"),
+        ("per_volt = 20.0", "per_volt = 0", "input: per_volt = 0.0 must be finite and not 0"),
+        ("outputs.T2", "outputs.T1", "not a TOML file: Cannot declare ('outputs', 'T1') twice"),
+        ("outputs.T2", "outputs.power", "power: names two signals; give each signal a name of its"),
+        ("outputs.T2", "outputs.k", "outputs = 'k': a name has 1 to 32 letters"),
+        ("[model]", '[outputs.T3]\nunit = "K"\nper_count = 1.0\n[model]', "1 to 2 tables are"),
+        ("blind_s", 'rate = "T2"\nblind_s', "T2: names two signals"),
+        ('"degC"', '"\\u0007"', "outputs.T1: unit = '\\x07': at most 80 printable characters"),
+        ("per_count = 0.0076", "per_count = nan", "outputs.T1: per_count = nan must be finite"),
+        ("zero_counts = 6553.6", "zero_counts = 1e9", "zero_counts = 1000000000.0 must be within"),
+        ("high = 70.0", "high = 70.0\nlow = 71.0", "low = 71.0 must be below high = 70.0"),
+        ("high = 70.0", "high = nan", "low = -inf must be below high = nan"),
+        ("high = 70.0", "low = 900.0", "low = 900, high = inf: every reading breaks a limit"),
+        ("high = 70.0", "high = 20.0", "outputs.T1: the rig reads 23 degC at rest, outside -inf"),
+        ("blind_s = 0.5", "blind_s = 0", "outputs.T1: blind_s = 0: expected `float` > 0"),
+        ("blind_s = 0.5", "samples = 0", "outputs.T1: samples = 0: expected `int` >= 1"),
+        ("A = [[-0.0058, 0.0011], ", "A = [[-0.0058], ", "A has 2 rows of [1, 2] numbers; with A"),
+        ("B = [[0.010], [0.0]]", "B = [[0.010]]", "B has 1 rows of [1] numbers; with A it must be"),
+        ("C = [[1.0, 0.0], [0.0, 1.0]]", "C = [[1.0, 0.0]]", "model.C has 1 rows; the rig has 2"),
+        ("B = [[0.010]", "B = [[inf]", "model: B has a number that is not finite"),
+        ("A = [[-0.0058", "A = [[+0.0058", "the rig is unstable; correct A, or set unstable"),
+        ("offset = [23.0", "offset = [nan", "model.offset and model.noise must be finite"),
+        ("noise = [0.05", "noise = [-0.05", "and noise not below 0"),
+        ("delay_s = 15.0", "delay_s = -1", "model: delay_s = -1: expected `float` >= 0"),
+        ("delay_s = 15.0", 'kind = "arm"', "A and kind is given: give A, B and C, or file"),
+        ("delay_s = 15.0", "#" * 65536, "more than the 65536 B allowed"),
+    ],
+)  # fmt: skip
+def test_a_bad_description_is_refused_with_what_is_allowed(
+    old: str, new: str, error: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(HEATER.replace(old, new, 1))
+
+    with pytest.raises(FileError, match=rf"^{re.escape(str(path))}: .*{re.escape(error)}"):
+        read_description(path)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"rig\.toml: No such file"):
+        read_description(tmp_path / "rig.toml")
+
+
+WORDS = re.findall(r"\[\[?|\]|[\w.-]+|\n|=|\"|,", HEATER)
+PIECES = [*WORDS, "nan", "-inf", "1e999", "{", "}", "true", "'''", "\\", "\x1b", "é", "#", "__"]
+
+
+@given(
+    st.lists(st.integers(0, len(WORDS) - 1), min_size=1, max_size=6),
+    st.lists(st.sampled_from(PIECES) | st.text(max_size=8), min_size=1, max_size=6),
+    st.binary(max_size=4),
+)
+@settings(max_examples=500, deadline=None)
+def test_a_hostile_description_raises_one_of_two_errors(
+    places: list[int], pieces: list[str], noise: bytes
+) -> None:
+    words = list(WORDS)
+    for place, piece in zip(places, pieces, strict=False):
+        words[place] = piece
+
+    text = " ".join(words).encode("utf-8", "surrogatepass") + noise
+    with suppress(FileError, InputError):
+        Description.of(text)
