@@ -25,6 +25,8 @@ from armrig_core.process.toml_file import convert, toml_tables
 from armrig_core.recording_file.recording_directory import SYSTEM, directory_of, installed, of_rig
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import tables_of
+from armrig_core.rig.channels import Channel, Conversion
+from armrig_core.rig.description import Description, read_description, shipped
 from armrig_core.rig.volts import U_MAX_V, code_of
 from armrig_core.telemetry.topics import check_own_id
 from armrig_protocol.messages import (
@@ -33,7 +35,7 @@ from armrig_protocol.messages import (
     WATCHDOG_MAX_MS,
     WATCHDOG_MIN_MS,
 )
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Rules
@@ -60,6 +62,11 @@ class Rig(Table, frozen=True, kw_only=True):
 
     id: str = "1"
     """Name of the rig in keys, topics and files, of a-z, 0-9 and -."""
+    file: str | UnsetType = UNSET
+    """File that describes the rig; its path is relative to the folder of the configuration file.
+
+    The default is the description of the arm.
+    """
 
     def __post_init__(self) -> None:
         """Refuse a name that zenoh does not allow in a key, or that `armrig play` uses."""
@@ -268,9 +275,21 @@ class Config(Table, frozen=True, kw_only=True):
         """Sampling time in µs."""
         return round(self.timing.Ts * 1e6)
 
-    def rules(self) -> Rules:
-        """Return the limits and constants that the core needs."""
+    def channels(self, description: Description) -> tuple[Channel, ...]:
+        """Return the channels of the rig that are read, without those of a removed part."""
+        if not description.is_calibrated:
+            return description.channels
+        calibrated = zip(description.channels, self.calibration.channels, strict=True)
+        channels = tuple(channel._replace(turns=meter.wraps) for channel, meter in calibrated)
+        return channels[:1] if self.arm.removed else channels
+
+    def rules(self, description: Description | None = None) -> Rules:
+        """Return the limits and constants that the core needs; default: the arm's description."""
         limits = self.limits
+        if description is None or description.is_calibrated:
+            described: tuple[Conversion, Conversion] | UnsetType = UNSET
+        else:
+            described = description.conversions
         return Rules(
             code_min=code_of(limits.u_min_v),
             code_max=code_of(limits.u_max_v),
@@ -284,7 +303,21 @@ class Config(Table, frozen=True, kw_only=True):
             rail_ticks=self.device.rail_ticks,
             oversampling=self.device.oversampling,
             calibration=msgspec.structs.replace(self.calibration, made=None),
+            described=described,
         )
+
+
+def description_of(config: Config) -> Description:
+    """Return the description of the rig: that of `[rig] file`, or the arm's.
+
+    Raises InputError if the file cannot be read, or describes no allowed rig.
+    """
+    if not config.rig.file:
+        return shipped("arm")
+    try:
+        return read_description(Path(config.rig.file))
+    except FileError as err:
+        raise InputError(f"[rig] file: {err}") from err
 
 
 def recordings(config: Config) -> Path:
@@ -319,7 +352,9 @@ def load(
     tables = _merged(tables, layer)
     _check(overrides, "command line")
     tables = _merged(tables, overrides)
-    config = _check(tables, ", ".join(map(str, paths)) or "configuration")
+    where = ", ".join(map(str, paths)) or "configuration"
+    tables = _merged(_described(_check(tables, where)), tables)
+    config = _check(tables, where)
     try:
         check(config.ts_us, config.device.baud, oversampling=config.device.oversampling)
     except ValueError as err:
@@ -354,6 +389,26 @@ def load_installed(
     if named != first.rig.id:
         raise InputError(f"{own}: rig.id = {named!r}: the file belongs to rig {first.rig.id!r}")
     return load(installed(first.rig.id, system=system), environ, overrides, below=below)
+
+
+def _described(config: Config) -> dict[str, Any]:
+    """Return the lowest layer of the configuration: the calibration in the rig's description."""
+    if not config.rig.file:
+        return {}
+    described = description_of(config)
+    if not described.is_calibrated:
+        return {}
+    outputs = described.outputs.items()
+    return {
+        "calibration": {
+            name: {
+                "zero_counts": output.zero_counts,
+                "rad_per_count": output.per_count,
+                "wraps": output.turning,
+            }
+            for name, output in outputs
+        }
+    }
 
 
 def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:

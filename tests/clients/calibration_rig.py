@@ -144,8 +144,8 @@ def recording_of(
             k,
             t_device_us=5_000 + round(t * 1e6),
             u_applied_v=u,
-            theta_1_counts=round(y0),
-            alpha_counts=round(y1),
+            counts_0=round(y0),
+            counts_1=round(y1),
             flags=int(Flag.ADC0_RAIL) if rail else 0,
         )
         for k, (t, u, y0, y1, rail) in enumerate(

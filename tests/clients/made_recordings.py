@@ -52,12 +52,12 @@ def sample(k: int, **changes: Any) -> telemetry.Sample:
         t_sched_ns=due,
         t_host_ns=due + 3_000,
         t_device_us=5_000 + round(k * TS * 1e6),
-        theta_1_rad=POT.angle(32768),
-        alpha_rad=0.0,
+        value_0=POT.value(32768),
+        value_1=0.0,
         u_cmd_v=1.0,
         u_applied_v=1.0,
-        theta_1_counts=32768,
-        alpha_counts=32768,
+        counts_0=32768,
+        counts_1=32768,
         flags=int(Flag.RUN | Flag.ARMED),
     )
     return at_rest._replace(**changes)
@@ -182,8 +182,8 @@ def turning(counts: Sequence[int]) -> list[telemetry.Sample]:
     for k, reading in enumerate(counts):
         rail = not 64 <= reading < 65536 - 64
         flags = int(Flag.RUN | (Flag.ADC0_RAIL if rail else 0))
-        angle = float("nan") if rail else POT.angle(reading)
-        samples.append(sample(k, theta_1_counts=reading, theta_1_rad=angle, flags=flags))
+        angle = float("nan") if rail else POT.value(reading)
+        samples.append(sample(k, counts_0=reading, value_0=angle, flags=flags))
     return samples
 
 
@@ -221,8 +221,8 @@ def of_the_arm(
                     t_sched_ns=due,
                     t_host_ns=due + late,
                     t_device_us=5_000 + round(k * TS * 1e6) + late // 1000,
-                    alpha_rad=CALIBRATED.alpha.angle(counts[1]),
-                    alpha_counts=counts[1],
+                    value_1=CALIBRATED.alpha.value(counts[1]),
+                    counts_1=counts[1],
                     u_cmd_v=float(volts),
                     u_applied_v=float(volts),
                 )

@@ -95,12 +95,12 @@ def odd_recording(**changes: Any) -> bytes:
                     t_device_us=9_000_000
                     + round(row * TS * (1e6 - SLOW_PPM))
                     + int(jitter_us[row]),
-                    theta_1_rad=nan,
-                    alpha_rad=nan,
+                    value_0=nan,
+                    value_1=nan,
                     u_cmd_v=float(u[row]),
                     u_applied_v=float(at_motor[row]),
-                    theta_1_counts=counts_1,
-                    alpha_counts=65535 if clipped else counts_2,
+                    counts_0=counts_1,
+                    counts_1=65535 if clipped else counts_2,
                     flags=int(flags),
                 )
             )

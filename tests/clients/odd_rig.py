@@ -45,18 +45,18 @@ def odd_sample(i: int) -> Sample:
     theta_counts = (30_000 + 640 * i) // 64 * 64
     hidden = theta_counts >= 65_472 - 64 * 150
     counts = 0 if hidden else theta_counts, 33_024 + 64 * (i % 7)
-    angles = CALIBRATION.theta_1.angle(counts[0]), CALIBRATION.alpha.angle(counts[1])
+    angles = CALIBRATION.theta_1.value(counts[0]), CALIBRATION.alpha.value(counts[1])
     return Sample(
         k=k,
         t_sched_ns=due,
         t_host_ns=due + 1000 * (40 + (i * 37) % 400),
         t_device_us=2**32 - 500_000 + i * TS_NS // 1000 + i % 3,
-        theta_1_rad=float("nan") if hidden else angles[0],
-        alpha_rad=angles[1],
+        value_0=float("nan") if hidden else angles[0],
+        value_1=angles[1],
         u_cmd_v=0.7 + 0.6 * (i // 5 % 4),
         u_applied_v=0.75 + 0.6 * (i // 5 % 4),
-        theta_1_counts=counts[0],
-        alpha_counts=counts[1],
+        counts_0=counts[0],
+        counts_1=counts[1],
         flags=int(Flag.RUN | (Flag.ADC0_RAIL if hidden else 0)),
     )
 

@@ -6,7 +6,8 @@ import math
 
 import pytest
 from armrig_core.telemetry import protobuf, telemetry
-from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample, decode_sample, encode_sample
+from armrig_core.telemetry.channels import SAMPLE_FIELDS, SAMPLE_NAMES
+from armrig_core.telemetry.telemetry import Sample, decode_sample, encode_sample
 from google.protobuf import descriptor_pb2
 from google.protobuf.descriptor import FieldDescriptor
 from hypothesis import given
@@ -30,7 +31,9 @@ samples = st.builds(Sample, *(_KINDS[kind] for _, kind in SAMPLE_FIELDS))
 
 @given(samples)
 def test_a_packed_sample_equals_the_encoding_of_protobuf(sample: Sample) -> None:
-    message = protobuf.message_class(protobuf.SAMPLE)(**sample._asdict())
+    message = protobuf.message_class(protobuf.SAMPLE)(
+        **dict(zip(SAMPLE_NAMES, sample, strict=True))
+    )
 
     assert message.SerializeToString(deterministic=True) == encode_sample(sample)
     assert len(encode_sample(sample)) == telemetry.SAMPLE_LENGTH == 87
@@ -39,7 +42,7 @@ def test_a_packed_sample_equals_the_encoding_of_protobuf(sample: Sample) -> None
 
 def test_an_unknown_angle_is_encoded_as_nan() -> None:
     """At a rail there is no angle."""
-    sample = Sample(*(0 for _ in SAMPLE_FIELDS))._replace(theta_1_rad=math.nan)
+    sample = Sample(*(0 for _ in SAMPLE_FIELDS))._replace(value_0=math.nan)
 
     decoded = decode_sample(encode_sample(sample))
 

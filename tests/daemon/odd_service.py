@@ -8,8 +8,9 @@ from typing import Any
 from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
 from armrig_core.commands.commands import Renew, Run
 from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.channels import CHANNELS, SAMPLE_FIELDS
 from armrig_core.telemetry.history import decode_past
-from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
@@ -115,7 +116,7 @@ NETWORK: dict[str, Any] = {
 def _sample(k: int, **changes: Any) -> Sample:
     plain = Sample(*(0 for _ in SAMPLE_FIELDS))
     times = {"k": k, "t_host_ns": k * 8_000_000, "t_device_us": k * 8_000}
-    return plain._replace(**{**times, "alpha_counts": 30_000, **changes})
+    return plain._replace(**{**times, "counts_1": 30_000, **changes})
 
 
 def odd_readings() -> None:
@@ -124,22 +125,22 @@ def odd_readings() -> None:
     def objections(changes: dict[str, Any], until: range) -> None:
         known = readings.Readings()
         for k in range(until.stop):
-            known = readings.updated(known, _sample(k, **changes, theta_1_counts=500 + k % 2 * 256))
+            known = readings.updated(known, _sample(k, **changes, counts_0=500 + k % 2 * 256))
             if k in until:
-                refusal = readings.objection(known, turns_per_volt_s=0.4, alpha_is_read=True)
+                refusal = readings.objection(known, CHANNELS, turns_per_volt_s=0.4)
                 told = refusal.error if refusal else "may be armed"
-                print(k, told, readings.theta_1_rad(known), round(known.volt_s, 6))
+                print(k, told, readings.start_rad(known), round(known.volt_s, 6))
 
-    unread = readings.objection(readings.Readings(), turns_per_volt_s=0.4, alpha_is_read=True)
+    unread = readings.objection(readings.Readings(), CHANNELS, turns_per_volt_s=0.4)
     print(unread.error if unread else "")
     objections({"u_applied_v": 3.5}, range(124, 127))
     objections({"u_applied_v": 1.0}, range(200, 201))
-    objections({"flags": int(Flag.ADC1_RAIL), "theta_1_rad": float("nan")}, range(24, 27))
+    objections({"flags": int(Flag.ADC1_RAIL), "value_0": float("nan")}, range(24, 27))
     apart = readings.updated(readings.Readings(), _sample(1, u_applied_v=4.0))
     for k in (26, 52):  # 0.2 s, and 8 ms more
         apart = readings.updated(apart, _sample(k, u_applied_v=4.0))
         print(k, round(apart.volt_s, 6))
-    moved = readings.updated(apart, _sample(53, theta_1_counts=257))
+    moved = readings.updated(apart, _sample(53, counts_0=257))
     print(moved.volt_s, moved.least, moved.greatest)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import get_args
 
 from armrig_core.commands.codes import GapCode
-from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample, encode_sample
+from armrig_core.telemetry.channels import SAMPLE_FIELDS
+from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import (
     Answer,
     Arm,

@@ -17,7 +17,7 @@ import platformdirs
 import typer
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.calibration_file import raw_path
-from armrig_core.telemetry.telemetry import ALPHA
+from armrig_core.telemetry.channels import ALPHA
 
 import armrig
 from armrig.cli.next_step import naming, say_next, say_to_copy

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import FileError
-from armrig_core.telemetry.telemetry import THETA_1, OutputName
+from armrig_core.telemetry.channels import THETA_1, OutputName
 from msgspec import structs
 from msgspec.structs import asdict
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from armrig_core.errors import ArmrigError
 from armrig_core.process.printable import printable
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.telemetry.telemetry import THETA_1
+from armrig_core.telemetry.channels import THETA_1
 from msgspec import structs
 
 from armrig.cli.recorded_data import SignalChoice, far_from_zero, from_recording, measured

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 import typer
 from armrig_core.errors import InputError
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.telemetry.telemetry import THETA_1, OutputName
+from armrig_core.telemetry.channels import THETA_1, OutputName
 
 import armrig
 from armrig.cli.options import CalibrationFile, Detrend, From, Group, To, argument, chosen, group

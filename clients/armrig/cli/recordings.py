@@ -14,7 +14,7 @@ import typer
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
-from armrig_core.telemetry.telemetry import THETA_1, ChannelName
+from armrig_core.telemetry.channels import THETA_1, ChannelName
 
 import armrig
 from armrig.cli.next_step import AFTER, kind_of, say_next, typed

@@ -76,7 +76,9 @@ def watch(
         with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
             if json:
                 for sample in samples:
-                    print_json(sample if isinstance(sample, armrig.LiveGap) else sample._asdict())
+                    if not isinstance(sample, armrig.LiveGap):
+                        sample = dict(zip(SAMPLE_NAMES, sample, strict=True))
+                    print_json(sample)
             elif sys.stdout.isatty():
                 _watch(samples)
             else:

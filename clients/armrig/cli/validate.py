@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
-from armrig_core.telemetry.telemetry import OutputName
+from armrig_core.telemetry.channels import OutputName
 
 import armrig
 from armrig import plots

@@ -16,7 +16,7 @@ from armrig_core.errors import ArmrigError, FileError, InputError
 from armrig_core.recording_file.file_records import MAGIC
 from armrig_core.recording_file.opening import regular_file
 from armrig_core.recording_file.recording_directory import directory_to_look_in, installed
-from armrig_core.telemetry.telemetry import THETA_1
+from armrig_core.telemetry.channels import THETA_1
 from msgspec import Meta
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse

@@ -16,7 +16,8 @@ import msgspec
 from armrig_core.commands.commands import LastRun, StatusReport
 from armrig_core.errors import OperationError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.telemetry import CHANNELS, Sample
+from armrig_core.telemetry.channels import CHANNELS
+from armrig_core.telemetry.telemetry import Sample
 from msgspec.structs import replace
 
 from armrig.dashboard.bins import Rows, as_lists

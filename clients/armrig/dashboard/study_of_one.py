@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1, ChannelName
+from armrig_core.telemetry.channels import ALPHA, THETA_1, ChannelName
 from numpy.typing import NDArray
 
 from armrig.dashboard.bins import rate

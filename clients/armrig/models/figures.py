@@ -6,7 +6,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.telemetry.telemetry import THETA_1, VELOCITY
+from armrig_core.telemetry.channels import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.characteristics import integrates, overlapping

@@ -10,7 +10,7 @@ from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1, VELOCITY
+from armrig_core.telemetry.channels import ALPHA, THETA_1, VELOCITY
 
 from armrig.plots.layout import GREY
 

@@ -11,7 +11,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.rig.calibration import Calibration, Driver, Figure, Made, Potentiometer
 from armrig_core.rig.volts import U_MAX_V
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1
+from armrig_core.telemetry.channels import ALPHA, THETA_1
 from msgspec.structs import replace
 
 from armrig.numerics.quantities import plural

@@ -12,8 +12,9 @@ from math import pi, tau
 from typing import Any
 
 import numpy as np
+from armrig_core.rig import channels as rig
 from armrig_core.rig.calibration import Calibration, Potentiometer
-from armrig_core.telemetry import telemetry
+from armrig_core.telemetry import channels as rig_channels
 from armrig_core.telemetry.protobuf import ABSENT
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ def channels_of(
 ) -> dict[str, Any]:
     """Return the channels, their masks, and the rows from which the number of turns is unknown."""
     found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
-    for channel in telemetry.CHANNELS:
+    for channel in rig_channels.CHANNELS:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
         y = _on_grid(_calibrated(samples, channel, pot), rows.present)
         valid = _valid(samples, channel, rows.present, before) & np.isfinite(y)
@@ -59,7 +60,7 @@ def channels_of(
 
 
 def _valid(
-    samples: NDArray[np.void], channel: telemetry.Channel, present: Mask, before: NDArray[np.void]
+    samples: NDArray[np.void], channel: rig.Channel, present: Mask, before: NDArray[np.void]
 ) -> Mask:
     """Return a mask (N,): True if the sample arrived and shows an angle of this channel."""
     rail = int(Flag[channel.rail])  # an array of a Flag would have 8 bytes for each sample
@@ -74,7 +75,7 @@ def _valid(
 
 
 def _calibrated(
-    samples: NDArray[np.void], channel: telemetry.Channel, pot: Potentiometer | None
+    samples: NDArray[np.void], channel: rig.Channel, pot: Potentiometer | None
 ) -> Vector:
     if pot is None:
         return np.array(samples[channel.value_field], np.float64)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1, VELOCITY
+from armrig_core.telemetry.channels import ALPHA, THETA_1, VELOCITY
 
 from armrig.data.columns import Vector
 from armrig.numerics.quantities import scaled, three_digits, with_std

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1, VELOCITY, OutputName
+from armrig_core.telemetry.channels import ALPHA, THETA_1, VELOCITY, OutputName
 
 from armrig.data.columns import Vector
 from armrig.data.treatment import Drift, drift, hampel

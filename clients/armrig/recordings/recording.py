@@ -11,8 +11,8 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.imports import imported
 from armrig_core.recording_file.manifest import Manifest, Outcome, Recovered
 from armrig_core.rig.calibration import Calibration
-from armrig_core.telemetry import telemetry
-from armrig_core.telemetry.telemetry import THETA_1, OutputName
+from armrig_core.telemetry import channels as rig_channels
+from armrig_core.telemetry.channels import THETA_1, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.columns import Vector as Vector
@@ -100,7 +100,7 @@ class Recording:
     the arm does not make whole turns through its dead band.
     """
     others: Mapping[str, Channel]
-    """Further channels of `armrig_core.telemetry.telemetry.CHANNELS`, by name; currently none."""
+    """Further channels of `armrig_core.telemetry.channels.CHANNELS`, by name; currently none."""
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
@@ -167,7 +167,7 @@ class Recording:
         """
         if name in self.others:
             return self.others[name]
-        (valid,) = (c.valid for c in telemetry.CHANNELS if c.name == name)
+        (valid,) = (c.valid for c in rig_channels.CHANNELS if c.name == name)
         return Channel(getattr(self, name), getattr(self, valid))
 
     def dataset(self, output: OutputName = THETA_1) -> Dataset:
@@ -195,8 +195,8 @@ class Recording:
         >>> recording.dataset("velocity").unit
         'rad/s'
         """
-        outputs = {c.name: c for c in telemetry.CHANNELS}
-        outputs |= {c.rate: c for c in telemetry.CHANNELS if c.rate}
+        outputs = {c.name: c for c in rig_channels.CHANNELS}
+        outputs |= {c.rate: c for c in rig_channels.CHANNELS if c.rate}
         if output not in outputs:
             raise InputError(f"output={output!r}: a recording has {', '.join(outputs)}")
         measured = outputs[output]
@@ -341,7 +341,7 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
     Columns of further channels follow alpha, and their masks follow valid_alpha. `raw` adds columns
     of the recorded readings and times, with 0 for a missing sample.
     """
-    channels = [(c, recording.channel(c.name)) for c in telemetry.CHANNELS]
+    channels = [(c, recording.channel(c.name)) for c in rig_channels.CHANNELS]
     found: dict[str, NDArray[Any]] = {
         "k": recording.k_first + np.arange(recording.N),
         "t": recording.t,
@@ -350,7 +350,7 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
         **{c.valid: shown.valid for c, shown in channels},
         "present": recording.present,
     }
-    counts = (c.counts_field for c in telemetry.CHANNELS)
+    counts = (c.counts_field for c in rig_channels.CHANNELS)
     names = (*counts, "flags", "t_device_us", "t_host_ns", "t_sched_ns")
     for name in names if raw else ():
         column = np.zeros(recording.N, recording.samples.dtype[name])
@@ -372,4 +372,4 @@ def export_metadata(recording: Recording) -> dict[str, str]:
 
 
 def _units() -> dict[str, str]:
-    return {"t": "s", "u": "V"} | {c.name: c.unit for c in telemetry.CHANNELS}
+    return {"t": "s", "u": "V"} | {c.name: c.unit for c in rig_channels.CHANNELS}

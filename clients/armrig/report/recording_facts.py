@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from armrig_core.rig.calibration import Driver
-from armrig_core.telemetry.telemetry import ALPHA
+from armrig_core.telemetry.channels import ALPHA
 
 from armrig.data.dataset import Dataset
 from armrig.data.figures import without_ramp

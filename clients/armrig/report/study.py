@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1, OutputName
+from armrig_core.telemetry.channels import ALPHA, THETA_1, OutputName
 
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.treatment import INTEGRATING_OUTPUTS

@@ -16,6 +16,7 @@ import zenoh
 from armrig_core.commands.codes import GapCode
 from armrig_core.errors import InputError
 from armrig_core.telemetry import protobuf, telemetry, topics
+from armrig_core.telemetry.channels import SAMPLE_NAMES
 from armrig_core.telemetry.telemetry import Sample
 from google.protobuf.message import DecodeError
 
@@ -172,7 +173,7 @@ def decoded(name: str, payload: bytes) -> Any:
         return sample
     # A sample of another version, with more or fewer fields.
     message = protobuf.decoded(protobuf.SAMPLE, payload)
-    return Sample._make(getattr(message, field) for field in Sample._fields)
+    return Sample._make(getattr(message, field) for field in SAMPLE_NAMES)
 
 
 def _read(rig: str, name: str, payload: bytes) -> Any:

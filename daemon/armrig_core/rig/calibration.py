@@ -9,6 +9,8 @@ import msgspec
 from armrig_core.errors import InputError
 from armrig_core.rig.volts import U_MAX_V
 
+CALIBRATED = ("theta_1", "alpha")
+"""Names of the channels that a calibration contains, in the order of the device's readings."""
 _MAX_ZERO_COUNTS = 655_360  # ten times the range of the converter
 _MIN_RAD_PER_COUNT, _MAX_RAD_PER_COUNT = 1e-8, 0.1  # 0.04° and 1000 turns for the full range
 
@@ -36,7 +38,7 @@ class Potentiometer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                 f"{_MAX_RAD_PER_COUNT:g}, or negative in the same range"
             )
 
-    def angle(self, counts: float) -> float:
+    def value(self, counts: float) -> float:
         """Return the angle of a reading in counts, in rad."""
         return (counts - self.zero_counts) * self.rad_per_count
 
@@ -93,3 +95,8 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     driver: Driver = Driver()
     made: Made | None = None
     """Origin of the calibration; None if the values are configured instead of measured."""
+
+    @property
+    def channels(self) -> tuple[Potentiometer, Potentiometer]:
+        """Potentiometers in the order of the device's channels."""
+        return self.theta_1, self.alpha

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from dataclasses import dataclass
+from functools import cache
 from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
@@ -16,11 +17,18 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.printable import printable
 from armrig_core.process.toml_file import convert, toml_tables
+from armrig_core.rig.calibration import CALIBRATED
+from armrig_core.rig.channels import (
+    MAX_CHANNELS,
+    NO_CONVERSION,
+    Channel,
+    Conversion,
+    channel,
+    sample_names,
+)
 
 LIMIT_BYTES = 1 << 16
 """Largest size of a description, in B."""
-MAX_OUTPUTS = 2
-"""Largest number of outputs: the device's channels."""
 IMAGES = ("uno",)
 """Firmware images by name."""
 COUNTS = 65536
@@ -31,6 +39,7 @@ _MAX_TEXT = 80
 _MAX_STATES = 40
 _MAX_DELAY_S = 3600.0
 _ROUNDING = 1e-9  # of the real part of a pole at 0, in 1/s
+_SHIPPED = Path(__file__).parents[1] / "rigs"
 _TABLES = ("rig", "input", "outputs", "model")
 Matrix = list[list[float]]
 T = TypeVar("T", bound=msgspec.Struct)
@@ -205,6 +214,27 @@ class Description:
         """Hash of the file."""
         return hashlib.sha256(self.text).hexdigest()
 
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels of the outputs, in the order of the device's readings."""
+        return tuple(
+            channel(number, name, output.unit, turns=output.turning, rate=output.rate)
+            for number, (name, output) in enumerate(self.outputs.items())
+        )
+
+    @property
+    def is_calibrated(self) -> bool:
+        """True if a `Calibration` converts the outputs: the angles of the arm's potentiometers."""
+        units = {output.unit for output in self.outputs.values()}
+        return tuple(self.outputs) == CALIBRATED and units == {"rad"}
+
+    @property
+    def conversions(self) -> tuple[Conversion, Conversion]:
+        """Conversions of the device's readings."""
+        described = [Conversion(o.zero_counts, o.per_count) for o in self.outputs.values()]
+        first, second = (*described, NO_CONVERSION)[:MAX_CHANNELS]
+        return first, second
+
     @classmethod
     def of(cls, text: bytes) -> Self:
         """Return the description in the contents of a file.
@@ -253,8 +283,20 @@ class Description:
         names = [self.input.name, *self.outputs, *rates]
         if twice := next((name for name in names if names.count(name) > 1), ""):
             raise InputError(f"{twice}: names two signals; give each signal a name of its own")
+        fields = sample_names(self.channels)
+        if clash := next((field for field in fields if fields.count(field) > 1), ""):
+            raise InputError(
+                f"{clash}: this field of a sample, made of name and unit, would exist twice; "
+                "rename the output"
+            )
         if self.model is not None and self.model.A:
             _check_outputs(self.model, self.outputs)
+
+
+@cache
+def shipped(name: str) -> Description:
+    """Return a description that comes with armrig: `arm`, `chassis`, `heater` or `rc`."""
+    return read_description(_SHIPPED / f"{name}.toml")
 
 
 def read_description(path: Path) -> Description:
@@ -269,8 +311,8 @@ def read_description(path: Path) -> Description:
 
 def _checked(outputs: object) -> dict[str, object]:
     """Return the tables of the outputs; refuse too many outputs, and names that cannot be used."""
-    if not isinstance(outputs, dict) or not 1 <= len(outputs) <= MAX_OUTPUTS:
-        raise InputError(f"[outputs.NAME]: 1 to {MAX_OUTPUTS} tables are allowed, one each output")
+    if not isinstance(outputs, dict) or not 1 <= len(outputs) <= MAX_CHANNELS:
+        raise InputError(f"[outputs.NAME]: 1 to {MAX_CHANNELS} tables are allowed, one each output")
     for name in outputs:
         _check_name("outputs", name)
     return outputs

@@ -12,7 +12,9 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-from armrig_core.telemetry.telemetry import PACKAGE, SAMPLE_FIELDS
+from armrig_core.rig.channels import Channel
+from armrig_core.telemetry.channels import CHANNELS, SAMPLE_FIELDS
+from armrig_core.telemetry.telemetry import PACKAGE, sample_fields
 
 _DISTRIBUTION = (
     ("p50", "double"),
@@ -105,11 +107,11 @@ LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
 """Number of each level of a `foxglove.Log`."""
 
 
-def _armrig_file() -> descriptor_pb2.FileDescriptorProto:
+def _armrig_file(channels: tuple[Channel, ...]) -> descriptor_pb2.FileDescriptorProto:
     file = descriptor_pb2.FileDescriptorProto(
         name="armrig/v1/armrig.proto", package=PACKAGE, syntax="proto3"
     )
-    for name, fields in _MESSAGES.items():
+    for name, fields in (_MESSAGES | {"Sample": sample_fields(channels)}).items():
         message = file.message_type.add(name=name)
         for number, (field, kind) in enumerate(fields, 1):
             entry = message.field.add(name=field, number=number, label="LABEL_OPTIONAL")
@@ -157,23 +159,28 @@ def _log_file() -> descriptor_pb2.FileDescriptorProto:
     return file
 
 
-def _files(name: str) -> list[descriptor_pb2.FileDescriptorProto]:
+def _files(
+    name: str, channels: tuple[Channel, ...] = CHANNELS
+) -> list[descriptor_pb2.FileDescriptorProto]:
     if name != LOG:
-        return [_armrig_file()]
+        return [_armrig_file(channels)]
     timestamp = descriptor_pb2.FileDescriptorProto()
     timestamp_pb2.DESCRIPTOR.CopyToProto(timestamp)
     return [timestamp, _log_file()]
 
 
 @cache
-def descriptor_set(name: str) -> bytes:
-    """Return the serialised FileDescriptorSet of the message with the full name `name`."""
-    return descriptor_pb2.FileDescriptorSet(file=_files(name)).SerializeToString()
+def descriptor_set(name: str, channels: tuple[Channel, ...] = CHANNELS) -> bytes:
+    """Return the serialised FileDescriptorSet of the message with the full name `name`.
+
+    `channels` are the channels of the rig, which name fields of a sample.
+    """
+    return descriptor_pb2.FileDescriptorSet(file=_files(name, channels)).SerializeToString()
 
 
 @cache
 def message_class(name: str) -> Any:
-    """Return the protobuf class of the message with the full name `name`."""
+    """Return the protobuf class of the message with the full name `name`, of the arm's rig."""
     pool = descriptor_pool.DescriptorPool()
     for file in _files(name):
         pool.Add(file)

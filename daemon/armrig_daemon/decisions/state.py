@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 
 import msgspec
 from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
-from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.calibration import Calibration, Potentiometer
+from armrig_core.rig.channels import Conversion
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Config, HelloReply, Mode, Underrun
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from armrig_daemon.decisions.clockmap import ClockMap
@@ -47,6 +49,9 @@ class Value(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """Value that a trace contains as a list; it is created in a third of a named tuple's time."""
 
 
+Conversions = tuple[Conversion, Conversion] | tuple[Potentiometer, Potentiometer]
+
+
 class Rules(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of the core, fixed at the start except for the calibration."""
 
@@ -63,17 +68,24 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     baud: int
     """Speed of the wire, in bit/s."""
     turns: int
-    """Largest rotation of theta_1 in a run, in hundredths of a turn; 0 is no limit."""
+    """Largest rotation of channel 0 in a run, in hundredths of a turn; 0 is no limit."""
     rail_ticks: int
     """Consecutive samples at a rail after which a run ends with FAULT(ADC_RAIL); 0 is no limit."""
     oversampling: int = 1
     """Number of conversions averaged in one reading; 1 in a trace without this field."""
     calibration: Calibration
+    described: tuple[Conversion, Conversion] | UnsetType = UNSET
+    """Conversions of a rig that is described in a file; without them, `calibration` converts."""
     service_ns: int = 0
     """Silence of the service after which the motor is stopped, in ns; 0 without a service."""
 
     stop_after: int
     """Number of consecutive missed ticks after which the motor is stopped; 0 is no limit."""
+
+    @property
+    def conversions(self) -> Conversions:
+        """Return the conversions of the channels, in the order of the device's readings."""
+        return self.described or self.calibration.channels
 
     def age_ns(self, ts_us: int, *, scheduled: bool = False) -> int:
         """Return the age of the last round trip, in ns, beyond which the motor is stopped.

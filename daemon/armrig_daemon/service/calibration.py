@@ -7,7 +7,7 @@ from typing import Any
 from armrig_core.errors import InputError
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import check_measured
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1
+from armrig_core.telemetry.channels import ALPHA, THETA_1
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config

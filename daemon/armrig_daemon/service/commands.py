@@ -218,7 +218,7 @@ class Commands:
                 self._order(command, pipe.Set(lease=request.lease, n=request.n, code=code))
             case commands.Run():
                 self._check_holder(request)
-                start = self._rig.theta_1_rad
+                start = self._rig.start_rad
                 # For millions of samples, planning takes seconds; the motor is then at 0 V. After
                 # each step, `alive` shows the loop that the service is not frozen. The first step,
                 # the decoding of the command, is done.

@@ -8,6 +8,7 @@ from typing import Any
 
 from armrig_core.commands.commands import LastRun, Refused, StatusReport
 from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
 from msgspec.structs import replace
 
@@ -24,8 +25,11 @@ _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device
 class RigView:
     """Newest reports of the loop about the rig."""
 
-    def __init__(self, config: Config, endpoint: str, directory: Path) -> None:
-        """Create the view before the first report."""
+    def __init__(
+        self, config: Config, endpoint: str, directory: Path, description: Description | None = None
+    ) -> None:
+        """Create the view before the first report; default: the description of the arm."""
+        self._description = description or shipped("arm")
         self._state = _UNKNOWN
         self._host: dict[str, Any] = {}
         self._config = config
@@ -34,7 +38,11 @@ class RigView:
         self._calibration_file = made.file if made else ""
         self._endpoint = endpoint
         self._directory = directory
-        self._turns_per_volt_s = config.arm.turns_per_volt_s
+        self._note_channels()
+        model = self._description.model
+        self._turns_per_volt_s = (
+            config.arm.turns_per_volt_s if model is not None and model.kind else 0.0
+        )
         self._readings = readings.Readings()
         self._timing: Timing | None = None
         self._pressure = pressure.Pressure()
@@ -50,6 +58,11 @@ class RigView:
         return self._host
 
     @property
+    def description(self) -> Description:
+        """Description of the rig."""
+        return self._description
+
+    @property
     def is_known(self) -> bool:
         """True once the loop has reported a state."""
         return self._state is not _UNKNOWN
@@ -61,9 +74,9 @@ class RigView:
         return f"{self._config.device.port}: {line}" if line else ""
 
     @property
-    def theta_1_rad(self) -> float | None:
-        """Angle of the chassis, in rad; None if it is not known."""
-        return readings.theta_1_rad(self._readings)
+    def start_rad(self) -> float | None:
+        """Angle of the turning shaft, in rad; None if it is not known."""
+        return readings.start_rad(self._readings)
 
     def note_state(self, state: State) -> None:
         """Store the state that the loop reports."""
@@ -77,11 +90,17 @@ class RigView:
         """Store a new calibration that the loop has accepted."""
         # The stored readings are in counts, and stay valid.
         self._config = replace(self._config, calibration=calibration)
+        self._note_channels()
         self._calibration = taken(calibration)
+
+    def _note_channels(self) -> None:
+        """Store the channels that are read, and which of them is of a turning shaft."""
+        self._channels = self._config.channels(self._description)
+        self._turning = next((n for n, channel in enumerate(self._channels) if channel.turns), 0)
 
     def note_sample(self, sample: Sample) -> None:
         """Update the view with a sample."""
-        self._readings = readings.updated(self._readings, sample)
+        self._readings = readings.updated(self._readings, sample, self._turning)
 
     def note_timing(self, timing: Timing) -> Timing:
         """Store the timing of the last second; return it together with the load of this machine."""
@@ -93,9 +112,7 @@ class RigView:
         """Return the refusal of an arming because of the readings or a late host; else None."""
         config = self._config
         return readings.objection(
-            self._readings,
-            turns_per_volt_s=self._turns_per_volt_s,
-            alpha_is_read=not (config.arm.removed or config.calibration.alpha.wraps),
+            self._readings, self._channels, turns_per_volt_s=self._turns_per_volt_s
         ) or pressure.untimely(self._timing, config.device.watchdog_ms, pressure.load())
 
     def status(self, last_run: LastRun | None) -> StatusReport:

@@ -200,7 +200,7 @@ def test_the_status_of_a_ready_rig_suggests_its_first_recording(
 
 def test_a_line_of_watch_has_its_units() -> None:
     volts = {"u_applied_v": 1.25, "u_cmd_v": 3.0}
-    one = sample(42)._replace(**volts, theta_1_rad=-1.0, alpha_rad=0.5, t_host_ns=0)
+    one = sample(42)._replace(**volts, value_0=-1.0, value_1=0.5, t_host_ns=0)
 
     line = _sample_line(one._replace(t_sched_ns=-7_500))
 

@@ -18,12 +18,12 @@ def _samples(theta_1_deg: list[float], Ts: float = 0.001, u: float = 1.0) -> lis
             t_sched_ns=round(k * Ts * 1e9),
             t_host_ns=round(k * Ts * 1e9),
             t_device_us=0,
-            theta_1_rad=radians(theta),
-            alpha_rad=radians(-theta),
+            value_0=radians(theta),
+            value_1=radians(-theta),
             u_cmd_v=u,
             u_applied_v=u,
-            theta_1_counts=0,
-            alpha_counts=0,
+            counts_0=0,
+            counts_1=0,
             flags=0,
         )
         for k, theta in enumerate(theta_1_deg)

@@ -193,7 +193,7 @@ def test_a_changed_sampling_time_restarts_the_live_model() -> None:
     u, theta_1 = rng.choice([1.0, 4.0], 300), np.cumsum(rng.uniform(0.0, 0.1, 300))
     first, second = (
         [
-            sample(k, u_applied_v=u[k], theta_1_rad=theta_1[k], t_sched_ns=t_ns, t_host_ns=t_ns)
+            sample(k, u_applied_v=u[k], value_0=theta_1[k], t_sched_ns=t_ns, t_host_ns=t_ns)
             for k, t_ns in ((k, round(k * Ts * 1e9)) for k in part)
         ]
         for Ts, part in ((0.01, range(100)), (0.02, range(100, 300)))
@@ -232,7 +232,7 @@ def test_the_histogram_counts_live_samples_of_the_last_minute(
 def test_a_live_model_is_not_estimated_from_the_history() -> None:
     feed, rng = Feed(), np.random.default_rng(3)
     rows = [
-        sample(k, u_applied_v=rng.choice([1.0, 4.0]), theta_1_rad=0.02 * k + rng.uniform(0, 0.1))
+        sample(k, u_applied_v=rng.choice([1.0, 4.0]), value_0=0.02 * k + rng.uniform(0, 0.1))
         for k in range(400)
     ]
     feed.set_model(wanted=True)

@@ -53,7 +53,7 @@ def _passed_on(
 def test_each_period_sends_the_newest_sample_and_every_other_message(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    samples = [sample(k, theta_1_rad=0.1 * k, alpha_rad=-0.01 * k) for k in range(6)]
+    samples = [sample(k, value_0=0.1 * k, value_1=-0.01 * k) for k in range(6)]
     events = [event(k, f"event {k}", "warning") for k in range(3)]
 
     given, _ = _passed_on(

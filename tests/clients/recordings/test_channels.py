@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.recordings.files import container, loading
-from armrig_core.telemetry import telemetry
+from armrig_core.rig.channels import Channel
+from armrig_core.telemetry import channels as rig_channels
 from armrig_protocol.messages import Flag
 from numpy.lib.recfunctions import append_fields
 
@@ -22,8 +23,8 @@ COUNTS = np.linspace(1_000, 60_000, N).astype(np.uint32)
 @pytest.fixture
 def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a recording of a rig that has a third potentiometer, at its rail in sample 7."""
-    beta = telemetry.Channel("beta", "rad", rail="ADC1_RAIL", valid="valid_beta")
-    monkeypatch.setattr(telemetry, "CHANNELS", (*telemetry.CHANNELS, beta))
+    beta = Channel("beta", "rad", rail="ADC1_RAIL", valid="valid_beta")
+    monkeypatch.setattr(rig_channels, "CHANNELS", (*rig_channels.CHANNELS, beta))
 
     def read(*args: Any, **named: Any) -> Any:
         content = container.read(*args, **named)

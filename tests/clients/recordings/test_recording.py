@@ -34,6 +34,7 @@ from armrig_core.recording_file.file_records import Wanted
 from armrig_core.recording_file.manifest import INPUT, RUN, Manifest, Outcome
 from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
 from armrig_core.telemetry import protobuf, telemetry
+from armrig_core.telemetry.channels import SAMPLE_NAMES
 from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -82,8 +83,8 @@ def _channel_record(topic: str) -> bytes:
 
 def as_protobuf(one: telemetry.Sample, **unknown: bytes) -> bytes:
     """Return a sample in another layout: the same fields, the last first."""
-    message = protobuf.message_class(protobuf.SAMPLE)(**one._asdict())
-    fields = [message.__class__(**{n: getattr(message, n)}) for n in reversed(one._fields)]
+    message = protobuf.message_class(protobuf.SAMPLE)(**dict(zip(SAMPLE_NAMES, one, strict=True)))
+    fields = [message.__class__(**{n: getattr(message, n)}) for n in reversed(SAMPLE_NAMES)]
     return b"".join(part.SerializeToString() for part in fields) + b"".join(unknown.values())
 
 
@@ -95,7 +96,7 @@ def tried(path: Path) -> tuple[Recording | None, str]:
 
 
 def test_a_recording_returns_the_recorded_values(tmp_path: Path) -> None:
-    samples = [sample(k, u_applied_v=k / 100, alpha_counts=32768 + k) for k in range(7, 107)]
+    samples = [sample(k, u_applied_v=k / 100, counts_1=32768 + k) for k in range(7, 107)]
 
     rec = load(path := written(tmp_path, recorded(samples)))
 
@@ -305,7 +306,7 @@ def test_a_dead_band_of_any_length_does_not_lose_the_turns(tmp_path: Path) -> No
     rec = load(written(tmp_path, recorded(turning([60000] * 5 + [0] * 100 + [3000] * 5))))
 
     assert rec.turns_unknown == ()
-    assert rec.theta_1[-1] == pytest.approx(POT.angle(3000) + tau)
+    assert rec.theta_1[-1] == pytest.approx(POT.value(3000) + tau)
 
 
 def test_turns_cannot_be_counted_at_a_long_sampling_time(tmp_path: Path) -> None:
@@ -352,7 +353,7 @@ def test_a_sample_between_two_rail_readings_has_no_angle(tmp_path: Path) -> None
     rec = load(written(tmp_path, recorded(turning(counts))))
 
     np.testing.assert_array_equal(rec.valid, [True, True, True] + [False] * 4 + [True, True])
-    assert rec.theta_1[7] == pytest.approx(POT.angle(1500) + tau)
+    assert rec.theta_1[7] == pytest.approx(POT.value(1500) + tau)
 
 
 def test_the_first_sample_after_a_rail_and_a_gap_is_not_valid(tmp_path: Path) -> None:
@@ -365,7 +366,7 @@ def test_the_first_sample_after_a_rail_and_a_gap_is_not_valid(tmp_path: Path) ->
 
 def test_a_calibration_is_repaired_on_reading(tmp_path: Path) -> None:
     """The raw counts and the attached calibration decide, not the angle of the daemon."""
-    samples = [sample(0, theta_1_counts=16384, theta_1_rad=99.0)]
+    samples = [sample(0, counts_0=16384, value_0=99.0)]
 
     right = load(written(tmp_path, recorded(samples, calibration=IDENTITY)))
     without = load(written(tmp_path, recorded(samples, calibration=None)))
@@ -376,7 +377,7 @@ def test_a_calibration_is_repaired_on_reading(tmp_path: Path) -> None:
 
 def test_another_layout_of_the_sample_reads_the_same(tmp_path: Path) -> None:
     samples = [
-        sample(k, u_applied_v=k * 0.1, theta_1_rad=nan if k % 5 == 0 else k * 0.01, flags=k)
+        sample(k, u_applied_v=k * 0.1, value_0=nan if k % 5 == 0 else k * 0.01, flags=k)
         for k in range(64)
     ]
     later = b"\x79" + bytes(8)  # field 15, fixed64: of a later version
@@ -397,7 +398,9 @@ def test_another_layout_of_the_sample_reads_the_same(tmp_path: Path) -> None:
 def test_an_angle_that_a_file_lacks_is_not_0_rad(tmp_path: Path) -> None:
     older = []
     for k in range(8):
-        message = protobuf.message_class(protobuf.SAMPLE)(**sample(k)._asdict())
+        message = protobuf.message_class(protobuf.SAMPLE)(
+            **dict(zip(SAMPLE_NAMES, sample(k), strict=True))
+        )
         message.ClearField("alpha_rad")
         message.ClearField("alpha_counts")
         older.append(message.SerializeToString())

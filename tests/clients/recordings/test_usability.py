@@ -59,7 +59,7 @@ def swinging(n: int, **changes: Any) -> list[Any]:
     for k in range(n):
         counts = round(32768 + np.sin(tau * k / 50) / POT.rad_per_count)
         volts = 1.0 + (k // 25) % 2
-        fields = {"theta_1_counts": counts, "theta_1_rad": POT.angle(counts)}
+        fields = {"counts_0": counts, "value_0": POT.value(counts)}
         made.append(sample(k, u_cmd_v=volts, u_applied_v=volts, **fields)._replace(**changes))
     return made
 
@@ -217,9 +217,7 @@ def test_unusable_findings_precede_warnings(tmp_path: Path) -> None:
 def test_a_greybox_recording_must_be_without_the_arm(
     moves: bool, told_on: bool, level: str, said: str, tmp_path: Path
 ) -> None:
-    made = [
-        s._replace(alpha_counts=32768 + 64 * (k % 9) * moves) for k, s in enumerate(swinging(200))
-    ]
+    made = [s._replace(counts_1=32768 + 64 * (k % 9) * moves) for k, s in enumerate(swinging(200))]
     rehearsal = Rehearsal(revolutions=1.0, alpha_rad=0.2 * told_on, turned_rad=1.0)
     about = {"experiment": "greybox-monday", "rehearsal": rehearsal}
 

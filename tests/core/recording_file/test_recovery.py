@@ -308,9 +308,7 @@ def test_a_recovery_does_not_overwrite_another_recording(tmp_path: Path) -> None
 def test_a_file_damaged_in_the_middle_is_not_truncated(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     noise = rng.standard_normal((24_000, 3)).tolist()
-    samples = [
-        sample(k, theta_1_rad=a, alpha_rad=b, u_cmd_v=u) for k, (a, b, u) in enumerate(noise)
-    ]
+    samples = [sample(k, value_0=a, value_1=b, u_cmd_v=u) for k, (a, b, u) in enumerate(noise)]
     about = manifest(k_first=0, samples=len(samples))
     data = bytearray(recorded(samples, manifest=about, outcome=None, flush_every=100))
     assert len(data) > 1.2 * MOST_CUT_OFF

@@ -134,7 +134,7 @@ def test_a_sample_is_converted_to_the_units_of_the_telemetry(
     calibration = state.rules.calibration
     taken = device_sample(state, y0=20_000, y1=30_000, u_k=40_000, flags=int(flags))
 
-    sample = converted(calibration, taken, 11, 22, 33, 44, 55_000)
+    sample = converted(calibration.channels, taken, 11, 22, 33, 44, 55_000)
 
     assert (sample.k, sample.t_sched_ns, sample.t_host_ns, sample.t_device_us) == (11, 22, 33, 44)
     assert (sample.u_cmd_v, sample.u_applied_v) == (volts_of(55_000), volts_of(40_000))
@@ -142,5 +142,5 @@ def test_a_sample_is_converted_to_the_units_of_the_telemetry(
     assert isnan(sample.theta_1_rad) != theta_1
     assert isnan(sample.alpha_rad) != alpha
     if theta_1 and alpha:
-        assert sample.theta_1_rad == calibration.theta_1.angle(20_000)
-        assert sample.alpha_rad == calibration.alpha.angle(30_000)
+        assert sample.theta_1_rad == calibration.theta_1.value(20_000)
+        assert sample.alpha_rad == calibration.alpha.value(30_000)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample
+from armrig_core.telemetry.channels import SAMPLE_FIELDS
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.decisions.clockmap import Link, start
 from armrig_daemon.loop.meter import Meter, clock_record
 

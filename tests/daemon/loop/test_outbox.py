@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from armrig_core.commands.codes import GapCode, OutcomeCode
-from armrig_core.telemetry.telemetry import SAMPLE_FIELDS, Sample, decode_sample
+from armrig_core.telemetry.channels import SAMPLE_FIELDS
+from armrig_core.telemetry.telemetry import Sample, decode_sample
 from armrig_daemon.loop.outbox import MAX_WAITING_RECORDS, Outbox
 from armrig_daemon.pipe import Gap, Log, Record, RunEnded, take_records
 from hypothesis import given

@@ -6,15 +6,17 @@ from math import nan
 
 import pytest
 from armrig_core.commands.codes import RefusalCode
+from armrig_core.rig.description import shipped
+from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.telemetry import Sample
-from armrig_daemon.service.readings import Readings, objection, theta_1_rad, updated
+from armrig_daemon.service.readings import Readings, objection, start_rad, updated
 from armrig_protocol.messages import Flag
 
 MS = 1_000_000
 
 
 def _objection(readings: Readings) -> str:
-    found = objection(readings, turns_per_volt_s=0.3, alpha_is_read=True)
+    found = objection(readings, CHANNELS, turns_per_volt_s=0.3)
     if found is None:
         return ""
     passes = found.error.endswith(": try again")
@@ -29,10 +31,10 @@ def test_a_rig_without_a_reading_is_not_armed() -> None:
 
 
 def test_the_newest_angle_is_the_start_of_a_rehearsal() -> None:
-    railed = _sample(10)._replace(theta_1_rad=nan)
-    assert theta_1_rad(updated(Readings(), _sample(0))) == 0.5
-    assert theta_1_rad(updated(Readings(), railed)) is None
-    assert theta_1_rad(Readings()) is None
+    railed = _sample(10)._replace(value_0=nan)
+    assert start_rad(updated(Readings(), _sample(0))) == 0.5
+    assert start_rad(updated(Readings(), railed)) is None
+    assert start_rad(Readings()) is None
 
 
 def _sample(t_ms: float, *, y0: int = 20_000, u: float = 0.0, flags: int = 0) -> Sample:
@@ -50,11 +52,24 @@ def test_alpha_at_the_end_of_its_range_for_0_2_s_prevents_arming(t_ms: float, na
         assert bool(_objection(readings)) == named
 
 
+def test_a_thermometer_at_the_end_of_its_range_prevents_arming() -> None:
+    """An open or a shorted sensor; no turns are counted, because the heater has no motor."""
+    channels = shipped("heater").channels
+    for number, rail in enumerate((Flag.ADC0_RAIL, Flag.ADC1_RAIL)):
+        readings = updated(Readings(volt_s=99.0), _sample(10))
+        readings = updated(readings, _sample(210, flags=int(rail)))._replace(volt_s=99.0)
+
+        found = objection(readings, channels, turns_per_volt_s=0.0)
+
+        assert found is not None
+        assert found.error.startswith(f"T{number + 1} reads ")
+
+
 @pytest.mark.parametrize(("turn", "named"), [(0.9999, False), (1.0, True)])
 def test_theta_1_is_reported_stuck_after_one_driven_turn(turn: float, named: bool) -> None:
     driven = Readings(newest=_sample(0), volt_s=turn)
 
-    assert bool(objection(driven, turns_per_volt_s=1.0, alpha_is_read=True)) == named
+    assert bool(objection(driven, CHANNELS, turns_per_volt_s=1.0)) == named
 
 
 @pytest.mark.parametrize(("counts", "moved"), [(256, False), (257, True), (-256, False)])
@@ -68,7 +83,7 @@ def test_readings_within_256_counts_count_as_no_motion(counts: int, moved: bool)
     assert after.volt_s == pytest.approx(0.0 if moved else 0.04)
     span = (y0, y0) if moved else (min(20_000, y0), max(20_000, y0))
     assert (after.least, after.greatest) == span
-    assert (after.newest, after.alpha_free_ns) == (_sample(20, y0=y0), 20 * MS)
+    assert (after.newest, after.inside_ns) == (_sample(20, y0=y0), (20 * MS, 20 * MS))
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
 def test_the_reply_contains_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
     arm = ArmSettings(J_2=0.01)
 
-    _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, theta_1_rad=1.0)
+    _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, start_rad=1.0)
 
     expected = rehearse(REQUEST.u, 0.02, parameters=arm.parameters(), theta_1_rad=1.0)
     assert answer.rehearsal == expected

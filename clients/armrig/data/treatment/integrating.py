@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from armrig_core.telemetry import telemetry
-from armrig_core.telemetry.telemetry import THETA_1
+from armrig_core.telemetry import channels as rig_channels
+from armrig_core.telemetry.channels import THETA_1
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector
@@ -292,7 +292,7 @@ def _inside(A: Array) -> Array:
 
 def rate_name(output: str) -> str:
     """Return the name of the rate of an output."""
-    rates = {channel.name: channel.rate for channel in telemetry.CHANNELS}
+    rates = {channel.name: channel.rate for channel in rig_channels.CHANNELS}
     return rates.get(output) or f"rate of {output}"
 
 

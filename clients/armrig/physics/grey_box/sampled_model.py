@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.telemetry import OutputName
+from armrig_core.telemetry.channels import OutputName
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, expm_frechet
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.process.imports import imported
-from armrig_core.telemetry.telemetry import THETA_1, ChannelName
+from armrig_core.telemetry.channels import THETA_1, ChannelName
 from armrig_core.telemetry.topics import topic
 from numpy.typing import NDArray
 

@@ -25,7 +25,7 @@ from armrig_core.recording_file.manifest import (
 from armrig_core.recording_file.part_names import part_number, part_paths
 from armrig_core.rig.calibration import Calibration, Driver
 from armrig_core.rig.calibration_file import read_calibration
-from armrig_core.telemetry import telemetry
+from armrig_core.telemetry import channels as rig_channels
 from numpy.typing import NDArray
 
 from armrig.data.files import OTHER_DATA, RECORDING
@@ -331,7 +331,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         else None,
         **reports,
     )
-    shown = (recording.channel(channel.name) for channel in telemetry.CHANNELS)
+    shown = (recording.channel(channel.name) for channel in rig_channels.CHANNELS)
     arrays = (recording.t, recording.u, *chain.from_iterable(shown), recording.present, samples)
     for array in arrays:
         array.flags.writeable = False

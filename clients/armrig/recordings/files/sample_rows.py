@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 from armrig_core.recording_file.budget import SAMPLES_LIMIT, DamageError
 from armrig_core.recording_file.file_records import MESSAGE_HEAD, RECORD_HEAD
+from armrig_core.telemetry import channels as rig_channels
 from armrig_core.telemetry import protobuf, telemetry
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 _FORMATS = {"fixed64": "<u8", "sfixed64": "<i8", "double": "<f8", "fixed32": "<u4"}
-SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMPLE_FIELDS])
+SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in rig_channels.SAMPLE_FIELDS])
 """Type of one sample as a numpy record, with the fields of `telemetry.Sample`."""
 
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
@@ -174,7 +175,7 @@ def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.ui
     at, place = len(_HEAD), 0
     blocks: list[tuple[int, int, int, int]] = []
     places: list[int] = []
-    sizes = [SAMPLE_DTYPE[name].itemsize for name in telemetry.Sample._fields]
+    sizes = [SAMPLE_DTYPE[name].itemsize for name in rig_channels.SAMPLE_NAMES]
     for size, fields in groupby(sizes):
         count = len(list(fields))
         blocks.append((count, size, at + 1, place))
@@ -193,7 +194,7 @@ def _run() -> re.Pattern[bytes]:
     return re.compile(head + b"(..)" + rest + b"(?:" + head + rb"\1" + rest + b")*+", re.DOTALL)
 
 
-_field_values = attrgetter(*telemetry.Sample._fields)
+_field_values = attrgetter(*rig_channels.SAMPLE_NAMES)
 # Head of a row that was made from a single message; nothing reads its bytes.
 _HEAD = bytes(RECORD_HEAD.size + MESSAGE_HEAD.size)
 _ROW_SIZE = RECORD_HEAD.size + ROW_LENGTH

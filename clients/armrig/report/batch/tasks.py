@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.part_names import PART, part_number
-from armrig_core.telemetry.telemetry import THETA_1, OutputName
+from armrig_core.telemetry.channels import THETA_1, OutputName
 
 from armrig.data.treatment import detrend
 from armrig.estimation.request import Request

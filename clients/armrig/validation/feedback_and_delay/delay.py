@@ -8,7 +8,7 @@ from math import ceil, sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.telemetry.telemetry import ALPHA, THETA_1
+from armrig_core.telemetry.channels import ALPHA, THETA_1
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.argument import takes_recordings
