@@ -51,6 +51,14 @@ _Port = Annotated[
 _Rig = Annotated[
     str | None, typer.Option(help="Id of the rig: a-z, 0-9 and -.", show_default="[rig] id")
 ]
+_RigFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--rig-file",
+        help="File (TOML) that describes the rig: its outputs, their units and limits.",
+        show_default="[rig] file, or the arm",
+    ),
+]
 _System = Annotated[
     bool,
     typer.Option(
@@ -92,6 +100,7 @@ def run(
     emulate: Annotated[bool, typer.Option("--emulate", help="Drive an emulated rig.")] = False,
     port: _Port = None,
     rig: _Rig = None,
+    rig_file: _RigFile = None,
     system: _System = False,
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
@@ -117,9 +126,11 @@ def run(
     if parent is not None:  # the parent is `armrig lab`, which may be killed without a message
         end_with_parent(parent)
     notifier = Notifier(os.environ)
-    load = _configuration(config, port, rig, _EMULATION_DEFAULTS if emulate else {}, system=system)
+    below = _EMULATION_DEFAULTS if emulate else {}
+    load = _configuration(config, port, rig, below, system=system, rig_file=rig_file)
     try:
         loaded = load()
+        described = configuration.description_of(loaded)
         directory = configuration.recordings(loaded)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
         _check_no_file(Path(where.partition("/")[2]))
@@ -128,10 +139,13 @@ def run(
     os.umask(0o027)  # the group may read a recording; only the daemon's user may change it
     of_systemd = notifier, load if notifier.is_asked else None
     if not emulate:
-        _end(Service(loaded, where, directory, None, *of_systemd).run())
+        _end(Service(loaded, where, directory, None, *of_systemd, description=described).run())
     try:
         with emulated(loaded, _socket_directory()) as (device, stalls_fd):
-            code = Service(device, where, directory, stalls_fd, *of_systemd).run()
+            service = Service(
+                device, where, directory, stalls_fd, *of_systemd, description=described
+            )
+            code = service.run()
     except OperationError as err:
         _refuse(str(err))
     _end(code)
@@ -221,6 +235,7 @@ def _configuration(
     below: Mapping[str, Mapping[str, Any]],
     *,
     system: bool,
+    rig_file: Path | None = None,
 ) -> Callable[[], Config]:
     """Return a function that reads the configuration; the options override its values."""
     from armrig_daemon.config import load, load_installed
@@ -230,6 +245,8 @@ def _configuration(
         overrides["device"] = {"port": port}
     if rig is not None:
         overrides["rig"] = {"id": rig}
+    if rig_file is not None:
+        overrides.setdefault("rig", {})["file"] = str(rig_file.absolute())
     if config is None:
         return partial(load_installed, os.environ, overrides, system=system, below=below)
     return partial(load, [config], os.environ, overrides, below=below)
@@ -469,13 +486,17 @@ def virtual(
 
     The same seed, runs and configuration result in the same bytes.
     """
+    from armrig_daemon.config import description_of
     from armrig_daemon.emulator.device import Device
     from armrig_daemon.service.virtual_service import VirtualService, requests_of
 
     try:
         loaded = _configuration(config, None, None, _EMULATION_DEFAULTS, system=False)()
+        described = description_of(loaded)
         switch_on = _firmware(image) if firmware or image else Device
-        service = VirtualService(loaded, directory.absolute(), seed=seed, switch_on=switch_on)
+        service = VirtualService(
+            loaded, directory.absolute(), seed=seed, switch_on=switch_on, description=described
+        )
         for request in requests_of(sys.stdin.buffer.read()):
             typer.echo(service.record(request))
     except (ValueError, OperationError, OSError) as err:

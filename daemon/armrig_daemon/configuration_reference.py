@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import msgspec
 from armrig_core.recording_file.recording_directory import SYSTEM
 from armrig_core.rig.calibration import Made
+from msgspec import UNSET
 from msgspec.inspect import (
     BoolType,
     DictType,
@@ -123,14 +124,14 @@ def _keys(table: msgspec.Struct, path: str) -> Iterator[Key]:
         elif field.type not in _PROGRAM_TYPES:
             if path == "arm" and value is None:
                 value = getattr(Config().arm.parameters(), field.name)
-            shown = "" if value is None else _toml(value)
+            shown = "" if value is None or value is UNSET else _toml(value)
             yield Key(
                 name=field.name,
                 kind=_in_words(field.type),
                 default=shown,
                 allowed=_emulator_range(field.name) if path == "emulator" else _range(field.type),
                 description=descriptions[field.name],
-                example=shown or "0",
+                example=shown or ('""' if _in_words(field.type) == "text" else "0"),
             )
 
 

@@ -21,7 +21,11 @@ SERVICES = PurePosixPath("/run/armrig")
 """Folder that contains one folder for each rig whose daemon systemd runs."""
 SERVICE_USER = "armrig"
 """User of the daemons that systemd runs."""
-_FILES = {"access": ("certificate", "names", "passwords"), "client": ("certificate", "password")}
+_FILES = {
+    "access": ("certificate", "names", "passwords"),
+    "client": ("certificate", "password"),
+    "rig": ("file",),
+}
 _NETWORK = re.compile(r"(tls|tcp)/(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9.-]+)):(\d{1,5})")
 
 
@@ -112,7 +116,7 @@ def network_address(where: str) -> tuple[str, int] | None:
 
 
 def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """Return `tables` with absolute paths of credentials; relative paths begin at `directory`."""
+    """Return `tables` with absolute paths of files; relative paths begin at `directory`."""
     result = dict(tables)
     for table, keys in _FILES.items():
         given = result.get(table)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -10,6 +10,7 @@ import msgspec
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.commands.commands import Rehearsal
 from armrig_core.errors import InputError
+from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.emulated import is_emulated
 
 RUN = "armrig.run"
@@ -22,6 +23,9 @@ CONFIG, CALIBRATION, INPUT = "config.json", "calibration.json", "input.csv"
 """Names of the attachments; the input has one voltage per line, under the heading u_v."""
 CALIBRATION_RAW = "calibration.csv.gz"
 """Name of the attachment with the samples from which the calibration was estimated."""
+
+DESCRIPTION = "rig.toml"
+"""Name of the attachment with the description of the rig."""
 
 _DEPTH_LIMIT = 32
 _INDEX_LIMIT = 1 << 62
@@ -71,6 +75,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     """Hash of the attached configuration."""
     calibration_sha256: str = ""
     """Hash of the attached calibration."""
+    description_sha256: str = ""
+    """Hash of the attached description of the rig; empty in a recording of an older release."""
     rehearsal: Rehearsal | None = None
     """Response of the rig's model to the input, computed before the run."""
 
@@ -140,6 +146,15 @@ def _metadata(record: Manifest | Outcome | Recovered) -> dict[str, str]:
 
 def _fields(metadata: dict[str, str]) -> dict[str, Any]:
     return {key: msgspec.json.decode(text) for key, text in metadata.items()}
+
+
+def description_of(attachments: Mapping[str, bytes]) -> Description:
+    """Return the description of the rig of a recording; without an attached one, the arm's.
+
+    Raises FileError or InputError if the attached description is not allowed.
+    """
+    text = attachments.get(DESCRIPTION)
+    return shipped("arm") if text is None else Description.of(text)
 
 
 def manifest_of(metadata: dict[str, str]) -> Manifest:

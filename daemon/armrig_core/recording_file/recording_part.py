@@ -13,7 +13,7 @@ from typing import IO, cast
 from mcap.writer import CompressionType, Writer
 
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.manifest import OUTCOME, RUN, Manifest, Outcome
+from armrig_core.recording_file.manifest import OUTCOME, RUN, Manifest, Outcome, description_of
 from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 from armrig_core.recording_file.rewriting import compact, sync_directory
@@ -27,7 +27,12 @@ CHUNK_BYTES = 128 * 1024
 _ENDING_BYTES = 4 * CHUNK_BYTES  # for the last messages on a full disk, and for the end of the file
 _INDEX_BYTES = 256  # additional space for the index of each chunk
 _FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
-_MEDIA_TYPES = {"csv": "text/csv", "json": "application/json", "gz": "application/gzip"}
+_MEDIA_TYPES = {
+    "csv": "text/csv",
+    "json": "application/json",
+    "gz": "application/gzip",
+    "toml": "application/toml",
+}
 
 
 class EndsHereError(Exception):
@@ -87,9 +92,10 @@ class Part:
     def _begin(self, attachments: dict[str, bytes]) -> dict[str, int]:
         writer, channels, manifest = self._writer, {}, self.manifest
         writer.start(profile=PROFILE, library=f"armrig {manifest.armrig}")
+        rig = description_of(attachments).channels
         for stream in RECORDED:
             name = protobuf.OF_STREAM[stream]
-            schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))
+            schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name, rig))
             channels[stream] = writer.register_channel(
                 topic(manifest.rig, stream), "protobuf", schema
             )

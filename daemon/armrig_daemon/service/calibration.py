@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from armrig_core.errors import InputError
-from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.calibration import CALIBRATED, Calibration
 from armrig_core.rig.calibration_file import check_measured
-from armrig_core.telemetry.channels import ALPHA, THETA_1
+from armrig_core.rig.description import Description
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config
@@ -16,18 +16,27 @@ _MAX_CHARACTERS = 80  # of a name or a date
 
 
 def checked_calibration(
-    calibration: Calibration, raw: bytes, config: Config, device: dict[str, Any]
+    calibration: Calibration,
+    raw: bytes,
+    config: Config,
+    device: dict[str, Any],
+    description: Description,
 ) -> Calibration:
     """Return the checked calibration for the recordings; refuse a calibration of another rig.
 
     The ranges of zeros, angles, gain and offset were checked when the request was decoded.
 
     `raw` contains the samples from which the calibration was estimated. `device` contains the
-    properties that the device reported.
+    properties that the device reported. `description` describes the rig.
 
     Raises ValueError if the calibration was not measured on this rig and device, or the samples do
     not belong to it. It also raises ValueError if `wraps` differs from the configuration.
     """
+    if not description.is_calibrated:
+        raise InputError(
+            f"the rig is '{description.rig.name}', and a calibration is of theta_1 and alpha: give "
+            "zero_counts and per_count in the rig's description"
+        )
     made = check_measured(calibration, raw)
     uid = str(device.get("uid", made.device_uid))  # without a device, the core will refuse
     if (made.rig, made.device_uid) != (config.rig.id, uid):
@@ -38,10 +47,10 @@ def checked_calibration(
         )
     if len(made.date) > _MAX_CHARACTERS or not made.date.isprintable():
         raise InputError(f"made.date: at most {_MAX_CHARACTERS} printable characters are allowed")
-    for name in (THETA_1, ALPHA):
+    for name in CALIBRATED:
         now, wraps = getattr(config.calibration, name).wraps, getattr(calibration, name).wraps
         if wraps != now:
-            # If alpha wraps, arming does not check whether alpha is at the end of its range.
+            # If a channel wraps, arming does not check whether it is at the end of its range.
             raise InputError(
                 f"{name}.wraps = {str(wraps).lower()}: must be {str(now).lower()}, as the "
                 "configuration of this rig says"

@@ -260,7 +260,9 @@ class Commands:
             text = "another calibration is on its way: try again"
             raise CommandRefusedError(commands.refused(RefusalCode.TOO_MANY, text))
         device = self._rig.state.device
-        checked = checked_calibration(request.calibration, request.raw, self._config, device)
+        checked = checked_calibration(
+            request.calibration, request.raw, self._config, device, self._rig.description
+        )
         self._order(command, Calibrate(calibration=replace(checked, made=None)))
         self._calibration = self._numbers, replace(request, calibration=checked)
 

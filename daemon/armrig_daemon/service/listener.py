@@ -27,7 +27,9 @@ from armrig_core.access.owned_session import (
 )
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import REQUESTS, Refused, Renew, Stop, json_schema, refused
+from armrig_core.rig.channels import Channel
 from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.history import HistoryRequest
 from armrig_core.telemetry.topics import (
     STREAMS,
@@ -119,13 +121,14 @@ class Listener:
         admit: Callable[[Command], None],
         past: Callable[[int, int], bytes],
         network: Network | None = None,
+        channels: tuple[Channel, ...] = CHANNELS,
     ) -> None:
         """Listen at the endpoint, or connect to the router.
 
         zenoh's threads call `admit` with each command that passes the limits. `past` returns the
         answer to a request for the history; its arguments are the number of the first requested
         message, and the offset of the clocks in ns. `network` is a network endpoint with its
-        permissions; None is the Unix socket.
+        permissions; None is the Unix socket. `channels` name fields of the schema of a sample.
 
         Raises zenoh.ZError if the endpoint is in use or cannot be opened, or the router does not
         answer.
@@ -146,7 +149,8 @@ class Listener:
             for stream in STREAMS
         }
         self._served = {
-            schema_key(rig, n): protobuf.descriptor_set(n) for n in protobuf.OF_STREAM.values()
+            schema_key(rig, n): protobuf.descriptor_set(n, channels)
+            for n in protobuf.OF_STREAM.values()
         }
         for name in REQUESTS:
             self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)

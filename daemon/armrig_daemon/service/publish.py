@@ -15,6 +15,8 @@ import zenoh
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import Calibrate, Renew, Status, Stop, refused
 from armrig_core.errors import OperationError
+from armrig_core.rig.channels import Channel
+from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.history import REPLY_LIMIT, encode_past
 
 from armrig_daemon.service import admission
@@ -66,11 +68,13 @@ class Session:
         wake: Callable[[], None],
         network: Network | None = None,
         router: Network | None = None,
+        channels: tuple[Channel, ...] = CHANNELS,
     ) -> None:
         """Listen; zenoh's threads call `wake` when a command has arrived.
 
         `endpoint` is the endpoint of the Unix socket. The session also listens at the endpoint of
-        `network`. It also connects to `router`, as soon as the router answers.
+        `network`. It also connects to `router`, as soon as the router answers. `channels` are the
+        channels of the rig.
 
         Raises zenoh.ZError if the endpoint is in use or cannot be created. Raises NetworkError if
         the endpoint of the network is in use or cannot be opened.
@@ -83,7 +87,8 @@ class Session:
         self._wake = wake
         self._history = History(secrets.token_bytes(16))
         self._endpoint, self._rig, self._network = endpoint, rig, network
-        self._listeners = [Listener(endpoint, rig, self._admit, self._past)]
+        self._listen = partial(Listener, channels=channels)
+        self._listeners = [self._listen(endpoint, rig, self._admit, self._past)]
         self._deleted: list[Listener] = []  # their sockets are deleted, their clients are connected
         if network is not None:
             try:
@@ -94,7 +99,7 @@ class Session:
         self.uplink: Uplink | None = None
         """Connection to a router; None without a configured router."""
         if router is not None:
-            way = partial(Listener, router.endpoint, rig, self._admit, self._past, router)
+            way = partial(self._listen, router.endpoint, rig, self._admit, self._past, router)
             self.uplink = Uplink(router.endpoint, way)
 
     def __enter__(self) -> Self:
@@ -113,7 +118,7 @@ class Session:
         if len(self._deleted) == MAX_DELETED:
             return f"for the {MAX_DELETED + 1}th time"
         try:
-            again = Listener(self._endpoint, self._rig, self._admit, self._past)
+            again = self._listen(self._endpoint, self._rig, self._admit, self._past)
         except zenoh.ZError as err:
             return endpoint_error(self._endpoint, self._rig, err)
         self._deleted.append(self._listeners[0])
@@ -129,7 +134,7 @@ class Session:
             return
         where = self._network.endpoint
         try:
-            remote = Listener(where, self._rig, self._admit, self._past, self._network)
+            remote = self._listen(where, self._rig, self._admit, self._past, self._network)
         except zenoh.ZError as err:
             raise NetworkError(str(err)) from err
         self._listeners.append(remote)

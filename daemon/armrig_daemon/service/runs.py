@@ -27,12 +27,14 @@ from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CALIBRATION_RAW,
     CONFIG,
+    DESCRIPTION,
     INPUT,
     Manifest,
 )
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import raw_samples
+from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.volts import codes_of
 from armrig_core.telemetry.telemetry import Outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
@@ -55,7 +57,8 @@ class Planned(NamedTuple):
     run_id: str
     path: Path
     request: Run
-    rehearsal: Rehearsal
+    rehearsal: Rehearsal | None
+    """Response of the model to the input; None for a rig without a model of the arm."""
     text: bytes
     """Input as text for the recording; the slow conversion is done before the run, at 0 V."""
 
@@ -69,8 +72,13 @@ class Runs:
         directory: Path,
         changed: Callable[[], None],
         circumstances: HostFacts | None = None,
+        description: Description | None = None,
     ) -> None:
-        """Record into `directory`; the thread of a recording calls `changed` after each change."""
+        """Record into `directory`; the thread of a recording calls `changed` after each change.
+
+        The default of `description` is the description of the arm.
+        """
+        self._description = description or shipped("arm")
         self._config = config
         self._circumstances = circumstances or of_this_host()
         self._directory = directory
@@ -125,13 +133,13 @@ class Runs:
         self,
         request: Run,
         Ts: float,
-        theta_1_rad: float | None = None,
+        start_rad: float | None = None,
         alive: Callable[[], None] = lambda: None,
     ) -> tuple[pipe.Run, RunAccepted]:
         """Return the order to the loop, and the answer to the client if the loop accepts the order.
 
         `request` is the request of the client, `Ts` the sampling time of the lease in s, and
-        `theta_1_rad` the angle of the chassis in rad. `alive` is called after each slow step,
+        `start_rad` the angle of the turning shaft in rad. `alive` is called after each slow step,
         because the plan may take seconds.
 
         Raises CommandRefusedError if another run is requested or running, or there is no room for
@@ -147,15 +155,18 @@ class Runs:
         limits, arm = self._config.limits, self._config.arm
         u = checked(request.u, limits)
         alive()
-        rehearsal = rehearse(
-            u,
-            Ts,
-            parameters=arm.parameters(),
-            arm_removed=arm.removed,
-            theta_1_rad=theta_1_rad,
-            revolutions=limits.revolutions,
-            alpha_rad=limits.alpha_rad,
-        )
+        model = self._description.model
+        rehearsal = None
+        if model is not None and model.kind:
+            rehearsal = rehearse(
+                u,
+                Ts,
+                parameters=arm.parameters(),
+                arm_removed=arm.removed or model.kind == "chassis",
+                theta_1_rad=start_rad,
+                revolutions=limits.revolutions,
+                alpha_rad=limits.alpha_rad,
+            )
         alive()
         text = one_a_line(u)
         alive()
@@ -213,6 +224,7 @@ class Runs:
         attachments = {
             CONFIG: msgspec.json.encode(self._config),
             CALIBRATION: msgspec.json.encode(self._config.calibration),
+            DESCRIPTION: self._description.text,
             INPUT: planned.text,
         }
         if self._calibration_raw:
@@ -358,6 +370,7 @@ class Runs:
             },
             config_sha256=hashlib.sha256(msgspec.json.encode(config)).hexdigest(),
             calibration_sha256=config.calibration_sha256,
+            description_sha256=self._description.sha256,
             rehearsal=planned.rehearsal,
         )
 

@@ -26,6 +26,7 @@ from armrig_core.process import open_files, realtime
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.standstill import Standstill
 from armrig_core.recording_file.recorder import RecordingError
+from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.emulated import held_up
 from armrig_core.telemetry.telemetry import Outgoing, Sample, decode_sample
 from msgspec.structs import replace
@@ -95,6 +96,8 @@ class Service:
         stalls_fd: int | None = None,
         notifier: Notifier | None = None,
         check_configuration: Callable[[], Config] | None = None,
+        *,
+        description: Description | None = None,
     ) -> None:
         """Catch the signals; start nothing yet.
 
@@ -102,18 +105,19 @@ class Service:
         emulator's clock stood still. `notifier` is the connection to systemd; default: no
         connection. `check_configuration` is called at SIGHUP: it reads the configuration again, and
         raises ValueError if the configuration is refused. Without this function, SIGHUP ends the
-        service.
+        service. `description` describes the rig; default: the arm.
         """
+        self._description = description or shipped("arm")
         self._notifier = Notifier({}) if notifier is None else notifier
         self._check_configuration = check_configuration
         self._restarts = False
         self._config = config
         self._stalls_fd = stalls_fd
         self._endpoint = endpoint
-        self._rig = RigView(config, endpoint, directory)
+        self._rig = RigView(config, endpoint, directory, self._description)
         self._signals = SignalPipe()
         wake = self._signals.wake
-        self._runs = Runs(config, directory, wake)
+        self._runs = Runs(config, directory, wake, description=self._description)
         self._left_over = StartupRecovery(directory, config.rig.id, wake, config.recording)
         self._thinning = Thinning()
         self._files = open_files.FullTable()
@@ -131,7 +135,7 @@ class Service:
             return EX_CONFIG
         loop = child.start(
             Settings(
-                rules=replace(config.rules(), service_ns=SILENCE_NS),
+                rules=replace(config.rules(self._description), service_ns=SILENCE_NS),
                 port=config.device.port,
                 baud=config.device.baud,
                 priority=config.timing.priority,
@@ -146,7 +150,12 @@ class Service:
             sys.setswitchinterval(_SWITCH_S)
             open_files.raise_limit()
             with Session(
-                self._endpoint, config.rig.id, self._signals.wake, network, router
+                self._endpoint,
+                config.rig.id,
+                self._signals.wake,
+                network,
+                router,
+                self._description.channels,
             ) as session:
                 self._connect(loop, session)
                 self._announce(filter(None, (network, router)), has_left_fifo=has_left)

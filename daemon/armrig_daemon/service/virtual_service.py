@@ -17,6 +17,7 @@ import msgspec
 from armrig_core.commands.codes import Ending
 from armrig_core.commands.commands import Run
 from armrig_core.errors import InputError, OperationError
+from armrig_core.rig.description import Description
 from armrig_core.rig.emulated import VIRTUAL_PORT
 from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from msgspec.structs import replace
@@ -57,22 +58,31 @@ class VirtualService:
     """Emulated rig, and the recordings of its runs."""
 
     def __init__(
-        self, config: Config, directory: Path, *, seed: int, switch_on: SwitchOn = Device
+        self,
+        config: Config,
+        directory: Path,
+        *,
+        seed: int,
+        switch_on: SwitchOn = Device,
+        description: Description | None = None,
     ) -> None:
-        """Switch the rig on; `seed` determines its noise, and the names and times of the runs."""
+        """Switch the rig on; `seed` determines its noise, and the names and times of the runs.
+
+        `description` describes the rig; default: the arm.
+        """
         emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
         # Folder and port depend on the host. Without them, the same rig gives the same file.
         device = replace(config.device, port=VIRTUAL_PORT)
         self._config = replace(config, device=device, emulator=emulator, recording=Recording())
         self._began = BEGINNING + timedelta(seconds=seed % _DISTINCT_SEEDS)
         self._offset_ns = int(self._began.timestamp()) * 1_000_000_000
-        self._rig = VirtualRig(self._config.rules(), emulator, switch_on=switch_on)
+        self._rig = VirtualRig(self._config.rules(description), emulator, switch_on=switch_on)
         circumstances = HostFacts(
             run_id=lambda codes: _name(seed, codes),
             now=lambda: self._began + timedelta(microseconds=self._rig.ports.now // 1000),
             host={"time": "virtual", "seed": seed},
         )
-        self._runs = Runs(self._config, directory, lambda: None, circumstances)
+        self._runs = Runs(self._config, directory, lambda: None, circumstances, description)
         self._thinning = Thinning()
         self._n = 0
         self._state: State | None = None

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
+from armrig_core.rig.description import shipped
 from armrig_daemon.config import Config, Rig
 from armrig_daemon.service.calibration import checked_calibration, taken
 from msgspec.structs import replace
@@ -25,14 +26,14 @@ SENT = Calibration(
     alpha=Potentiometer(wraps=False),
     made=MADE,
 )
-CONFIG = Config(rig=Rig(id="2"))
+CONFIG, ARM = Config(rig=Rig(id="2")), shipped("arm")
 
 
 def test_an_accepted_calibration_is_unchanged_except_for_its_file() -> None:
-    found = checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"})
+    found = checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"}, ARM)
 
     assert found == replace(SENT, made=replace(MADE, file=""))
-    assert checked_calibration(SENT, RAW, CONFIG, {}) == found
+    assert checked_calibration(SENT, RAW, CONFIG, {}, ARM) == found
     assert "made 2026-11-20T08:00:00+01:00; in force until armrigd ends" in taken(found)
 
 
@@ -52,4 +53,9 @@ def test_a_calibration_of_another_rig_or_device_is_refused(
     fields: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        checked_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"})
+        checked_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"}, ARM)
+
+
+def test_a_heater_is_not_calibrated_as_an_arm() -> None:
+    with pytest.raises(ValueError, match=r"'heater'.*give zero_counts and per_count in the rig's"):
+        checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"}, shipped("heater"))

@@ -13,7 +13,15 @@ import armrig
 import pytest
 from armrig.recordings.files.container import read
 from armrig_core.commands.commands import Run
-from armrig_core.recording_file.manifest import CALIBRATION, CONFIG, INPUT, OUTCOME, RECOVERED, RUN
+from armrig_core.recording_file.manifest import (
+    CALIBRATION,
+    CONFIG,
+    DESCRIPTION,
+    INPUT,
+    OUTCOME,
+    RECOVERED,
+    RUN,
+)
 from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
@@ -71,7 +79,8 @@ def _metadata(name: str) -> list[str]:
 
 
 def _attachments(name: str) -> set[str]:
-    return {CONFIG, CALIBRATION} | (set() if name in ("part 2", "part 3") else {INPUT})
+    described = set() if name == "recovered" else {DESCRIPTION}
+    return {CONFIG, CALIBRATION} | described | (set() if name in ("part 2", "part 3") else {INPUT})
 
 
 def _check(topics: dict[str, int], samples: dict[str, Any], path: Path) -> None:
