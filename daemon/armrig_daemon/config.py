@@ -38,7 +38,8 @@ from armrig_protocol.messages import (
 from msgspec import UNSET, Meta, UnsetType
 
 from armrig_daemon.decisions.budget import check
-from armrig_daemon.decisions.state import Rules
+from armrig_daemon.decisions.output_limits import too_slow
+from armrig_daemon.decisions.state import OutputLimit, Rules
 from armrig_daemon.emulator.settings import HARNESS_VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
 
@@ -304,7 +305,26 @@ class Config(Table, frozen=True, kw_only=True):
             oversampling=self.device.oversampling,
             calibration=msgspec.structs.replace(self.calibration, made=None),
             described=described,
+            limits=UNSET if description is None else output_limits(description),
         )
+
+
+def output_limits(description: Description) -> tuple[OutputLimit, ...] | UnsetType:
+    """Return the limits of the rig's measured outputs, as the core needs them."""
+    limits = tuple(
+        OutputLimit(
+            channel,
+            name,
+            output.unit,
+            output.low,
+            output.high,
+            output.samples,
+            round((output.blind_s or 0.0) * 1e9),
+        )
+        for channel, (name, output) in enumerate(description.outputs.items())
+        if output.limited
+    )
+    return limits or UNSET
 
 
 def description_of(config: Config) -> Description:
@@ -359,6 +379,8 @@ def load(
         check(config.ts_us, config.device.baud, oversampling=config.device.oversampling)
     except ValueError as err:
         raise InputError(f"[timing] {err}") from err
+    if error := too_slow(output_limits(description_of(config)) or (), config.ts_us):
+        raise InputError(f"[rig] file: {error}")
     return config
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from struct import pack
 
+from armrig_core.rig.description import Description
 from armrig_core.rig.volts import code_of
 from armrig_core.telemetry.telemetry import Sample, decode_sample
 from armrig_daemon.config import Config
@@ -26,10 +27,11 @@ class Bench(VirtualRig):
         *,
         switched_on_ns: int = 0,
         k: int = 0,
+        description: Description | None = None,
         **emulator: float,
     ) -> None:
         self.lateness_ns = 0
-        rules = (config or Config()).rules()
+        rules = (config or Config()).rules(description)
         settings = EmulatorSettings(**{"boot_ms": 0.0, "baud": rules.baud, **emulator})
         super().__init__(rules, settings, lambda: self.lateness_ns, switched_on_ns)
         self.loop._k = k

@@ -25,6 +25,10 @@ class Id(StrEnum):
     """No command of the lease's holder arrived in time."""
     LIMITS = "limits"
     """The input of an experiment left the limits."""
+    OUTPUT = "output"
+    """A measured output left its limits."""
+    BLIND = "blind"
+    """No valid sample of a limited output arrived in time."""
     RESET = "reset"
     """The device restarted."""
     DEVICE = "device"
@@ -49,6 +53,10 @@ class Fault(NamedTuple):
     """Observed and allowed values, as text for a person."""
     device_cause: int = Cause.NONE
     """Number of the cause that the device reported, see `Cause`; NONE if it reported no cause."""
+    output: str = ""
+    """Name of the measured output that caused the fault; empty for another cause."""
+    value: float | None = None
+    """Newest valid value of this output, in its unit."""
 
 
 REMEDIES: dict[Id, str] = {
@@ -59,6 +67,9 @@ REMEDIES: dict[Id, str] = {
     Id.SERVICE: "start armrigd again; its earlier output may say why it froze",
     Id.LEASE: "let the client send a command at least every 0.1 s or 5 Ts, whichever is longer",
     Id.LIMITS: "keep the input within [limits] of the configuration",
+    Id.OUTPUT: "bring the output back into the limits of the rig's description; an input that is "
+    "smaller or shorter may keep it there",
+    Id.BLIND: "check the wires of this sensor, and that its reading is not at an end of its range",
     Id.RESET: "check the supply and the cable of the rig",
     Id.DEVICE: "stay within the limit in this message; if this host was late, close other programs "
     "(`armrig doctor`)",

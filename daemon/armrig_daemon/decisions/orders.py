@@ -11,8 +11,9 @@ from msgspec.structs import replace
 from armrig_daemon import pipe
 from armrig_daemon.decisions import outcomes
 from armrig_daemon.decisions.budget import check, exchange_us
-from armrig_daemon.decisions.faults import name_of
+from armrig_daemon.decisions.faults import name_of, sentence
 from armrig_daemon.decisions.outcomes import NO_DEVICE, Step, Then, answer, refuse
+from armrig_daemon.decisions.output_limits import blind, outside, too_slow
 from armrig_daemon.decisions.state import Action, Lease, PendingRequest, Phase, RequestKind, State
 
 NOT_HELD = "not the lease in force: arm first"
@@ -114,6 +115,10 @@ def _arm(state: State, now_ns: int, order: pipe.Arm) -> Step:
     if not state.sampled_ns or now_ns - state.sampled_ns > limit_ns:
         text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text, RefusalCode.STALE, limit_ms=limit_ns / 1e6)
+    if limits := state.rules.limits:
+        fault = outside(limits, state.watch) or blind(limits, state.watch, now_ns)
+        if fault is not None:
+            return state, refuse(order, sentence(fault), RefusalCode.READINGS, output=fault.output)
     if link.device_state not in _AT_REST:
         # HELLO requests the device's state, after which the device is brought to rest.
         name = name_of(DeviceState, link.device_state)
@@ -135,6 +140,8 @@ def begin_arming(state: State, order: pipe.Arm) -> Step:
         check(ts_us, baud, device.skew_us, scheduled=scheduled, oversampling=m)
     except ValueError as err:
         return state, refuse(order, str(err))
+    if state.rules.limits and (error := too_slow(state.rules.limits, ts_us)):
+        return state, refuse(order, error)
     least_us = device.ts_min_us + 2 * (m - 1) * device.skew_us
     if ts_us < least_us:
         error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"

@@ -49,6 +49,31 @@ class Value(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """Value that a trace contains as a list; it is created in a third of a named tuple's time."""
 
 
+class OutputLimit(Value, frozen=True):
+    """Limit of a measured output, fixed at the start."""
+
+    channel: int
+    name: str
+    unit: str
+    low: float
+    high: float
+    samples: int
+    """Number of consecutive valid samples outside `low` to `high` after which the rig stops."""
+    blind_ns: int
+    """Time without a valid sample after which the rig stops, in ns; 0 is no limit."""
+
+
+class OutputWatch(Value, frozen=True):
+    """What is known of a limited output."""
+
+    outside: int
+    """Number of consecutive valid samples outside the limits, at most `OutputLimit.samples`."""
+    valid_ns: int
+    """Time at which the newest valid sample was requested, in ns."""
+    value: float
+    """Newest valid value; NaN before the first one."""
+
+
 Conversions = tuple[Conversion, Conversion] | tuple[Potentiometer, Potentiometer]
 
 
@@ -76,6 +101,8 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     calibration: Calibration
     described: tuple[Conversion, Conversion] | UnsetType = UNSET
     """Conversions of a rig that is described in a file; without them, `calibration` converts."""
+    limits: tuple[OutputLimit, ...] | UnsetType = UNSET
+    """Limits of measured outputs; without them, no measured output stops the motor."""
     service_ns: int = 0
     """Silence of the service after which the motor is stopped, in ns; 0 without a service."""
 
@@ -344,6 +371,8 @@ class State(msgspec.Struct, frozen=True, gc=False):
     """Code that the newest `set` command holds; otherwise 0."""
     outcome_code: OutcomeCode | None = None
     """Outcome of the run, for programs; None while `outcome` is empty."""
+    watch: tuple[OutputWatch, ...] | UnsetType = UNSET
+    """State of each output in `Rules.limits`; unset before the first sample."""
 
     @property
     def ending(self) -> Ending:

@@ -3,7 +3,7 @@
 The function is pure: no clock, I/O, randomness, logging or threads. It keeps these invariants of
 ARCHITECTURE.md. Every non-zero code that the function sends belongs to a command of the lease's
 holder (S5). The code is within the limits (S1), and the last round trip is recent enough (S4). A
-fault stays latched until a reset (S6).
+fault stays latched until a reset (S6). A limited output is inside its limits, or the motor stops.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from armrig_daemon.decisions import (
     gaps,
     orders,
     outcomes,
+    output_limits,
     replies,
     requests,
     sampling,
@@ -242,6 +243,9 @@ def handle_sample(state: State, now_ns: int, m: wire.Sample) -> Decided:
     base = m.k + 1 if self_paced else 0
     state, actions = carry_out(now_ns, setpoints.note_queue(state, now_ns, base, m.queued))
     done += actions
+    if limits := state.rules.limits:
+        state, actions = carry_out(now_ns, output_limits.observe(state, limits, arrived.sample))
+        done += actions
     if self_paced and m.flags & _FLAG_UNDERRUN:
         u = f"its input was {volts_of(m.u_k):.3g} V"
         done.append(log(now_ns, "warning", f"sample {arrived.sample.k} had no setpoint: {u}"))
@@ -315,6 +319,8 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Decided:
         fault = Fault(Id.MISSED, cause)
     elif rules.service_ns and now_ns - state.service_ns > rules.service_ns:
         fault = Fault(Id.SERVICE, "the service is frozen: nobody could stop the motor")
+    elif rules.limits:
+        fault = output_limits.blind(rules.limits, state.watch, now_ns)
     if driving and fault:
         return carry_out(now_ns, (state, [outcomes.Trip(fault)]))
     age_ns = now_ns - link.last_round_trip_ns

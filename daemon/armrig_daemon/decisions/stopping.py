@@ -30,4 +30,7 @@ def trip(state: State, now_ns: int, fault: Fault) -> Step:
     text = f"stopped at 0 V: {sentence(fault)}; then `armrig reset`, then repeat"
     # A device that cannot be reached is stopped by its own watchdog.
     stopped = outcomes.Ask(RequestKind.STOP) if state.link is not None else outcomes.EndRun()
-    return state, [stopped, log(now_ns, "error", text, cause=fault.id), Then.REPORT]
+    facts = {"cause": str(fault.id)}
+    if fault.output:
+        facts |= {"output": fault.output, "value": f"{fault.value:.6g}"}
+    return state, [stopped, log(now_ns, "error", text, **facts), Then.REPORT]
