@@ -36,6 +36,10 @@ TRIPS = (
     "the device stopped by itself: SLEW",
     "the device has received frame",
     "the service is frozen",
+    "y = ",
+    "z = ",
+    "y has had no valid sample",
+    "z has had no valid sample",
 )
 """Beginnings of the causes of trips that a campaign must contain.
 

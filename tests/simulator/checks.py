@@ -50,6 +50,7 @@ from armrig_protocol.messages import State as DeviceState
 
 from tests.simulator.frames import Frame, ask_the_same, may_exchange, may_fill
 from tests.simulator.options import MS, Options
+from tests.simulator.outputs import OutputJudge
 from tests.simulator.violation import Violation
 
 HELLO, STOP, CLEAR = TYPES[Hello], TYPES[Stop], TYPES[ClearFault]
@@ -101,6 +102,7 @@ class Checks:
         self._s3_ns = self._limit * 1.0002 + MS
         """The watchdog by an oscillator that is 200 ppm slow, and 1 ms (S3)."""
         self._age_ns = max(50 * MS, 3 * ts_ns)
+        self.outputs = OutputJudge(options.outputs)
         self._frames: dict[bytes, Frame] = {}
         self._led: set[bytes] = set()
         """Frames that have armed or started the device."""
@@ -113,6 +115,7 @@ class Checks:
     def begin_host(self, now_ns: int) -> None:
         """Forget what the ended process knew."""
         self.link_up()
+        self.outputs.begin_host()
         self.fresh_ns = self.newest_ns = self.step_ns = now_ns
         """Time of the newest frame that came back, or reached the device, by the core's step."""
         self.must_stop = self.stop_sent = False
@@ -214,6 +217,7 @@ class Checks:
         if self.phase == "fault":
             if before != "fault":
                 self.seen[f"trip: {_cause(record.reason)}"] += 1
+                self.outputs.tripped(self.step_ns, record.reason)
             self.latched = True
             self._close(now_ns)
         elif self.latched:
@@ -241,7 +245,7 @@ class Checks:
         text = data[1:] if data[0] == 0 else data
         kind = text[1] if text[0] > 1 else 0
         if kind == STOP:
-            self.stop_sent = True
+            self.stop_sent = self.outputs.stop_sent = True
         self._frames[text] = Frame(
             kind,
             self._seq,
@@ -276,9 +280,14 @@ class Checks:
         if heard_ns > self.fresh_ns:
             self.fresh_ns = heard_ns
 
-    def sampled(self, now_ns: int) -> None:
+    def sampled(self, now_ns: int, sample: Sample) -> None:
         """Note that the core has published a sample."""
         self.last_sample_ns = now_ns
+        self.outputs.sampled(now_ns, sample)
+
+    def end_step(self, now_ns: int, *, is_tick: bool = False) -> None:
+        """Judge the measured outputs after a step of the core."""
+        self.outputs.end_step(now_ns, self.phase, is_tick=is_tick)
 
     def bounded(self, now_ns: int, state: CoreState, waiting: int) -> None:
         """Judge the size of the loop's memory (R1)."""

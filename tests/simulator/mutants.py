@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 from unittest.mock import patch
 
-from armrig_daemon.decisions import gaps, orders, step, transitions
+from armrig_core.rig.channels import Conversion
+from armrig_daemon.decisions import gaps, orders, output_limits, step, transitions
 from armrig_daemon.decisions.state import Phase, Rules
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
 from armrig_protocol import cobs, decoder, frame
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import ARRAYS, MESSAGES
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from tests.simulator.options import KINDS
@@ -43,6 +46,7 @@ def planted(mutant: Mutant) -> Iterator[None]:
 
 _leased, _report_missing, _carry_out = orders._leased, gaps.report_missing, step.carry_out
 _volts, _feed = board.volts, decoder.feed
+_observe, _watched, _reset = output_limits.observe, output_limits._watched, orders._reset
 
 
 def _decode_anyway(stuffed: bytes) -> Any:
@@ -92,7 +96,57 @@ def _no_retry(state: Any, now_ns: int) -> Any:
     return replace(state, asked=state.asked and state.asked._replace(sent_ns=now_ns)), []
 
 
+def _wrong_channel(state: Any, limits: Any, sample: Any) -> Any:
+    flipped = sample._replace(value_0=sample.value_1, value_1=sample.value_0)
+    return _observe(state, limits, flipped)
+
+
+def _strict(before: Any, limit: Any, value: float, t_ns: int) -> Any:
+    at_limit = value in (limit.low, limit.high)
+    return _watched(before, limit, inf if at_limit else value, t_ns)
+
+
+def _seen_anyway(before: Any, limit: Any, value: float, t_ns: int) -> Any:
+    known = _watched(before, limit, value, t_ns)
+    return output_limits.OutputWatch(known.outside, t_ns, known.value)
+
+
+def _forgotten(state: Any, order: Any) -> Any:
+    return _reset(replace(state, watch=UNSET), order)
+
+
+def _in_counts(self: Conversion, counts: float) -> float:
+    return counts - self.zero_counts
+
+
+def _swapped(self: Rules) -> Any:
+    return (self.described or self.calibration.channels)[::-1]
+
+
+class _Unscheduled:
+    """The module of the limits, which a scheduled run does not ask."""
+
+    blind = staticmethod(output_limits.blind)
+
+    @staticmethod
+    def observe(state: Any, limits: Any, sample: Any) -> Any:
+        """Observe in exchange mode only."""
+        return (state, []) if state.scheduled else _observe(state, limits, sample)
+
+
+def _rule(name: str, *puts: tuple[Any, str, Any]) -> Mutant:
+    """Return a bug of the limits on measured outputs."""
+    return Mutant(name=name, puts=puts, breaks=frozenset({"O1", "O2"}))
+
+
 MUTANTS = (
+    _rule("a limit of the wrong channel", (output_limits, "observe", _wrong_channel)),
+    _rule("a limit that is outside", (output_limits, "_watched", _strict)),
+    _rule("a blind time restarted by an invalid sample", (output_limits, "_watched", _seen_anyway)),
+    _rule("limits forgotten at a reset", (orders, "_reset", _forgotten)),
+    _rule("limits in counts", (Conversion, "value", _in_counts)),
+    _rule("channels in the wrong order", (Rules, "conversions", property(_swapped))),
+    _rule("no limit while a run is scheduled", (step, "output_limits", _Unscheduled)),
     Mutant(
         name="no CRC",
         puts=((decoder, "decode", _decode_anyway),),

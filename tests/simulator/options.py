@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields, replace
 from random import Random
 from typing import Final, NamedTuple
 
+from tests.simulator.outputs import Output, draw_outputs
+
 MS: Final = 1_000_000
 _FIRST_NS: Final = 250 * MS
 CLEAR_NS: Final = 3_400 * MS
@@ -119,6 +121,8 @@ class Options:
     real_outbox: bool
     """The pipe to the service is the real one; otherwise only its reader's part."""
     episodes: tuple[Episode, ...]
+    outputs: tuple[Output, ...] = ()
+    """Described outputs and their limits; without any, the rig is the arm."""
     stalls: tuple[Episode, ...] = ()
     """Stalls of the emulating process; from a size of 0.5 on of the whole machine."""
     tolerates_stalls: bool = False
@@ -194,6 +198,7 @@ def draw(
         goes_on=rng.random() < 0.4,
         real_outbox=any(e.kind == "full_pipe" for e in kept),
         episodes=tuple(kept),
+        outputs=draw_outputs(Random(seed ^ 0x0075), ts_us),
         stalls=() if stalls is None else _stalls(Random(seed ^ 0x57A11)),
         tolerates_stalls=bool(stalls),
         c_core=c_core,

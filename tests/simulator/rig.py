@@ -13,6 +13,7 @@ from traceback import extract_tb
 from typing import Any, NamedTuple
 
 from armrig_core.rig.calibration import Calibration
+from armrig_daemon.config import output_limits
 from armrig_daemon.decisions.outcomes import report_state
 from armrig_daemon.decisions.state import (
     Emit,
@@ -30,12 +31,14 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Alive, Gap, Log, Order, Quit, Record
 from armrig_protocol.messages import State as DeviceState
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from tests.simulator.checks import Checks
 from tests.simulator.commander import Commander
 from tests.simulator.line import Line
 from tests.simulator.options import CLEAR_NS, END_NS, MS, Episode, Options
+from tests.simulator.outputs import described
 from tests.simulator.telling import FullPipe, Silent, Teller, read
 from tests.simulator.violation import Violation
 from tests.simulator.watched import Watched, WatchedCore
@@ -89,7 +92,9 @@ class WatchedLoop(Loop):
                 self._rig.delivered(now_ns, event.order)
             elif type(event) is LinkUp:
                 self._rig.checks.link_up()
+            self._rig.checks.outputs.begin_step()
             super()._step(now_ns, [event])
+            self._rig.checks.end_step(now_ns)
 
     def _judged(self, now_ns: int, ticks: list[Event]) -> None:
         """Do a tick, with checks of the round trip before it and of the memory after it."""
@@ -99,7 +104,9 @@ class WatchedLoop(Loop):
             driving=state.phase in _DRIVING and state.link is not None and state.device is not None,
             scheduled=state.scheduled and state.device_state == _RUN,
         )
+        checks.outputs.begin_step()
         super()._step(now_ns, ticks)
+        checks.end_step(now_ns, is_tick=True)
         checks.end_tick(now_ns)
         checks.bounded(now_ns, self.state, self._outbox.waiting)
 
@@ -585,7 +592,10 @@ class Rig:
 
 
 def _rules(options: Options) -> Rules:
+    description = described(options.outputs) if options.outputs else None
     return Rules(
+        described=UNSET if description is None else description.conversions,
+        limits=UNSET if description is None else output_limits(description),
         code_min=options.u_min,
         code_max=options.u_max,
         slew=options.slew,

@@ -40,7 +40,7 @@ class Teller:
 
     def put_sample(self, sample: Sample) -> None:
         """Hand over a sample."""
-        self._rig.checks.sampled(self._rig.now)
+        self._rig.checks.sampled(self._rig.now, sample)
         self._rig.checks.published(self._rig.now, sample)
 
     def flush(self) -> None:
@@ -67,7 +67,7 @@ class FullPipe(Teller):
 
     def put_sample(self, sample: Sample) -> None:
         """Hand over a sample."""
-        self._rig.checks.sampled(self._rig.now)
+        self._rig.checks.sampled(self._rig.now, sample)
         self._outbox.put_sample(sample)
 
     def flush(self) -> None:

@@ -64,7 +64,7 @@ class OutputLimit(Value, frozen=True):
 
 
 class OutputWatch(Value, frozen=True):
-    """What is known of a limited output."""
+    """State of a limited output."""
 
     outside: int
     """Number of consecutive valid samples outside the limits, at most `OutputLimit.samples`."""
