@@ -73,6 +73,7 @@ def test_a_reading_in_counts_has_a_value() -> None:
         ("per_count = 0.0076", "per_count = nan", "outputs.T1: per_count = nan must be finite"),
         ("zero_counts = 6553.6", "zero_counts = 1e9", "zero_counts = 1000000000.0 must be within"),
         ("high = 70.0", "high = 70.0\nlow = 71.0", "low = 71.0 must be below high = 70.0"),
+        ("high = 70.0", "turning = true", "turning = true needs unit = 'rad', not 'degC'"),
         ("high = 70.0", "high = nan", "low = -inf must be below high = nan"),
         ("high = 70.0", "low = 900.0", "low = 900, high = inf: every reading breaks a limit"),
         ("high = 70.0", "high = 20.0", "outputs.T1: the rig reads 23 degC at rest, outside -inf"),

@@ -7,6 +7,7 @@ settles.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from math import pi, tau
 from typing import Any
@@ -41,10 +42,15 @@ def channels_of(
     calibration: Calibration | None,
     Ts: float,
     before: NDArray[np.void],
+    channels: Sequence[rig.Channel],
 ) -> dict[str, Any]:
     """Return the channels, their masks, and the rows from which the number of turns is unknown."""
     found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
     for channel in rig_channels.CHANNELS:
+        if channel not in channels:
+            found[channel.name] = np.full(rows.N, np.nan)
+            found[channel.valid] = np.zeros(rows.N, np.bool_)
+    for channel in channels:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
         y = _on_grid(_calibrated(samples, channel, pot), rows.present)
         valid = _valid(samples, channel, rows.present, before) & np.isfinite(y)

@@ -11,7 +11,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.imports import imported
 from armrig_core.recording_file.manifest import Manifest, Outcome, Recovered
 from armrig_core.rig.calibration import Calibration
-from armrig_core.telemetry import channels as rig_channels
+from armrig_core.rig.description import Description
 from armrig_core.telemetry.channels import THETA_1, OutputName
 from numpy.typing import NDArray
 
@@ -99,8 +99,10 @@ class Recording:
     The dead band of theta_1 has no effect on alpha. The first sample after a rail is valid, because
     the arm does not make whole turns through its dead band.
     """
+    description: Description
+    """Description of the rig, as attached to the file; without an attached one, the arm's."""
     others: Mapping[str, Channel]
-    """Further channels of `armrig_core.telemetry.channels.CHANNELS`, by name; currently none."""
+    """Channels of a described rig that are neither theta_1 nor alpha, by name."""
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
@@ -167,8 +169,10 @@ class Recording:
         """
         if name in self.others:
             return self.others[name]
-        (valid,) = (c.valid for c in rig_channels.CHANNELS if c.name == name)
-        return Channel(getattr(self, name), getattr(self, valid))
+        valid = {c.name: c.valid for c in self.description.channels}
+        if name not in valid:
+            raise InputError(f"channel {name!r}: the recording has {', '.join(valid)}")
+        return Channel(getattr(self, name), getattr(self, valid[name]))
 
     def dataset(self, output: OutputName = THETA_1) -> Dataset:
         """Return the dataset of u and one output for identification, with missing samples marked.
@@ -195,8 +199,8 @@ class Recording:
         >>> recording.dataset("velocity").unit
         'rad/s'
         """
-        outputs = {c.name: c for c in rig_channels.CHANNELS}
-        outputs |= {c.rate: c for c in rig_channels.CHANNELS if c.rate}
+        outputs = {c.name: c for c in self.description.channels}
+        outputs |= {c.rate: c for c in self.description.channels if c.rate}
         if output not in outputs:
             raise InputError(f"output={output!r}: a recording has {', '.join(outputs)}")
         measured = outputs[output]
@@ -298,7 +302,7 @@ class Recording:
         """
         xarray = imported("xarray", "xarray")
         found = export_columns(self)
-        about = {name: {"units": unit} for name, unit in _units().items()}
+        about = {name: {"units": unit} for name, unit in _units(self).items()}
         t = found.pop("t")
         made: XarrayDataset = xarray.Dataset(
             {name: ("t", column, about.get(name, {})) for name, column in found.items()},
@@ -341,7 +345,7 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
     Columns of further channels follow alpha, and their masks follow valid_alpha. `raw` adds columns
     of the recorded readings and times, with 0 for a missing sample.
     """
-    channels = [(c, recording.channel(c.name)) for c in rig_channels.CHANNELS]
+    channels = [(c, recording.channel(c.name)) for c in recording.description.channels]
     found: dict[str, NDArray[Any]] = {
         "k": recording.k_first + np.arange(recording.N),
         "t": recording.t,
@@ -350,7 +354,7 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
         **{c.valid: shown.valid for c, shown in channels},
         "present": recording.present,
     }
-    counts = (c.counts_field for c in rig_channels.CHANNELS)
+    counts = (c.counts_field for c, _ in channels)
     names = (*counts, "flags", "t_device_us", "t_host_ns", "t_sched_ns")
     for name in names if raw else ():
         column = np.zeros(recording.N, recording.samples.dtype[name])
@@ -361,7 +365,7 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
 
 def export_metadata(recording: Recording) -> dict[str, str]:
     """Return the units of the columns, Ts, hash and run, as texts."""
-    units = {f"unit_{name}": unit for name, unit in _units().items()}
+    units = {f"unit_{name}": unit for name, unit in _units(recording).items()}
     return {
         **units,
         "Ts": repr(recording.Ts),
@@ -371,5 +375,5 @@ def export_metadata(recording: Recording) -> dict[str, str]:
     }
 
 
-def _units() -> dict[str, str]:
-    return {"t": "s", "u": "V"} | {c.name: c.unit for c in rig_channels.CHANNELS}
+def _units(recording: Recording) -> dict[str, str]:
+    return {"t": "s", "u": "V"} | {c.name: c.unit for c in recording.description.channels}

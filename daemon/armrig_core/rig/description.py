@@ -128,6 +128,8 @@ class Output(_Table, frozen=True, kw_only=True):
             raise InputError(f"zero_counts = {self.zero_counts!r} must be within ±{100 * COUNTS}")
         if self.rate:
             _check_name("rate", self.rate)
+        if self.turning and self.unit != "rad":
+            raise InputError(f"turning = true needs unit = 'rad', not '{self.unit}'")
         if not self.low < self.high:  # NaN fails this, too
             raise InputError(f"low = {self.low!r} must be below high = {self.high!r}")
         ends = sorted((self.value(0), self.value(COUNTS - 1)))

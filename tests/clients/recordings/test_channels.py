@@ -1,64 +1,65 @@
-"""One table defines the channels of a sample, from the telemetry to the exported files."""
+"""The description in a recording names its channels, up to the data and the exported files."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
+import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.recordings.files import container, loading
-from armrig_core.rig.channels import Channel
-from armrig_core.telemetry import channels as rig_channels
-from armrig_protocol.messages import Flag
-from numpy.lib.recfunctions import append_fields
-
-from tests.clients.made_recordings import recorded, sample, written
+from armrig_core.commands.commands import Run
+from armrig_core.errors import InputError
+from armrig_core.rig.description import Description, shipped
+from armrig_daemon.config import Config
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
 N = 60
-COUNTS = np.linspace(1_000, 60_000, N).astype(np.uint32)
+TWO = Description.of(
+    b'[rig]\nname = "two"\n'
+    b'[outputs.T1]\nunit = "degC"\nzero_counts = 6553.6\nper_count = 0.0076\n'
+    b'[outputs.beta]\nunit = "rad"\nper_count = -0.5\n'
+)
 
 
-@pytest.fixture
-def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a recording of a rig that has a third potentiometer, at its rail in sample 7."""
-    beta = Channel("beta", "rad", rail="ADC1_RAIL", valid="valid_beta")
-    monkeypatch.setattr(rig_channels, "CHANNELS", (*rig_channels.CHANNELS, beta))
-
-    def read(*args: Any, **named: Any) -> Any:
-        content = container.read(*args, **named)
-        if content is not None and content.samples.size:
-            k = content.samples["k"].astype(int)
-            columns = (COUNTS[k], COUNTS[k] / 1e4)
-            content.samples = append_fields(
-                content.samples, (beta.counts_field, beta.value_field), columns, usemask=False
-            )
-        return content
-
-    monkeypatch.setattr(loading, "read", read)
-    flags = int(Flag.RUN | Flag.ADC1_RAIL)
-    samples = [sample(k, **({"flags": flags} if k == 7 else {})) for k in range(N)]
-    return written(tmp_path, recorded(samples))
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of a rig with other channels than the arm."""
+    service = VirtualService(Config(), tmp_path_factory.mktemp("two"), seed=1, description=TWO)
+    return service.record(Run(lease=LEASE, n=0, u=[2.0] * N, experiment="own"))
 
 
-def test_a_third_channel_of_the_table_reaches_a_recording_and_its_data(path: Path) -> None:
-    recording = loading.load(path)
+def test_the_channels_of_a_recording_have_the_names_and_units_of_its_rig(path: Path) -> None:
+    recording = armrig.load(path)
 
-    shown, data = recording.channel("beta"), recording.dataset("beta")  # type: ignore[arg-type]
+    shown, data = recording.channel("T1"), recording.dataset("T1")  # type: ignore[arg-type]
 
-    np.testing.assert_array_equal(np.flatnonzero(~shown.valid), [7])
-    np.testing.assert_array_equal(shown.y[shown.valid], np.delete(COUNTS, 7) / 1e4)
-    assert (data.output, data.unit) == ("beta", "rad")
-    np.testing.assert_array_equal(data.y, shown.y)
+    counts = recording.samples["T1_counts"].astype(float)
+    np.testing.assert_array_equal(shown.y, (counts - 6553.6) * 0.0076)
+    assert shown.valid.all()
+    assert (data.output, data.unit) == ("T1", "degC")
+    assert recording.signals(["T1", "beta"]).outputs == ("T1", "beta")  # type: ignore[list-item]
+    assert recording.description == TWO
 
 
-def test_a_third_channel_of_the_table_reaches_an_export(path: Path) -> None:
-    out = path.with_name("out.csv")
+def test_a_channel_that_the_rig_does_not_have_is_refused_with_its_channels(path: Path) -> None:
+    recording = armrig.load(path)
+
+    for ask in (recording.channel, recording.dataset):
+        with pytest.raises(InputError, match=r"theta_1.*has T1, beta$"):
+            ask("theta_1")
+
+
+def test_an_export_has_the_channels_of_the_rig(path: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
 
     main(["export", str(path), str(out), "--raw"])
 
-    table = np.genfromtxt(out, delimiter=",", names=True)
-    np.testing.assert_array_equal(table["beta"], loading.load(path).channel("beta").y)
-    np.testing.assert_array_equal(np.flatnonzero(table["valid_beta"] == 0), [7])
-    np.testing.assert_array_equal(table["beta_counts"], COUNTS)
+    table, recording = np.genfromtxt(out, delimiter=",", names=True), armrig.load(path)
+    np.testing.assert_array_equal(table["beta"], recording.channel("beta").y)
+    np.testing.assert_array_equal(table["beta_counts"], recording.samples["beta_counts"])
+    assert "alpha" not in (table.dtype.names or ())
+
+
+def test_a_recording_without_a_description_is_of_the_arm() -> None:
+    assert armrig.example_recording().description is shipped("arm")

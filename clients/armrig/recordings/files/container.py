@@ -33,6 +33,7 @@ from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CALIBRATION_RAW,
     CONFIG,
+    DESCRIPTION,
     INPUT,
     OUTCOME,
     RECOVERED,
@@ -280,7 +281,7 @@ class _Reader:
             self.left_out.append(str(damage))
             return
         attachment = Attachment.read(data_stream(body))
-        if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG):
+        if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG, DESCRIPTION):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
     def _walk(self, chunk: bytes) -> None:

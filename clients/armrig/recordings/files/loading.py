@@ -25,6 +25,7 @@ from armrig_core.recording_file.manifest import (
 from armrig_core.recording_file.part_names import part_number, part_paths
 from armrig_core.rig.calibration import Calibration, Driver
 from armrig_core.rig.calibration_file import read_calibration
+from armrig_core.rig.channels import sample_names
 from armrig_core.telemetry import channels as rig_channels
 from numpy.typing import NDArray
 
@@ -288,6 +289,10 @@ def _recovered(content: Content) -> Recovered | None:
 
 def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -> Recording:
     content, manifest, outcome, _, between = found
+    try:
+        description = records.description_of(content.attachments)
+    except (FileError, InputError) as err:
+        raise FileError(f"{path}: the attached description of the rig: {err}") from err
     messages = content.messages
     try:
         spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
@@ -299,7 +304,11 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     origin = origin_of(content, manifest)
     origin = rows.k_first if origin < 0 else origin
     clock = clock_of(content, manifest, origin)
-    samples, before = content.samples[rows.taken], content.samples[: rows.taken.start]
+    described = content.samples
+    if description.channels != rig_channels.CHANNELS:
+        names, kinds = sample_names(description.channels), described.dtype
+        described = described.view([(name, kinds[i]) for i, name in enumerate(names)])
+    samples, before = described[rows.taken], described[: rows.taken.start]
     reports = reports_of(messages, clock)
     gaps = reports["gaps"]
     saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B, "
@@ -320,7 +329,15 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         k_first=rows.k_first,
         t=t,
         u=_terminal(_input(samples, rows, gaps), calibration.driver if calibration else Driver()),
-        **channels_of(samples, rows, calibration, manifest.Ts, before),
+        description=description,
+        **channels_of(
+            samples,
+            rows,
+            calibration if description.is_calibrated else None,
+            manifest.Ts,
+            before,
+            description.channels,
+        ),
         present=rows.present,
         samples=samples,
         truncated=bool(content.damage),
@@ -331,7 +348,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         else None,
         **reports,
     )
-    shown = (recording.channel(channel.name) for channel in rig_channels.CHANNELS)
+    shown = (recording.channel(channel.name) for channel in description.channels)
     arrays = (recording.t, recording.u, *chain.from_iterable(shown), recording.present, samples)
     for array in arrays:
         array.flags.writeable = False
