@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from math import tau
+from math import isfinite, tau
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -316,8 +316,8 @@ def output_limits(description: Description) -> tuple[OutputLimit, ...] | UnsetTy
             channel,
             name,
             output.unit,
-            output.low,
-            output.high,
+            output.low if isfinite(output.low) else None,
+            output.high if isfinite(output.high) else None,
             output.samples,
             round((output.blind_s or 0.0) * 1e9),
         )

@@ -103,7 +103,8 @@ def _wrong_channel(state: Any, limits: Any, sample: Any) -> Any:
 
 def _strict(before: Any, limit: Any, value: float, t_ns: int) -> Any:
     at_limit = value in (limit.low, limit.high)
-    return _watched(before, limit, inf if at_limit else value, t_ns)
+    high = -inf if at_limit else limit.high
+    return _watched(before, replace(limit, high=high), value, t_ns)
 
 
 def _seen_anyway(before: Any, limit: Any, value: float, t_ns: int) -> Any:

@@ -67,7 +67,7 @@ def described(outputs: tuple[Output, ...]) -> Description:
 
 @dataclass(slots=True)
 class _Seen:
-    """What the judge knows of an output."""
+    """Samples of an output so far."""
 
     outside: int = 0
     """Consecutive valid samples outside the limits."""

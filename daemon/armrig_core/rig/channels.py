@@ -45,13 +45,16 @@ class Conversion(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
     zero_counts: float
     per_count: float
+    """Change of the value by one count; 0 for a reading that the rig does not use."""
 
     def value(self, counts: float) -> float:
-        """Return the value of a reading in counts, in the channel's unit."""
+        """Return the value of a reading in counts, in the channel's unit; NaN if it is not used."""
+        if not self.per_count:
+            return nan
         return (counts - self.zero_counts) * self.per_count
 
 
-NO_CONVERSION = Conversion(0.0, nan)
+NO_CONVERSION = Conversion(0.0, 0.0)
 """Conversion of a reading that the rig does not use."""
 
 

@@ -55,8 +55,10 @@ class OutputLimit(Value, frozen=True):
     channel: int
     name: str
     unit: str
-    low: float
-    high: float
+    low: float | None
+    """Lowest allowed value; None without a limit, because JSON has no infinite number."""
+    high: float | None
+    """Highest allowed value; None without a limit."""
     samples: int
     """Number of consecutive valid samples outside `low` to `high` after which the rig stops."""
     blind_ns: int

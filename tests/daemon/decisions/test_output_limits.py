@@ -5,13 +5,14 @@ from __future__ import annotations
 from math import inf, nan
 from typing import Any
 
+import msgspec
 import pytest
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.volts import code_of
 from armrig_daemon.config import Config, Timing, load
 from armrig_daemon.decisions.output_limits import blind, observe
-from armrig_daemon.decisions.state import OutputLimit, Phase
+from armrig_daemon.decisions.state import OutputLimit, Phase, Rules
 from armrig_daemon.pipe import Log, Reset, Run, RunEnded, Set
 from msgspec import UNSET
 from msgspec.structs import replace
@@ -76,9 +77,9 @@ def _until_rest(bench: Bench) -> float:
 @pytest.mark.parametrize(
     ("readings", "cause", "samples"),
     [
-        ((50_001, 30_000), "T1 = 50001 mm is outside 10000 to 50000 mm", 3),
-        ((9_999, 30_000), "T1 = 9999 mm is outside 10000 to 50000 mm", 3),
-        ((30_000, 40_001), "T2 = -40001 K is outside -40000 to inf K", 2),
+        ((50_001, 30_000), "T1 = 50001 mm is above 50000 mm", 3),
+        ((9_999, 30_000), "T1 = 9999 mm is below 10000 mm", 3),
+        ((30_000, 40_001), "T2 = -40001 K is below -40000 K", 2),
     ],
 )
 def test_samples_outside_the_limits_stop_the_motor_at_the_last_of_them(
@@ -205,11 +206,19 @@ def test_a_sampling_time_that_does_not_fit_the_blind_time_is_refused(tmp_path: A
         load([], {}, file | {"timing": {"Ts": 0.05}})
 
 
+def test_the_rules_of_a_described_rig_reach_the_process_of_the_loop() -> None:
+    """As JSON, which has neither infinite numbers nor NaN."""
+    for rig in (TWO, *map(shipped, ("arm", "chassis", "heater", "rc"))):
+        rules = Config().rules(rig)
+
+        assert msgspec.json.decode(msgspec.json.encode(rules), type=Rules) == rules
+
+
 def test_a_description_without_limits_gives_the_core_none() -> None:
     for name in ("arm", "chassis", "rc"):
         assert Config().rules(shipped(name)).limits is UNSET
     heater = Config().rules(shipped("heater")).limits
     assert heater == (
-        OutputLimit(0, "T1", "degC", -inf, 70.0, 2, 500 * MS),
-        OutputLimit(1, "T2", "degC", -inf, 70.0, 2, 0),
+        OutputLimit(0, "T1", "degC", None, 70.0, 2, 500 * MS),
+        OutputLimit(1, "T2", "degC", None, 70.0, 2, 0),
     )
