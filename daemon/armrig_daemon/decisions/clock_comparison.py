@@ -23,9 +23,9 @@ def by_pong(state: State, now_ns: int, pong: Pong) -> State:
 def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
     """Return the state after a SAMPLE that answers an EXCHANGE.
 
-    The device triggers the first conversion of alpha when the request arrives. With oversampling m,
-    this trigger is 2 m - 1 conversions before `t_us`, the time of the last trigger of theta_1. The
-    device begins to send the answer one conversion after `t_us`.
+    The device triggers the first conversion of channel 1 when the request arrives. With
+    oversampling m, this trigger is 2 m - 1 conversions before `t_us`, the time of the last trigger
+    of channel 0. The device begins to send the answer one conversion after `t_us`.
     """
     device, clock = state.device, state.clock
     if device is None or clock is None or now_ns - clock.compared_ns < PING_INTERVAL_US * 1000:

@@ -33,8 +33,9 @@ def checked_calibration(
     not belong to it. It also raises ValueError if `wraps` differs from the configuration.
     """
     if not description.is_calibrated:
+        whose = " and ".join(CALIBRATED)
         raise InputError(
-            f"the rig is '{description.rig.name}', and a calibration is of theta_1 and alpha: give "
+            f"the rig is '{description.rig.name}', and a calibration is of {whose}: give "
             "zero_counts and per_count in the rig's description"
         )
     made = check_measured(calibration, raw)
