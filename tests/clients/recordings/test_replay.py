@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from armrig.recordings.files.replay import Replay, _messages, replay
 from armrig_core.commands.commands import Run
+from armrig_core.errors import OperationError
+from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import decode_sample, encode_sample
 from armrig_core.telemetry.topics import stream_of
 from armrig_daemon.config import Config
@@ -129,3 +131,17 @@ def test_a_replay_reports_only_warnings_and_errors_of_the_core() -> None:
         *(("warning", "a warning"), ("error", "a error")),
     ]
     assert told[0].t == pytest.approx(1.5, abs=1e-8)
+
+
+def test_a_stop_by_a_measured_output_is_decided_again(tmp_path: Path) -> None:
+    limited = shipped("arm").text.replace(b"zero_counts", b"high = 0.05\nzero_counts")
+    limited = limited.replace(b"theta_1", b"position").replace(b"alpha", b"deflection")
+    rig = VirtualService(Config(), tmp_path, seed=3, description=Description.of(limited))
+    with pytest.raises(OperationError, match=r"deflection = .* rad is above 0\.05 rad"):
+        rig.record(Run(lease=LEASE, n=0, u=[0.0] * 50 + [4.0] * 250, experiment="own"))
+
+    (path,) = tmp_path.glob("*.mcap")
+    found = replay(path)
+
+    assert not found.difference
+    assert 50 < found.samples < 300
