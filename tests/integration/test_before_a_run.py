@@ -5,7 +5,7 @@ from __future__ import annotations
 import armrig
 import numpy as np
 import pytest
-from armrig.rig.replies import RefusedError
+from armrig.rig.replies import RefusedError, RunEndedError
 from armrig_core.commands.commands import RunAccepted
 from armrig_core.commands.rehearsal import rehearse
 
@@ -39,3 +39,31 @@ def test_a_run_predicted_to_exceed_a_limit_is_refused(bench: Bench) -> None:
     turned = np.nanmax(np.abs(recording.theta_1 - recording.theta_1[0]))
     assert turned == pytest.approx(2 * np.pi * found.revolutions, abs=0.1)
     assert np.nanmax(np.abs(recording.alpha)) == pytest.approx(found.alpha_rad, abs=0.02)
+
+
+def test_a_measured_output_above_its_limit_stops_a_run_at_0_v(bench: Bench) -> None:
+    """One output, so that the rules of a reading that is not used reach the loop, too."""
+    (bench.folder / "one.toml").write_text(
+        '[rig]\nname = "one"\n[outputs.turned]\nunit = "mm"\nper_count = 0.001\n'
+        "zero_counts = 32768\nhigh = 20.0\nsamples = 3\n"
+    )
+    bench.configure(more='adc_noise_v = 0.0\n[rig]\nfile = "one.toml"')
+    bench.emulate()
+    bench.serve()
+
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.02)
+        with pytest.raises(RunEndedError, match="turned = .* mm is above 20 mm"):
+            rig.run([2.0] * 400)
+        status = rig.status()
+
+    (path,) = bench.recordings.glob("*.mcap")
+    recording = armrig.load(path)
+    outside = recording.channel("turned").y > 20.0
+    assert status.fault == "output"
+    assert status.reason.startswith("turned = ")
+    assert status.reason.endswith(" mm is above 20 mm")
+    assert recording.outcome is not None
+    assert recording.outcome.outcome == status.reason
+    assert 3 <= outside.sum() <= 6  # the samples between the STOP and its answer
+    assert bench.voltage_changes()[-1][1] == 0.0
