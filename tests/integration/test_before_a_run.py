@@ -53,7 +53,7 @@ def test_a_measured_output_above_its_limit_stops_a_run_at_0_v(bench: Bench) -> N
 
     with bench.rig() as rig:
         rig.arm("a test", Ts=0.02)
-        with pytest.raises(RunEndedError, match="turned = .* mm is above 20 mm"):
+        with pytest.raises(RunEndedError, match=r"turned = .* mm is above 20 mm"):
             rig.run([2.0] * 400)
         status = rig.status()
 

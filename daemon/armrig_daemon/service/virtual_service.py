@@ -20,6 +20,7 @@ from armrig_core.errors import InputError, OperationError
 from armrig_core.rig.description import Description
 from armrig_core.rig.emulated import VIRTUAL_PORT
 from armrig_core.telemetry.telemetry import Outgoing, decode_sample
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from armrig_daemon import pipe
@@ -71,9 +72,12 @@ class VirtualService:
         `description` describes the rig; default: the arm.
         """
         emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
-        # Folder and port depend on the host. Without them, the same rig gives the same file.
+        # Folders and port depend on the host. Without them, the same rig gives the same file.
+        rig = replace(config.rig, file=UNSET)  # the description itself is attached
         device = replace(config.device, port=VIRTUAL_PORT)
-        self._config = replace(config, device=device, emulator=emulator, recording=Recording())
+        self._config = replace(
+            config, rig=rig, device=device, emulator=emulator, recording=Recording()
+        )
         self._began = BEGINNING + timedelta(seconds=seed % _DISTINCT_SEEDS)
         self._offset_ns = int(self._began.timestamp()) * 1_000_000_000
         self._rig = VirtualRig(self._config.rules(description), emulator, switch_on=switch_on)

@@ -10,7 +10,7 @@ import pytest
 from armrig_core.commands.commands import Run
 from armrig_core.recording_file.manifest import DESCRIPTION, RUN, description_of, manifest_of
 from armrig_core.rig.description import Description, shipped
-from armrig_daemon.config import Config, load
+from armrig_daemon.config import Config, Rig, load
 from armrig_daemon.config import description_of as configured
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
@@ -26,7 +26,8 @@ TWO = Description.of(
 
 def _recorded(folder: Path, description: Description) -> tuple[list[Any], dict[str, str], bytes]:
     """Return samples, metadata and attached description of a run on an emulated rig."""
-    service = VirtualService(Config(), folder, seed=1, description=description)
+    config = Config(rig=Rig(file=str(folder / "rig.toml")))
+    service = VirtualService(config, folder, seed=1, description=description)
     path = service.record(Run(lease=LEASE, n=0, u=[1.0] * 50, experiment="own"))
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -38,6 +39,7 @@ def _recorded(folder: Path, description: Description) -> tuple[list[Any], dict[s
 
 def test_the_schema_of_a_recording_has_the_names_and_units_of_the_rig(tmp_path: Path) -> None:
     samples, metadata, attached = _recorded(tmp_path, TWO)
+    assert str(tmp_path).encode() not in b"".join(p.read_bytes() for p in tmp_path.iterdir())
 
     first = samples[0]
     assert [field.name for field in first.DESCRIPTOR.fields] == [
