@@ -55,7 +55,7 @@ _RigFile = Annotated[
     Path | None,
     typer.Option(
         "--rig-file",
-        help="File (TOML) that describes the rig: its outputs, their units and limits.",
+        help="Description of the rig: a file (TOML), or a name of `armrig rigs`.",
         show_default="[rig] file, or the arm",
     ),
 ]
@@ -117,6 +117,7 @@ def run(
         _refuse(str(err), EX_CONFIG)
     with held_back():  # Python may ignore an exception during an import
         from armrig_core.process.realtime import end_with_parent
+        from armrig_core.rig.description import require_model
 
         from armrig_daemon import config as configuration
         from armrig_daemon.service.host.emulated_rig import emulated
@@ -132,6 +133,8 @@ def run(
         loaded = load()
         described = configuration.description_of(loaded)
         directory = configuration.recordings(loaded)
+        if emulate and not described.arm:
+            require_model(described)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
         _check_no_file(Path(where.partition("/")[2]))
     except ValueError as err:
@@ -238,6 +241,8 @@ def _configuration(
     rig_file: Path | None = None,
 ) -> Callable[[], Config]:
     """Return a function that reads the configuration; the options override its values."""
+    from armrig_core.rig.description import path_of
+
     from armrig_daemon.config import load, load_installed
 
     overrides: dict[str, dict[str, Any]] = {}
@@ -246,7 +251,7 @@ def _configuration(
     if rig is not None:
         overrides["rig"] = {"id": rig}
     if rig_file is not None:
-        overrides.setdefault("rig", {})["file"] = str(rig_file.absolute())
+        overrides.setdefault("rig", {})["file"] = str(path_of(rig_file).absolute())
     if config is None:
         return partial(load_installed, os.environ, overrides, system=system, below=below)
     return partial(load, [config], os.environ, overrides, below=below)
@@ -282,6 +287,7 @@ def emulate(
             show_default="[emulator] baud, or 500000",
         ),
     ] = None,
+    rig_file: _RigFile = None,
     firmware: _Firmware = False,
     image: _Hex = None,
     settings: Annotated[str | None, typer.Option(hidden=True)] = None,
@@ -293,6 +299,8 @@ def emulate(
         from armrig_core.process.open_files import require
 
         require("armrigd emulate", memory_mib=512, files=16)
+        from armrig_core.rig.description import described_at
+
         from armrig_daemon.emulator.device import Device
         from armrig_daemon.emulator.real_time import emulate as run_emulator
         from armrig_daemon.emulator.settings import EmulatorSettings, load
@@ -306,10 +314,14 @@ def emulate(
             chosen = EmulatorSettings() if config is None else load(config)
         given = {"seed": seed, "baud": baud}
         given = {key: value for key, value in given.items() if value is not None}
+        described = described_at(rig_file)
+        if described.arm_removed:
+            given["arm_removed"] = True
         chosen = msgspec.structs.replace(chosen, **given)
         started = "" if settings is not None else _started(port, chosen.baud)
         report_stall = _print_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
-        switch_on = _firmware(image) if firmware or image else Device
+        device = _firmware(image) if firmware or image else Device
+        switch_on = partial(device, description=described)
         code = run_emulator(
             port, chosen, switch_on=switch_on, trace=trace, started=started, held_up=report_stall
         )
@@ -475,6 +487,7 @@ def virtual(
             min=0, max=2**63 - 1, help="Seed of the noise, and of the names and times of the runs."
         ),
     ] = 1,
+    rig_file: _RigFile = None,
     firmware: _Firmware = False,
     image: _Hex = None,
 ) -> None:
@@ -491,9 +504,13 @@ def virtual(
     from armrig_daemon.service.virtual_service import VirtualService, requests_of
 
     try:
-        loaded = _configuration(config, None, None, _EMULATION_DEFAULTS, system=False)()
+        read = _configuration(
+            config, None, None, _EMULATION_DEFAULTS, system=False, rig_file=rig_file
+        )
+        loaded = read()
         described = description_of(loaded)
-        switch_on = _firmware(image) if firmware or image else Device
+        device = _firmware(image) if firmware or image else Device
+        switch_on = partial(device, description=described)
         service = VirtualService(
             loaded, directory.absolute(), seed=seed, switch_on=switch_on, description=described
         )

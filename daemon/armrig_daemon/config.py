@@ -44,7 +44,12 @@ from armrig_daemon.emulator.settings import HARNESS_VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
 
 if TYPE_CHECKING:
+    import numpy as np
+    from armrig_core.commands.commands import Rehearsal
     from armrig_core.rig.arm import ArmParameters
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
 
 EX_CONFIG = 78
 """Exit code of a failed start if a person must correct the cause (sysexits.h)."""
@@ -284,6 +289,31 @@ class Config(Table, frozen=True, kw_only=True):
         channels = tuple(channel._replace(turns=meter.wraps) for channel, meter in calibrated)
         return channels[:1] if self.arm.removed else channels
 
+    def rehearsal(
+        self, u: Vector, Ts: float, description: Description, start_rad: float | None
+    ) -> Rehearsal | None:
+        """Return the response of the rig's model to a run; None for a rig without a model.
+
+        `start_rad` is the angle of the turning shaft of an arm. Raises InputError if the response
+        is outside the limits.
+        """
+        # Imported here: the emulator and the command line read configurations without numpy.
+        from armrig_core.commands.rehearsal import rehearse, rehearse_outputs
+
+        if description.model is None:
+            return None
+        if not description.arm:
+            return rehearse_outputs(u, Ts, description)
+        return rehearse(
+            u,
+            Ts,
+            parameters=self.arm.parameters(),
+            arm_removed=self.arm.removed,
+            theta_1_rad=start_rad,
+            revolutions=self.limits.revolutions,
+            alpha_rad=self.limits.alpha_rad,
+        )
+
     def rules(self, description: Description | None = None) -> Rules:
         """Return the limits and constants that the core needs; default: the arm's description."""
         limits = self.limits
@@ -414,12 +444,13 @@ def load_installed(
 
 
 def _described(config: Config) -> dict[str, Any]:
-    """Return the lowest layer of the configuration: the calibration in the rig's description."""
+    """Return the lowest layer of the configuration: what the rig's description determines."""
     if not config.rig.file:
         return {}
     described = description_of(config)
     if not described.is_calibrated:
-        return {}
+        alone = described.arm_removed
+        return {"arm": {"removed": True}, "emulator": {"arm_removed": True}} if alone else {}
     outputs = described.outputs.items()
     return {
         "calibration": {

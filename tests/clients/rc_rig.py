@@ -61,15 +61,9 @@ class RcBoard(Board):
         self._at_ns = now_ns
         return (*self._v.tolist(), 0.0, 0.0)
 
-    def theta_1(self, now_ns: int) -> int:
-        """Return the reading of node 1."""
-        return self._convert(self.motion(now_ns)[0])
-
-    def alpha(self, now_ns: int) -> int:
-        """Return the reading of node 2."""
-        return self._convert(self.motion(now_ns)[1])
-
-    def _convert(self, volts: float) -> int:
+    def reading(self, channel: int, now_ns: int) -> int:
+        """Return the reading of a node."""
+        volts = self.motion(now_ns)[channel]
         return convert(volts / FULL_SCALE_V, self._adc_bits, self._noise_v, self._rng)
 
 

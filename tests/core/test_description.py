@@ -48,7 +48,7 @@ def test_the_arm_has_the_default_calibration() -> None:
 def test_a_reading_in_counts_has_a_value() -> None:
     T1 = Description.of(HEATER.encode()).outputs["T1"]
 
-    assert (T1.low, T1.high, T1.samples, T1.blind_s) == (-inf, 70.0, 2, 0.5)
+    assert (T1.low, T1.high, T1.samples, T1.blind_s) == (-inf, 70.0, 2, 10.0)
     assert T1.value(6553.6) == 0
     assert T1.value(16384) == pytest.approx(74.71, abs=0.01)
 
@@ -77,8 +77,8 @@ def test_a_reading_in_counts_has_a_value() -> None:
         ("high = 70.0", "high = nan", "low = -inf must be below high = nan"),
         ("high = 70.0", "low = 900.0", "low = 900, high = inf: every reading breaks a limit"),
         ("high = 70.0", "high = 20.0", "outputs.T1: the rig reads 23 degC at rest, outside -inf"),
-        ("blind_s = 0.5", "blind_s = 0", "outputs.T1: blind_s = 0: expected `float` > 0"),
-        ("blind_s = 0.5", "samples = 0", "outputs.T1: samples = 0: expected `int` >= 1"),
+        ("blind_s = 10.0", "blind_s = 0", "outputs.T1: blind_s = 0: expected `float` > 0"),
+        ("blind_s = 10.0", "samples = 0", "outputs.T1: samples = 0: expected `int` >= 1"),
         ("A = [[-0.0058, 0.0011], ", "A = [[-0.0058], ", "A has 2 rows of [1, 2] numbers; with A"),
         ("B = [[0.010], [0.0]]", "B = [[0.010]]", "B has 1 rows of [1] numbers; with A it must be"),
         ("C = [[1.0, 0.0], [0.0, 1.0]]", "C = [[1.0, 0.0]]", "model.C has 1 rows; the rig has 2"),

@@ -183,7 +183,7 @@ class CoreDevice(Device):
 
     def read(self, t_ns: int, channel: int) -> int:
         """Return the converter's reading of an input."""
-        return self._board.alpha(t_ns) if channel else self._board.theta_1(t_ns)
+        return self._board.reading(channel, t_ns)
 
     def drive(self, t_ns: int, steps: int, code: int) -> None:
         """Give the pin the duty of `code`."""

@@ -505,26 +505,24 @@ class Rig:
 
     def _stuck(self, e: Episode) -> None:
         self._told("stuck", e)
-        read = self._read_theta if e.size < 0.5 else self._read_alpha
-        value = read(self.device.acted_ns(self.now))
-        self._fix(e, value)
+        self._fix(e, self._read(int(e.size >= 0.5), self.device.acted_ns(self.now)))
 
     def _rail(self, e: Episode) -> None:
         self._told("rail", e)
         self._fix(e, 0 if e.size % 0.5 < 0.25 else 65_472)
 
     def _fix(self, e: Episode, value: int) -> None:
-        """Let a potentiometer read the same for a while."""
-        board = self.device.board
-        name = "theta_1" if e.size < 0.5 else "alpha"
-        setattr(board, name, lambda _: value)
+        """Let a sensor read the same for a while."""
+        self._fixed[int(e.size >= 0.5)] = value
         self.at(self.now + e.for_ns, lambda _: self._readings())
 
     def _readings(self) -> None:
-        board = self.device.board
-        vars(board).pop("theta_1", None)
-        vars(board).pop("alpha", None)
-        self._read_theta, self._read_alpha = board.theta_1, board.alpha
+        board: Any = self.device.board
+        vars(board).pop("reading", None)
+        self._read = read = board.reading
+        fixed: dict[int, int] = {}
+        self._fixed = fixed
+        board.reading = lambda channel, t: fixed[channel] if channel in fixed else read(channel, t)
 
     def _hang(self, e: Episode) -> None:
         self._told("hang", e)

@@ -6,12 +6,13 @@ from math import degrees
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import msgspec
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
 from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
 from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.volts import U_MAX_V
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]
@@ -35,18 +36,36 @@ MOST_NOTE_LENGTH = 500
 class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
     """Response of the model to an input, from standstill."""
 
-    revolutions: float
+    revolutions: float = 0.0
     """Largest rotation of the chassis from its start, in either direction, in turns."""
-    alpha_rad: float
+    alpha_rad: float = 0.0
     """Largest deflection of the arm, in either direction, in rad."""
-    turned_rad: float
+    turned_rad: float = 0.0
     """Rotation of the chassis at the end, from its start, in rad."""
     theta_1_rad: float | None = None
     """Angle of the chassis at the end, turns included, in rad; None if the start is unknown."""
+    outputs: dict[str, tuple[float, float, str]] | UnsetType = UNSET
+    """Lowest and highest value of each output, and its unit, for a rig with a model of its own."""
+
+    @property
+    def deflects(self) -> bool:
+        """True if the model has an arm that the input deflects."""
+        return self.alpha_rad > 0
+
+    @property
+    def deflection_deg(self) -> float:
+        """Largest deflection of the arm, in either direction, in degrees."""
+        return degrees(self.alpha_rad)
 
 
 def rehearsal_sentence(rehearsal: Rehearsal) -> str:
     """Return the result as a line for a person."""
+    if rehearsal.outputs:
+        ranges = (
+            f"{name} from {low:.3g} to {high:.3g} {unit}"
+            for name, (low, high, unit) in rehearsal.outputs.items()
+        )
+        return f"rehearsed on the model: {', '.join(ranges)}"
     return (
         f"rehearsed on the model: the chassis turns {rehearsal.revolutions:.1f} times and ends "
         f"{degrees(rehearsal.turned_rad):.0f}° from its start; "
@@ -264,6 +283,13 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     """True if the configuration states that the rotating part is removed."""
     owner_checked: str = ""
     """Verified identity of the owner, such as `certificate alice`; empty if none was verified."""
+    description: str | UnsetType = UNSET
+    """Description of the rig, as in its file; absent for the arm."""
+
+    @property
+    def described(self) -> Description:
+        """Description of the rig."""
+        return Description.of(self.description.encode()) if self.description else shipped("arm")
 
 
 _FILLERS = "\u115f\u1160\u3164\uffa0"  # Hangul fillers: letters without a visible glyph

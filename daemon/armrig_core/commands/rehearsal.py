@@ -13,6 +13,7 @@ from armrig_core.errors import InputError
 
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters
+    from armrig_core.rig.description import Description
 
 _Array = NDArray[np.float64]
 
@@ -96,6 +97,50 @@ def rehearse(
         turned_rad=turned,
         theta_1_rad=None if theta_1_rad is None else theta_1_rad + turned,
     )
+
+
+def rehearse_outputs(u: ArrayLike, Ts: float, described: Description) -> Rehearsal:
+    """Return the response of a described rig with matrices to `u`, from its values at u = 0.
+
+    The values at the samples are exact; a dead time is rounded to whole samples.
+
+    Raises
+    ------
+    InputError
+        An output leaves its limits, or the model in a file has another sampling time.
+    """
+    # Imported here: a reader of a stored rehearsal does not need scipy.
+    from armrig_core.rig.arm import zero_order_hold
+    from armrig_core.rig.description import require_model
+
+    model, system = require_model(described)
+    Phi, Gamma = np.array(system.A), np.array(system.B)
+    if system.Ts is None:
+        Phi, Gamma = zero_order_hold(Phi, Gamma, Ts)
+    elif abs(system.Ts - Ts) > 1e-9:
+        raise InputError(
+            f"Ts = {Ts:g} s: the model in {model.file} has Ts = {system.Ts:g} s; record with this "
+            "sampling time, or identify a model from a recording at yours"
+        )
+    volts = np.asarray(u, dtype=np.float64)
+    late = min(round(model.delay_s / Ts), volts.size)
+    x = _states(Phi, Gamma[:, 0], np.concatenate([np.zeros(late), volts[: volts.size - late]]))
+    y = x @ np.array(system.C).T + (model.offset or [0.0] * len(described.outputs))
+    for i, (name, output) in enumerate(described.outputs.items()):
+        outside = ~((y[:, i] >= output.low) & (y[:, i] <= output.high))
+        if outside.any():
+            k = int(np.argmax(outside))
+            end = "high" if y[k, i] > output.high else "low"
+            raise InputError(
+                f"the rehearsal takes {name} from {y[:, i].min():.3g} to {y[:, i].max():.3g} "
+                f"{output.unit}: {name}.{end} = {getattr(output, end):g} is passed after "
+                f"{k * Ts:.3g} s; shorten the input or change its voltages"
+            )
+    ranges = {
+        name: (float(y[:, i].min()), float(y[:, i].max()), output.unit)
+        for i, (name, output) in enumerate(described.outputs.items())
+    }
+    return Rehearsal(outputs=ranges)
 
 
 def _check(key: str, values: _Array, limit: float, does: str, unit: str, Ts: float) -> None:

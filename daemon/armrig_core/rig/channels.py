@@ -28,6 +28,8 @@ class Channel(NamedTuple):
     """True if the shaft turns through a dead band, so that its turns are counted."""
     rate: str = ""
     """Name of the channel's rate if the rate is an output; otherwise empty."""
+    body: str = ""
+    """Part of the rig whose motion the channel shows, such as "chassis"; otherwise empty."""
 
     @property
     def value_field(self) -> str:
@@ -58,10 +60,12 @@ NO_CONVERSION = Conversion(0.0, 0.0)
 """Conversion of a reading that the rig does not use."""
 
 
-def channel(number: int, name: str, unit: str, *, turns: bool = False, rate: str = "") -> Channel:
+def channel(
+    number: int, name: str, unit: str, *, turns: bool = False, rate: str = "", body: str = ""
+) -> Channel:
     """Return the channel of a rig's output; `number` is the number of the device's reading."""
     valid = f"valid_{name}" if number else "valid"
-    return Channel(name, unit, _RAILS[number], valid, turns, rate)
+    return Channel(name, unit, _RAILS[number], valid, turns, rate, body)
 
 
 def value_field(name: str, unit: str) -> str:

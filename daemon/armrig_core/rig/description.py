@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, isfinite
 from pathlib import Path
@@ -26,6 +26,7 @@ from armrig_core.rig.channels import (
     channel,
     sample_names,
 )
+from armrig_core.rig.saved_model import Matrix, System, saved_system
 
 LIMIT_BYTES = 1 << 16
 """Largest size of a description, in B."""
@@ -41,7 +42,6 @@ _MAX_DELAY_S = 3600.0
 _ROUNDING = 1e-9  # of the real part of a pole at 0, in 1/s
 _SHIPPED = Path(__file__).parents[1] / "rigs"
 _TABLES = ("rig", "input", "outputs", "model")
-Matrix = list[list[float]]
 T = TypeVar("T", bound=msgspec.Struct)
 
 
@@ -110,6 +110,8 @@ class Output(_Table, frozen=True, kw_only=True):
     """True if the shaft turns through a dead band, so that its turns are counted."""
     rate: str = ""
     """Name of the output's rate if the rate is an output, too; otherwise empty."""
+    body: str = ""
+    """Part of the rig whose motion the output shows, for sentences; otherwise empty."""
     low: float = -inf
     """Lowest value of a run, in the unit."""
     high: float = inf
@@ -122,6 +124,7 @@ class Output(_Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse a conversion or a limit that no reading can have."""
         _check_text("unit", self.unit)
+        _check_text("body", self.body)
         if not (isfinite(self.per_count) and self.per_count):
             raise InputError(f"per_count = {self.per_count!r} must be finite and not 0")
         if not abs(self.zero_counts) <= 100 * COUNTS:
@@ -143,6 +146,15 @@ class Output(_Table, frozen=True, kw_only=True):
     def limited(self) -> bool:
         """True if a value or the time without a value can stop a run."""
         return isfinite(self.low) or isfinite(self.high) or self.blind_s is not None
+
+    @property
+    def limits(self) -> str:
+        """Return the limits as text; empty without any."""
+        parts = [f"above {self.high:g} {self.unit}"] if isfinite(self.high) else []
+        parts += [f"below {self.low:g} {self.unit}"] if isfinite(self.low) else []
+        ends = f"{' or '.join(parts)} in {self.samples} samples in a row" if parts else ""
+        blind = f"blind for {self.blind_s:g} s" if self.blind_s else ""
+        return ", or ".join(text for text in (ends, blind) if text)
 
     def value(self, counts: float) -> float:
         """Return the value of a reading in counts, in the output's unit."""
@@ -210,18 +222,53 @@ class Description:
     """Model of the emulator and the rehearsal; None if none is given."""
     text: bytes
     """Contents of the file, as attached to recordings."""
+    system: System | None = None
+    """Matrices that the emulator and the rehearsal simulate; None for the arm, or without any."""
 
     @property
     def sha256(self) -> str:
         """Hash of the file."""
         return hashlib.sha256(self.text).hexdigest()
 
+    def rows(self) -> list[tuple[str, str]]:
+        """Return what the description says, as names and texts."""
+        given = self.input
+        volts = "" if given.unit == "V" else f", {given.per_volt:g} {given.unit} per volt"
+        rows = [
+            ("described", self.rig.title or self.rig.name),
+            ("input", f"{given.name}{volts}, 0 to 5 V"),
+        ]
+        for name, output in self.outputs.items():
+            low, high = sorted((output.value(0), output.value(COUNTS - 1)))
+            kind = "turns through a dead band" if output.turning else "a value"
+            rate = f"; its rate is {output.rate}" if output.rate else ""
+            text = f"{low:.4g} to {high:.4g} {output.unit}, {kind}{rate}"
+            stop = f"; a run stops {output.limits}" if output.limited else ""
+            rows.append((name, text + stop))
+        model = "none: no emulation, and no rehearsal before a run"
+        if self.model is not None:
+            model = self.model.file or f"the {self.arm}, with the parameters in [arm]"
+        if self.system is not None:
+            when = "continuous time" if self.system.Ts is None else f"Ts = {self.system.Ts:g} s"
+            model = f"{len(self.system.A)} states, {when}"
+        return [*rows, ("model", model), ("sha256", self.sha256)]
+
+    @property
+    def arm(self) -> str:
+        """Kind of the model with the parameters of [arm]; empty for every other rig."""
+        return self.model.kind if self.model else ""
+
+    @property
+    def arm_removed(self) -> bool:
+        """True if the model is that of the chassis without the arm."""
+        return self.arm == "chassis"
+
     @property
     def channels(self) -> tuple[Channel, ...]:
         """Channels of the outputs, in the order of the device's readings."""
         return tuple(
-            channel(number, name, output.unit, turns=output.turning, rate=output.rate)
-            for number, (name, output) in enumerate(self.outputs.items())
+            channel(number, name, o.unit, turns=o.turning, rate=o.rate, body=o.body)
+            for number, (name, o) in enumerate(self.outputs.items())
         )
 
     @property
@@ -269,12 +316,14 @@ class Description:
             for name, table in _checked(tables["outputs"]).items()
         }
         given = tables.get("model")
+        model = None if given is None else _table("model", given, Model)
         described = cls(
             rig=_table("rig", tables["rig"], RigTable),
             input=_table("input", tables.get("input", {}), Input),
             outputs=outputs,
-            model=None if given is None else _table("model", given, Model),
+            model=model,
             text=text,
+            system=System(model.A, model.B, model.C, None) if model and model.A else None,
         )
         described._check_signals()
         return described
@@ -291,7 +340,7 @@ class Description:
                 f"{clash}: this field of a sample, made of name and unit, would exist twice; "
                 "rename the output"
             )
-        if self.model is not None and self.model.A:
+        if self.model is not None:
             _check_outputs(self.model, self.outputs)
 
 
@@ -301,10 +350,45 @@ def shipped(name: str) -> Description:
     return read_description(_SHIPPED / f"{name}.toml")
 
 
+def shipped_files() -> list[Path]:
+    """Return the files of the descriptions that come with armrig."""
+    return sorted(_SHIPPED.glob("*.toml"))
+
+
+def path_of(file: Path) -> Path:
+    """Return the file of a description; a name without suffix may be that of a shipped one."""
+    found = _SHIPPED / f"{file}.toml"
+    return found if len(file.parts) == 1 and found.is_file() and not file.exists() else file
+
+
+def described_at(file: Path | None) -> Description:
+    """Return the description in a file, or the arm's for None."""
+    return shipped("arm") if file is None else read_description(path_of(file))
+
+
+def require_model(description: Description) -> tuple[Model, System]:
+    """Return the matrices of a rig; raise InputError if it has none."""
+    if description.model is None or description.system is None:
+        raise InputError(
+            f"rig {description.rig.name} cannot be emulated without [model]: give A, B and C, or "
+            "the file of a model from `armrig identify --save`"
+        )
+    return description.model, description.system
+
+
 def read_description(path: Path) -> Description:
     """Return the rig that the file at `path` describes; raise FileError, which names the file."""
     try:
-        return Description.of(read_bounded(path, LIMIT_BYTES))
+        described = Description.of(read_bounded(path, LIMIT_BYTES))
+        if described.model is None or not described.model.file:
+            return described
+        system = saved_system(path.parent / described.model.file, tuple(described.outputs))
+        if not described.model.unstable and (radius := _radius(system.A)) > 1 + _ROUNDING:
+            raise InputError(
+                f"model.file: a pole of modulus {radius:.4g}: the model is unstable; identify it "
+                "again, or set unstable = true"
+            )
+        return replace(described, system=system)
     except OSError as err:
         raise FileError(f"{path}: {err.strerror}") from err
     except InputError as err:
@@ -350,6 +434,13 @@ def _check_outputs(model: Model, outputs: dict[str, Output]) -> None:
                 f"outputs.{name}: the rig reads {y:g} {output.unit} at rest, outside "
                 f"{output.low:g} to {output.high:g}; correct the limits, or model.offset"
             )
+
+
+def _radius(A: Matrix) -> float:
+    """Return the largest modulus of the eigenvalues of A."""
+    import numpy as np
+
+    return float(np.abs(np.linalg.eigvals(np.array(A))).max())
 
 
 def _rightmost(A: Matrix) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
+from armrig_core.telemetry.channels import BODY
 from armrig_protocol.messages import Cause
 
 
@@ -87,7 +88,7 @@ OF_DEVICE: dict[int, str] = {
     Cause.RANGE: "a voltage was outside its limits",
     Cause.SLEW: "the voltage changed by more than limits.slew_v in a sample",
     Cause.ADC_RAIL: "a potentiometer was at a rail for device.rail_ticks samples",
-    Cause.REV_LIMIT: "the chassis reached limits.revolutions",
+    Cause.REV_LIMIT: f"the {BODY} reached limits.revolutions",
     Cause.UNDERRUN: "its queue of setpoints ran dry",
     Cause.VCC_LOW: "its supply is too low",
     Cause.INTERNAL: "an internal check of its firmware failed",

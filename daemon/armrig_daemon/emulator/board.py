@@ -1,4 +1,4 @@
-"""The board: the pin that drives the motor, the converter's inputs, and the arm.
+"""The board: the pin that drives the motor, the converter's inputs, and the rig.
 
 Only this module sets the terminal voltage. It asserts at each change that the voltage is in
 [0, 5] V (S1 of ARCHITECTURE.md), independently of the layers above.
@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from math import radians, tau
 from typing import NamedTuple
 
 import numpy as np
+from armrig_core.rig.description import Description
 from armrig_core.rig.volts import applied_code, duty
 from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV, Cause, State
 
-from armrig_daemon.emulator import plant
-from armrig_daemon.emulator.sensors import CODE_BITS, Potentiometer, convert, wiper
+from armrig_daemon.emulator.arm import Arm
+from armrig_daemon.emulator.described_rig import DescribedRig
+from armrig_daemon.emulator.sensors import CODE_BITS, convert
 from armrig_daemon.emulator.settings import EmulatorSettings
 
 _RUN = State.RUN
@@ -71,15 +72,14 @@ class Board:
         now_ns: int,
         rng: np.random.Generator,
         witness: Witness | None = None,
+        description: Description | None = None,
     ) -> None:
         """Put the rig at rest; `rng` is the source of noise, `witness` gets each new voltage."""
-        self._plant = plant.build(
-            settings.arm_parameters(),
-            arm_removed=settings.arm_removed,
-            coulomb_nm=settings.coulomb_nm,
-            stiffening=settings.stiffening,
-        )
-        self._theta_1, self._alpha = _potentiometers(settings)
+        self._rig: Arm | DescribedRig
+        if description is None or description.arm:
+            self._rig = Arm(settings)
+        else:
+            self._rig = DescribedRig(description, rng)
         self._adc_bits = settings.adc_bits or CODE_BITS
         self._noise_v = settings.adc_noise_v
         self._pwm_bits = settings.pwm_bits
@@ -90,7 +90,6 @@ class Board:
         self._supply_mv = round(settings.supply_v * 1000)
         self._brown_out_ns = now_ns + round(settings.brown_out_s * 1e9)
         self._browns_out = settings.brown_out_s > 0
-        self._x = plant.REST
         self._volts = 0.0
         self.code = 0
         """Code of the motor's voltage; 0 while the pin is off."""
@@ -100,13 +99,12 @@ class Board:
         """Terminal voltage."""
         return self._volts
 
-    def motion(self, now_ns: int) -> plant.State:
-        """Return the angles of the arm and their rates."""
-        if now_ns == self._now_ns:
-            return self._x  # at each latch, because theta_1 was read at the same instant
-        self._x = plant.advance(self._plant, self._x, self._volts, now_ns - self._now_ns)
-        self._now_ns = now_ns
-        return self._x
+    def motion(self, now_ns: int) -> tuple[float, ...]:
+        """Return the state of the rig; the arm's are its angles and their rates."""
+        if now_ns != self._now_ns:  # equal at each latch, because channel 0 was just read
+            self._rig.advance(self._volts, now_ns - self._now_ns)
+            self._now_ns = now_ns
+        return self._rig.state
 
     def latch(self, now_ns: int, code: int, cause: Cause) -> None:
         """Apply the voltage of `code` from now on; called only in RUN."""
@@ -129,22 +127,16 @@ class Board:
     def drive(self, now_ns: int, share: float, state: State, cause: Cause) -> None:
         """Apply the measured duty of a simulated board's pin, a share of the full voltage.
 
-        The duty is known only at the end of its PWM period. If the motion of the arm has already
+        The duty is known only at the end of its PWM period. If the motion of the rig has already
         been computed beyond `now_ns`, the voltage changes at the end of this motion.
         """
         terminal_v = driven(FULL_SCALE_V * share, *self._driver)
         self._apply(max(now_ns, self._now_ns), terminal_v, state, cause)
 
-    def theta_1(self, now_ns: int) -> int:
-        """Return the reading of theta_1, in counts."""
-        return self._read(self._theta_1, self.motion(now_ns)[0])
-
-    def alpha(self, now_ns: int) -> int:
-        """Return the reading of alpha, in counts."""
-        return self._read(self._alpha, self.motion(now_ns)[1])
-
-    def _read(self, pot: Potentiometer, angle: float) -> int:
-        return convert(wiper(pot, angle), self._adc_bits, self._noise_v, self._rng)
+    def reading(self, channel: int, now_ns: int) -> int:
+        """Return the reading of a channel, in counts."""
+        self.motion(now_ns)
+        return convert(self._rig.wiper(channel), self._adc_bits, self._noise_v, self._rng)
 
     def _apply(self, now_ns: int, terminal_v: float, state: State, cause: Cause) -> None:
         if not 0.0 <= terminal_v <= FULL_SCALE_V:
@@ -155,29 +147,3 @@ class Board:
         self._volts = terminal_v
         if self._witness:
             self._witness(Change(now_ns, terminal_v, state, cause))
-
-
-def _potentiometers(settings: EmulatorSettings) -> tuple[Potentiometer, Potentiometer]:
-    """Return the sensors of theta_1 and of alpha."""
-    zero_1, zero_2 = radians(settings.theta_1_zero_deg), radians(settings.alpha_zero_deg)
-    range_1, range_2 = radians(settings.theta_1_range_deg), radians(settings.alpha_range_deg)
-    if not settings.potentiometers:
-        range_1 = range_2 = tau
-    return (
-        Potentiometer(
-            range_rad=range_1,
-            zero_rad=zero_1,
-            wraps=True,
-            low=settings.theta_1_low_v / FULL_SCALE_V,
-            high=settings.theta_1_high_v / FULL_SCALE_V,
-            sign=-1.0 if settings.theta_1_reversed else 1.0,
-        ),
-        Potentiometer(
-            range_rad=range_2,
-            zero_rad=zero_2,
-            wraps=not settings.potentiometers,
-            low=settings.alpha_low_v / FULL_SCALE_V,
-            high=settings.alpha_high_v / FULL_SCALE_V,
-            sign=-1.0 if settings.alpha_reversed else 1.0,
-        ),
-    )

@@ -42,7 +42,7 @@ class Converter:
         self._conversion_ns = fw.hardware.conversion_ns
         self._hold_ns = fw.hardware.hold_ns
         self._codes: tuple[list[int], list[int]] = ([], [])
-        """Readings of theta_1 and of alpha since the first trigger."""
+        """Readings of channels 0 and 1 since the first trigger."""
         self._trigger_ns = 0
         self._held = self._conversions = 0
         self.due_ns = NEVER
@@ -65,30 +65,30 @@ class Converter:
         fw, codes = self._fw, self._codes
         if self._held == self._conversions:
             return self._end(t_ns)
-        alpha_is_next = not self._held & 1  # alpha first, then in turn
-        channel = fw.cal.channel if fw.cal is not None else int(alpha_is_next)
-        codes[channel].append(fw.board.alpha(t_ns) if channel else fw.board.theta_1(t_ns))
+        # Channel 1 first, then in turn.
+        channel = fw.cal.channel if fw.cal is not None else int(not self._held & 1)
+        codes[channel].append(fw.board.reading(channel, t_ns))
         self._held += 1
         if self._held < self._conversions:
             after_ns = self._held * self._conversion_ns + self._hold_ns
             self.due_ns = fw.clock.instant(self._trigger_ns + after_ns)
         else:
             if fw.cal is None:
-                # theta_1 is held just before the latch, so its reading does not depend on this u.
+                # Channel 0 is held just before the latch: its reading does not depend on this u.
                 latch(fw, t_ns)
             self.due_ns = self.end_ns
         return []
 
     def _end(self, t_ns: int) -> list[Message]:
         fw, conversion_ns = self._fw, self._conversion_ns
-        theta_1, alpha = self._codes
+        first, second = self._codes
         end_ns = self._trigger_ns + self._conversions * conversion_ns
         self._conversions, self.due_ns, self.end_ns = 0, NEVER, NEVER
         if fw.cal is not None:
-            return [cal_answer(fw, alpha or theta_1)]
+            return [cal_answer(fw, second or first)]
         t_us = microseconds(end_ns - conversion_ns)
         late = self._trigger_ns > fw.pending[0].due_ns
-        messages = sample(fw, t_ns, t_us, mean(theta_1), mean(alpha), late=late)
+        messages = sample(fw, t_ns, t_us, mean(first), mean(second), late=late)
         if fw.pending:
             self._trigger(max(end_ns, fw.pending[0].due_ns), fw.conversions)
         return messages
@@ -125,11 +125,11 @@ def _next_setpoint(fw: Firmware) -> Setpoint:
 def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> list[Message]:
     """Return SAMPLE of the first pending sample, and the EVENT of a guard that trips.
 
-    The guards are checked after the conversion of theta_1. SAMPLE is created afterwards and reports
-    the fault.
+    The guards are checked after the conversion of channel 0. SAMPLE is created afterwards and
+    reports the fault.
 
-    `t_us` is the device time at which the conversion of theta_1 was triggered, in µs; `y0` and `y1`
-    are the readings of theta_1 and alpha. `late` is True if the conversions had to wait for the
+    `t_us` is the device time at which the conversion of channel 0 was triggered, in µs; `y0` and
+    `y1` are the readings of the channels. `late` is True if the conversions had to wait for the
     conversions of another sample.
     """
     wanted, config = fw.pending.popleft(), fw.config

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
+from armrig_core.rig.description import Description
 from armrig_protocol import frame
 from armrig_protocol.messages import Ack, Cause, Exchange, Sample, State
 
@@ -52,19 +53,24 @@ class TimedDevice(Protocol):
 
 
 class Device:
-    """An emulated rig: bytes in, bytes out, and a moving arm."""
+    """An emulated rig: bytes in, bytes out, and a moving arm or another rig."""
 
     violations: tuple[()] = ()
     """Empty, because the pins of an emulated device always agree with its firmware."""
 
     def __init__(
-        self, settings: EmulatorSettings, now_ns: int, witness: Witness | None = None
+        self,
+        settings: EmulatorSettings,
+        now_ns: int,
+        witness: Witness | None = None,
+        *,
+        description: Description | None = None,
     ) -> None:
         """Switch the device on; `witness` is called at each change of the terminal voltage."""
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
         )
-        self._board = Board(settings, now_ns, noise, witness)
+        self._board = Board(settings, now_ns, noise, witness, description)
         self._baud = settings.baud if settings.model_baud else 0
         self._shortest_ns = max(0, wire_ns(frame.wire_length(Ack), self._baud) - LEAD_NS)
         self._sample_ns = wire_ns(frame.wire_length(Sample), self._baud)
@@ -93,7 +99,7 @@ class Device:
 
     @property
     def board(self) -> Board:
-        """The pins and the arm."""
+        """The pins and the rig."""
         return self._board
 
     def reset(self, now_ns: int) -> None:

@@ -15,11 +15,11 @@ class Guards(msgspec.Struct, frozen=True, gc=False):
     """State of the guards since START."""
 
     rails: tuple[int, int] = (0, 0)
-    """Numbers of consecutive samples at a rail, for theta_1 and for alpha."""
+    """Numbers of consecutive samples at a rail, for each channel."""
     turned: int = 0
-    """Net rotation of theta_1 since START, in counts."""
+    """Net rotation of channel 0 since START, in counts."""
     y0: int | None = None
-    """Last reading of theta_1; None before the first reading."""
+    """Last reading of channel 0; None before the first reading."""
 
 
 NOTHING_SEEN = Guards()
@@ -28,14 +28,14 @@ NOTHING_SEEN = Guards()
 def watch(guards: Guards, y0: int, y1: int, *, rail_ticks: int, turns: int) -> tuple[Guards, Cause]:
     """Return the state of the guards after a sample, and the cause of a fault or NONE.
 
-    `y0` and `y1` are the readings of theta_1 and alpha. `rail_ticks` is the number of consecutive
+    `y0` and `y1` are the readings of the channels. `rail_ticks` is the number of consecutive
     samples at a rail that causes a fault. `turns` is the rotation since START, in either direction,
     that causes a fault, in hundredths of a turn. 0 disables a guard.
     """
     last = y0 if guards.y0 is None else guards.y0
     turned = guards.turned + (y0 - last + _TURN_CODES // 2) % _TURN_CODES - _TURN_CODES // 2
-    theta_1, alpha = guards.rails
-    rails = (theta_1 + 1 if at_rail(y0) else 0, alpha + 1 if at_rail(y1) else 0)
+    first, second = guards.rails
+    rails = (first + 1 if at_rail(y0) else 0, second + 1 if at_rail(y1) else 0)
     cause = _NONE
     if rail_ticks and max(rails) >= rail_ticks:
         cause = Cause.ADC_RAIL

@@ -32,9 +32,9 @@ _Table = tuple[tuple[_Step, ...], ...]
 
 REST: Final[State] = (0.0, 0.0, 0.0, 0.0)
 
-_DIGIT_BITS = 8
-_DIGITS = 4
-_MAX_STEP_NS = (1 << _DIGIT_BITS * _DIGITS) - 1
+DIGIT_BITS = 8
+DIGITS = 4
+MAX_STEP_NS = (1 << DIGIT_BITS * DIGITS) - 1
 SUBSTEP_NS = 100_000
 
 
@@ -113,15 +113,15 @@ def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
 
 def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
     """Return the state after a linear step; each digit of dt needs one product with a matrix."""
-    while dt_ns > _MAX_STEP_NS:
-        x = _flow(table, x, u, _MAX_STEP_NS)
-        dt_ns -= _MAX_STEP_NS
+    while dt_ns > MAX_STEP_NS:
+        x = _flow(table, x, u, MAX_STEP_NS)
+        dt_ns -= MAX_STEP_NS
     theta, alpha, omega, rate = x
     for level in table:
         if not dt_ns:
             break
         digit = dt_ns & 0xFF
-        dt_ns >>= _DIGIT_BITS
+        dt_ns >>= DIGIT_BITS
         if digit:
             a, b, c, d, e, f, g, h, i, j, k, m, n, o, p, q = level[digit]
             theta, alpha, omega, rate = (
@@ -194,16 +194,25 @@ def _tables(arm: ArmParameters, arm_removed: bool) -> tuple[_Table, _Table]:
 
 
 def _table(A: Matrix, B: Matrix) -> _Table:
+    """Return the rows of the arm's matrices for every digit of every level."""
+    return tuple(
+        tuple(map(tuple, powers[:, :4, 1:].reshape(-1, 16).tolist()))
+        for powers in digit_powers(A, B)
+    )
+
+
+def digit_powers(A: Matrix, B: Matrix) -> list[Matrix]:
     """Return exp([A B; 0 0] t) for t = digit 256^level ns, for every digit of every level."""
     # One matrix exponential for each level: squares give the digits 2, 4, … 128, products the rest.
-    block = np.zeros((5, 5))
-    block[:4, :4], block[:4, 4:] = A, B
+    n = len(A)
+    block = np.zeros((n + 1, n + 1))
+    block[:n, :n], block[:n, n:] = A, B
     levels = []
-    for level in range(_DIGITS):
-        square = expm(block * (1e-9 * (1 << _DIGIT_BITS * level)))
-        powers = np.eye(5)[np.newaxis]
-        for _ in range(_DIGIT_BITS):
+    for level in range(DIGITS):
+        square = expm(block * (1e-9 * (1 << DIGIT_BITS * level)))
+        powers = np.eye(n + 1)[np.newaxis]
+        for _ in range(DIGIT_BITS):
             powers = np.concatenate([powers, powers @ square])
             square = square @ square
-        levels.append(tuple(map(tuple, powers[:, :4, 1:].reshape(-1, 16).tolist())))
-    return tuple(levels)
+        levels.append(powers)
+    return levels

@@ -14,6 +14,8 @@ from typing import Final
 from weakref import finalize
 
 import numpy as np
+from armrig_core.rig.channels import MAX_CHANNELS
+from armrig_core.rig.description import Description
 from armrig_protocol import decoder
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import Cause, Event, State
@@ -27,7 +29,6 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import wire_ns
 
 ADC_BITS: Final = 10
-THETA_1, ALPHA = 0, 1
 OPTIBOOT_NS: Final = 1_000_000_000
 """Time for which a boot loader runs and the program receives no bytes, in ns."""
 ACTIVE_NS: Final = 20_000_000
@@ -50,6 +51,7 @@ class Uno:
         *,
         boot_loader: bool = False,
         trace: Path | None = None,
+        description: Description | None = None,
     ) -> None:
         """Switch the board on.
 
@@ -57,12 +59,13 @@ class Uno:
         `settings`, only the arm, its sensors and the line's speed are used; the binary determines
         all other properties. If `boot_loader` is True, a reset by the port starts Optiboot, which
         ignores bytes for a second and clears MCUSR. `trace` is a VCD file with the levels of the
-        PWM pin and the enable line.
+        PWM pin and the enable line. `description` describes the rig; default: the arm.
         """
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
         )
-        self.board = Board(replace(settings, adc_bits=ADC_BITS), now_ns, noise, witness)
+        settings = replace(settings, adc_bits=ADC_BITS)
+        self.board = Board(settings, now_ns, noise, witness, description)
         self._baud = settings.baud
         self._origin_ns = now_ns
         self._line_free_ns = self._byte_ns = now_ns
@@ -173,13 +176,11 @@ class Uno:
 
     def _reading(self, cycle: int, channel: int) -> int:
         t_ns = self.ns(cycle)
-        if channel == THETA_1:
+        if channel == 0:
             self._pins.hold(cycle)
         reading = self.stuck(t_ns, channel)
         if reading is not None:
             return reading
-        if channel == THETA_1:
-            return self.board.theta_1(t_ns) >> (CODE_BITS - ADC_BITS)
-        if channel == ALPHA:
-            return self.board.alpha(t_ns) >> (CODE_BITS - ADC_BITS)
+        if channel < MAX_CHANNELS:
+            return self.board.reading(channel, t_ns) >> (CODE_BITS - ADC_BITS)
         return int(self._rng.integers(1 << ADC_BITS))  # an open pin: noise

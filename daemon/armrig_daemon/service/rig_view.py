@@ -10,6 +10,7 @@ from armrig_core.commands.commands import LastRun, Refused, StatusReport
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config
@@ -39,10 +40,7 @@ class RigView:
         self._endpoint = endpoint
         self._directory = directory
         self._note_channels()
-        model = self._description.model
-        self._turns_per_volt_s = (
-            config.arm.turns_per_volt_s if model is not None and model.kind else 0.0
-        )
+        self._turns_per_volt_s = config.arm.turns_per_volt_s if self._description.arm else 0.0
         self._readings = readings.Readings()
         self._timing: Timing | None = None
         self._pressure = pressure.Pressure()
@@ -141,4 +139,5 @@ class RigView:
             calibration_file=self._calibration_file,
             arm_removed=config.arm.removed,
             owner_checked=state.owner_checked,
+            description=self._description.text.decode() if config.rig.file else UNSET,
         )

@@ -22,7 +22,6 @@ from armrig_core.commands.commands import (
     RunAccepted,
     refused,
 )
-from armrig_core.commands.rehearsal import rehearse
 from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CALIBRATION_RAW,
@@ -58,7 +57,7 @@ class Planned(NamedTuple):
     path: Path
     request: Run
     rehearsal: Rehearsal | None
-    """Response of the model to the input; None for a rig without a model of the arm."""
+    """Response of the model to the input; None for a rig without a model."""
     text: bytes
     """Input as text for the recording; the slow conversion is done before the run, at 0 V."""
 
@@ -152,21 +151,9 @@ class Runs:
         no_room = check_directory(self._directory, _BYTES_PER_SAMPLE * len(request.u) + _BASE_BYTES)
         if no_room:
             raise CommandRefusedError(no_room)
-        limits, arm = self._config.limits, self._config.arm
-        u = checked(request.u, limits)
+        u = checked(request.u, self._config.limits)
         alive()
-        model = self._description.model
-        rehearsal = None
-        if model is not None and model.kind:
-            rehearsal = rehearse(
-                u,
-                Ts,
-                parameters=arm.parameters(),
-                arm_removed=arm.removed or model.kind == "chassis",
-                theta_1_rad=start_rad,
-                revolutions=limits.revolutions,
-                alpha_rad=limits.alpha_rad,
-            )
+        rehearsal = self._config.rehearsal(u, Ts, self._description, start_rad)
         alive()
         text = one_a_line(u)
         alive()

@@ -91,7 +91,7 @@ class VirtualService:
         self._n = 0
         self._state: State | None = None
         self._answers: dict[int, Answer] = {}
-        self._has_ended = False
+        self._has_ended = self._has_sample = False
 
     def record(self, request: Run) -> Path:
         """Arm, play and record a run; return the path of the complete recording.
@@ -101,7 +101,7 @@ class VirtualService:
         Raises OperationError if the run was refused, or ended before its last sample. Raises
         ValueError if a voltage or the rehearsal is outside the limits, or nothing can be recorded.
         """
-        self._until(lambda: self._state is not None and self._state.phase == "safe", "is not ready")
+        self._until(self._is_ready, "is not ready")
         granted = self._ask(pipe.Arm(owner="virtual time", lease=LEASE, ts_us=0))
         self._n += 1
         request = replace(request, lease=LEASE, n=self._n)
@@ -115,6 +115,10 @@ class VirtualService:
         if level != "info" or last is None or not last.is_complete:
             raise OperationError(text or f"the recording is not complete after {_FINISH_S:g} s")
         return Path(last.recording)
+
+    def _is_ready(self) -> bool:
+        """Return True in the phase safe, after the first sample, which arming needs."""
+        return self._has_sample and self._state is not None and self._state.phase == "safe"
 
     def _ask(self, order: Orders) -> Answer:
         """Send an order; return its answer, or raise OperationError if the order is refused."""
@@ -143,6 +147,7 @@ class VirtualService:
         for record in records:
             match record:
                 case bytes():
+                    self._has_sample = True
                     sample = decode_sample(record)
                     if sample is not None and self._runs.includes_sample(sample.k):
                         fields = sample.t_host_ns, sample.t_sched_ns, sample.k, record

@@ -51,7 +51,7 @@ def _bench(*, Ts: float = 0.01) -> Bench:
 def _read(bench: Bench, first: int, second: int) -> None:
     """Let the sensors read these counts from now on."""
     board: Any = bench.ports.device.board
-    board.theta_1, board.alpha = lambda _: first, lambda _: second
+    board.reading = lambda channel, _: (first, second)[channel]
 
 
 def _driven(bench: Bench, way: str) -> None:
@@ -219,6 +219,6 @@ def test_a_description_without_limits_gives_the_core_none() -> None:
         assert Config().rules(shipped(name)).limits is UNSET
     heater = Config().rules(shipped("heater")).limits
     assert heater == (
-        OutputLimit(0, "T1", "degC", None, 70.0, 2, 500 * MS),
+        OutputLimit(0, "T1", "degC", None, 70.0, 2, 10_000 * MS),
         OutputLimit(1, "T2", "degC", None, 70.0, 2, 0),
     )

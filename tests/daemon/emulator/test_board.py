@@ -92,8 +92,8 @@ def test_an_ideal_sensor_has_no_dead_band() -> None:
 
     board = Board(settings, 0, np.random.default_rng(0))
 
-    assert board.theta_1(0) == 65536 // 4
-    assert board.alpha(0) == round(65536 * 176 / 360)
+    assert board.reading(0, 0) == 65536 // 4
+    assert board.reading(1, 0) == round(65536 * 176 / 360)
 
 
 @pytest.mark.parametrize(

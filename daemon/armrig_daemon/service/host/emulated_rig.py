@@ -35,6 +35,8 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
     program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", port_of(path)]
     program += ["--settings", msgspec.json.encode(settings).decode()]
+    if config.rig.file:
+        program += ["--rig-file", config.rig.file]
     program += ["--parent", str(os.getpid())]  # if this process ends, the emulator also ends
     stalls_out, stalls_in = os.pipe()
     os.set_blocking(stalls_in, False)

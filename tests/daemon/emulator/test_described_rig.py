@@ -1,0 +1,118 @@
+"""The emulated rig of a description moves as its matrices, or as its model's file, say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig_core.commands.rehearsal import rehearse_outputs
+from armrig_core.errors import FileError, InputError
+from armrig_core.rig.description import Description, read_description, shipped
+from armrig_core.rig.saved_model import saved_system
+from armrig_daemon.emulator.described_rig import DescribedRig
+
+RC = shipped("rc")
+HEATER = shipped("heater")
+MS = 1_000_000
+
+
+def moved(description: Description, u: Any, step_ns: int) -> list[float]:
+    """Return output 0 after each step at the voltages u."""
+    rig, found = DescribedRig(description, np.random.default_rng(1)), []
+    output = next(iter(description.outputs.values()))
+    for volts in u:
+        rig.advance(volts, step_ns)
+        fraction = rig.wiper(0)
+        assert fraction is not None
+        found.append(output.value(65536 * fraction))
+    return found
+
+
+def test_a_step_of_the_circuit_has_its_two_time_constants() -> None:
+    t = np.arange(1, 101) * 0.01
+
+    y = moved(RC, [3.0] * 100, 10 * MS)
+
+    exact = 3 * (1 - (15 * np.exp(-8 * t) - 8 * np.exp(-15 * t)) / 7)
+    assert y == pytest.approx(exact, abs=1e-9)
+
+
+def test_the_motion_does_not_depend_on_the_division_of_time() -> None:
+    coarse, fine = moved(RC, [2.0] * 5, 20 * MS), moved(RC, [2.0] * 100, MS)
+
+    assert coarse == pytest.approx(fine[19::20], abs=1e-12)
+
+
+def test_the_input_of_the_heater_acts_after_its_dead_time() -> None:
+    text = HEATER.text.replace(b"noise = [0.05, 0.05]", b"")
+    y = moved(Description.of(text), [5.0] * 30, 1000 * MS)
+
+    assert y[:15] == pytest.approx([23.0] * 15)
+    assert y[15] > 23.01
+
+
+def test_the_rehearsal_agrees_with_the_emulator() -> None:
+    u = [0.0, 4.0, 1.0, 5.0] * 25
+    y = moved(RC, u, 10 * MS)
+
+    found = rehearse_outputs(u, 0.01, RC).outputs
+
+    assert found["y"][:2] == pytest.approx((0.0, max(y)))  # type: ignore[index]
+
+
+def test_a_run_that_would_leave_a_limit_is_refused_with_output_value_and_time() -> None:
+    limited = Description.of(RC.text.replace(b'unit = "V"', b'unit = "V"\nhigh = 4.0', 1))
+
+    with pytest.raises(InputError, match=r"takes y from 0 to 5 V: y\.high = 4 is passed after"):
+        rehearse_outputs([5.0] * 100, 0.01, limited)
+    rehearse_outputs([3.9] * 100, 0.01, limited)
+
+
+def saved(path: Path, **changes: Any) -> Path:
+    """Write y(t) = 0.5 y(t-1) + 0.25 u(t-1) as `armrig identify --save` does."""
+    form = {"kind": "polynomials", "A": [[[1.0]]], "B": [[[0.0, 0.25]]], "F": [[[1.0, -0.5]]]}
+    content = {"format": "armrig model", "outputs": ["y"], "input_units": ["V"], "Ts": 0.01}
+    path.write_text(json.dumps(content | {"form": form} | changes))
+    return path
+
+
+def test_a_saved_model_is_emulated_at_its_own_sampling_time(tmp_path: Path) -> None:
+    saved(tmp_path / "model.json")
+    text = RC.text.partition(b"[model]")[0] + b'[model]\nfile = "model.json"\n'
+    (tmp_path / "own.toml").write_bytes(text)
+    own = read_description(tmp_path / "own.toml")
+
+    y = moved(own, [4.0] * 4, 10 * MS)
+
+    assert y == pytest.approx([1.0, 1.5, 1.75, 1.875])
+    with pytest.raises(InputError, match=r"model\.json has Ts = 0\.01 s"):
+        rehearse_outputs([1.0] * 5, 0.02, own)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"format": "other"}, "no model; `armrig identify --save` writes"),
+        ({"outputs": ["T1"]}, "a model of T1; the rig has one input and the outputs y"),
+        ({"form": {"kind": "polynomials"}}, "a damaged model"),
+        (
+            {
+                "form": {
+                    "kind": "polynomials",
+                    "A": [[[1.0]]],
+                    "B": [[[1.0]]],
+                    "F": [[[1.0, 0.5]]],
+                }
+            },
+            r"the input acts at once \(nk=0\)",
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_emulated_is_refused(
+    tmp_path: Path, changes: dict[str, Any], why: str
+) -> None:
+    with pytest.raises(FileError, match=why):
+        saved_system(saved(tmp_path / "m.json", **changes), ["y"])
