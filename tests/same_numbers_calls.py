@@ -1360,7 +1360,7 @@ def catalogue() -> Variants:
 
 @variants
 def calibration() -> Variants:
-    from armrig.recordings.calibration import estimate
+    from armrig.physics.calibration import estimate
     from armrig_core.rig.calibration import Calibration, Made
 
     from tests.clients.made_turns import made_turns, still

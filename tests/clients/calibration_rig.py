@@ -6,8 +6,8 @@ from math import erf, radians, sqrt, tau
 from struct import pack
 
 import numpy as np
-from armrig.recordings.calibration import Estimate, estimate
-from armrig.recordings.calibration_readings import Readings
+from armrig.physics.calibration import Estimate, estimate
+from armrig.physics.calibration_readings import Readings
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.volts import applied_code, code_of, volts_of

@@ -19,9 +19,9 @@ from armrig.cli.results import write_plot
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
+from armrig.physics.calibration import estimate
 from armrig.physics.integrators.accuracy import convergence, sinusoid
 from armrig.physics.systems import beside_the_handout, physical_model
-from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
 from armrig.report.figures import drawn as figure_of_panels

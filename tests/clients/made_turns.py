@@ -6,7 +6,7 @@ import gzip
 from math import tau
 
 import numpy as np
-from armrig.recordings.calibration_readings import Readings
+from armrig.physics.calibration_readings import Readings
 
 D, LOW, HIGH = 68_000.0, 900.0, 64_000.0
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from armrig.excitation import telegraph
-from armrig.recordings.calibration_readings import Readings
+from armrig.physics.calibration_readings import Readings
 from armrig_core.commands.commands import Rehearsal
 from armrig_core.recording_file.manifest import Manifest, Outcome
 from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold

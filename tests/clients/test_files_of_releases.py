@@ -11,7 +11,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.models.model_writing import model_text
-from armrig.recordings.calibration import estimate
+from armrig.physics.calibration import estimate
 from armrig.recordings.files.container import read
 from armrig.recordings.files.replay import replay
 from armrig.recordings.files.verification import verify

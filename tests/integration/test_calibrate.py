@@ -14,7 +14,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.recordings.calibration import estimate
+from armrig.physics.calibration import estimate
 from armrig.recordings.files.container import read
 from armrig.recordings.files.replay import replay
 from armrig.recordings.usability import doubts_of_calibration

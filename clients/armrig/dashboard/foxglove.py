@@ -15,7 +15,7 @@ from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, stream_key
 
-from armrig.recordings.files.export import transforms, transforms_channel
+from armrig.physics.files.poses import transforms, transforms_channel
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
 
@@ -101,7 +101,7 @@ def _pass_on(channels: dict[str, Any], rig: Rig, ends: threading.Event) -> None:
                     message = messages.popleft()
                     channels[name].log(_bytes(message))
                     if isinstance(message, Sample):
-                        angles = message.theta_1_rad, message.alpha_rad
+                        angles = message.value_0, message.value_1
                         channels[_FRAMES].log(transforms(*angles, time.time_ns()))
             silent += 1
             if silent * _PERIOD_S > _SILENT_S:

@@ -13,6 +13,7 @@ from armrig.models.figures import plot_fit as plot_fit
 from armrig.models.figures import plot_poles_zeros as plot_poles_zeros
 from armrig.models.figures import plot_step as plot_step
 from armrig.models.spectral_estimate import plot_spectral as plot_spectral
+from armrig.physics.figures import plot_calibration as plot_calibration
 from armrig.physics.figures import plot_physical_step as plot_physical_step
 from armrig.physics.figures import plot_rig as plot_rig
 from armrig.physics.figures import plot_sensitivities as plot_sensitivities
@@ -34,7 +35,6 @@ from armrig.plots.layout import SKY as SKY
 from armrig.plots.layout import VERMILION as VERMILION
 from armrig.plots.layout import finish as finish
 from armrig.plots.layout import letter as letter
-from armrig.recordings.figures import plot_calibration as plot_calibration
 from armrig.recordings.figures import plot_timing as plot_timing
 from armrig.validation.comparison import plot_compare as plot_compare
 from armrig.validation.feedback_and_delay.figures import plot_delay as plot_delay

@@ -10,20 +10,24 @@ from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from armrig_core.telemetry.channels import ALPHA, THETA_1, VELOCITY
+from armrig_core.telemetry.channels import SYMBOLS
 
 from armrig.plots.layout import GREY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-NAMES = {THETA_1: r"$\theta_1$", ALPHA: r"$\alpha$", VELOCITY: r"$\dot\theta_1$"}
 _RAISED_DIGITS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 _RUN_OF_HASH: ContextVar[Mapping[str, str]] = ContextVar(
     "_RUN_OF_HASH", default=MappingProxyType({})
 )
+
+
+def labelled(output: str) -> str:
+    """Return the symbol of an output, or its name."""
+    return SYMBOLS.get(output, output)
 
 
 @contextmanager
@@ -151,4 +155,4 @@ def symbol(parameter: str) -> str:
 
 def named(output: str, unit: str) -> str:
     """Return the label of an output's axis."""
-    return f"{NAMES.get(output, output)} [{unit or '–'}]"
+    return f"{labelled(output)} [{unit or '–'}]"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.recordings.files.export import write_transforms
+from armrig.physics.files.poses import write_transforms
 from armrig.recordings.files.loading import load
 from armrig_core.commands.commands import Run
 from armrig_daemon.config import Config

@@ -15,7 +15,7 @@ from armrig_core.telemetry.channels import ALPHA, THETA_1
 from msgspec.structs import replace
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.calibration_readings import (
+from armrig.physics.calibration_readings import (
     Readings,
     at_rail,
     mean_reading,
@@ -25,7 +25,7 @@ from armrig.recordings.calibration_readings import (
     rounding_variance,
     spread,
 )
-from armrig.recordings.calibration_turns import (
+from armrig.physics.calibration_turns import (
     IDEAL_DRIVER,
     Speeds,
     TerminalVoltage,

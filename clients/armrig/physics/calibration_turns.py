@@ -26,7 +26,7 @@ from scipy.linalg import solve_triangular
 from armrig.data.columns import Matrix, Vector
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.stretches import Mask, constant
-from armrig.recordings.calibration_readings import FULL_COUNTS, RAIL_COUNTS, Readings
+from armrig.physics.calibration_readings import FULL_COUNTS, RAIL_COUNTS, Readings
 
 SETTLE_S = 2.0
 """Time after each voltage change that the fit does not use, in s; 16 time constants of the arm."""

@@ -9,8 +9,8 @@ from math import degrees, erf, sqrt, tau
 import msgspec
 import numpy as np
 import pytest
-from armrig.recordings.calibration import estimate, sign_by_hand
-from armrig.recordings.calibration_readings import (
+from armrig.physics.calibration import estimate, sign_by_hand
+from armrig.physics.calibration_readings import (
     Readings,
     compressed,
     mean_reading,
@@ -18,7 +18,7 @@ from armrig.recordings.calibration_readings import (
     rounding_variance,
     spread,
 )
-from armrig.recordings.calibration_turns import (
+from armrig.physics.calibration_turns import (
     TerminalVoltage,
     Turning,
     _bracketed,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.recordings.files.export import transforms
+from armrig.physics.files.poses import transforms
 from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core.telemetry.topics import topic

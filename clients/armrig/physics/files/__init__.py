@@ -1,0 +1,1 @@
+"""Files of the arm's motion for other programs."""
