@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from io import BytesIO
 from math import tau
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from armrig.recordings.recording import Channel, Recording
 from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.recording_file.manifest import CALIBRATION, INPUT, OUTCOME, RUN, Manifest, Outcome
 from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
@@ -23,6 +25,13 @@ from numpy.typing import NDArray
 OFFSET_NS = 1_750_000_000_000_000_000
 TS = 0.01
 POT = Calibration().theta_1
+
+
+def with_channel(recording: Recording, name: str, y: Any = None, valid: Any = None) -> Recording:
+    """Return the recording with other values, or another mask, of a channel."""
+    own = recording.channels[name]
+    changed = Channel(own.y if y is None else y, own.valid if valid is None else valid)
+    return replace(recording, channels={**recording.channels, name: changed})
 
 
 def manifest(**changes: Any) -> Manifest:

@@ -29,7 +29,7 @@ _MAX_ROWS_BEFORE = 1000  # most earlier rows for a rate; a rig at 1 kHz needs 20
 def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
     """Return an array (n, 5): k, t in s, u in V, theta_1 and alpha in °; NaN if unknown."""
     found = np.array(
-        [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.theta_1_rad, s.alpha_rad) for s in samples],
+        [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.value_0, s.value_1) for s in samples],
         np.float64,
     ).reshape(-1, 5)
     found[:, 3:] = np.degrees(found[:, 3:])
@@ -86,9 +86,9 @@ def coarser(rows: Rows, width_s: float) -> Rows:
         return rows
     bins = np.floor(rows[:, 0] / width_s + 1e-6)
     # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
-    theta_1, n = rows[:, 3], np.arange(rows.shape[0])
-    known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))
-    wraps = np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # False for NaN
+    first_y, n = rows[:, 3], np.arange(rows.shape[0])
+    known = np.maximum.accumulate(np.where(np.isnan(first_y), 0, n))
+    wraps = np.abs(np.diff(first_y[known], prepend=first_y[:1])) > _TURN / 2  # False for NaN
     first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | wraps)
     made = np.empty((first.size, COLUMNS))
     made[:, 0] = rows[first, 0]

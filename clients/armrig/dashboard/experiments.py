@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import degrees
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from armrig_core.commands.commands import StatusReport, rehearsal_sentence
-from armrig_core.commands.rehearsal import rehearse
+from armrig_core.commands.commands import Rehearsal, StatusReport, rehearsal_sentence
+from armrig_core.commands.rehearsal import rehearse, rehearse_outputs
 from armrig_core.errors import InputError
-from armrig_core.rig.arm import ArmParameters
 from msgspec import Meta
 from numpy.typing import NDArray
 
@@ -24,9 +22,7 @@ from armrig.excitation.named_signals import (
     step_at,
     up_and_down,
 )
-from armrig.excitation.physical_experiment_design import predicted_parameter_std
-from armrig.numerics.quantities import number
-from armrig.physics.systems import arm, chassis
+from armrig.excitation.physical_experiment_design import arm_deviations
 from armrig.rig.collection import Plan, planned_input
 
 _SECONDS = {"step": 5.0}  # default lengths of experiments that do not have `_DEFAULT_S`
@@ -35,8 +31,6 @@ _DEAD_MAN_S = 1.0  # if the dashboard ends, the motor must stop, as with `armrig
 
 _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
 _MAX_POINTS = 1200  # in the drawing
-_MAX_DESIGN_SAMPLES = 20_000  # limit for the predicted deviations: these take a second to compute
-_NOISE_RAD = 2 * np.pi / 1024 / 12**0.5  # one step of a converter of 10 bit
 
 
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -123,7 +117,7 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     rehearsal: str
     """Sentence about the rehearsal, a simulation of the input with the handout's parameters."""
     revolutions: float
-    alpha_deg: float
+    deflection_deg: float
     deviations: list[str]
     """Text for each estimated parameter: its predicted standard deviation in percent."""
     notes: list[str]
@@ -145,11 +139,17 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
             f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, the range of "
             f"rig {status.rig}"
         )
-    if plan.without_arm and not status.arm_removed:
-        text = "this experiment needs the chassis alone, but the rig has its arm: the experiment "
+    described = status.described
+    if plan.without_arm and not (status.arm_removed and described.arm):
+        body = described.channels[0].body or "arm's first part"
+        text = f"this experiment needs the {body} alone, but the rig has its arm: the experiment "
         notes.append(f"{text}will be refused")
     alone = status.arm_removed or plan.without_arm
-    found = rehearse(u, Ts, arm_removed=alone)
+    found, deviations = Rehearsal(), list[str]()
+    if described.arm:
+        found, deviations = rehearse(u, Ts, arm_removed=alone), arm_deviations(u, Ts, alone=alone)
+    elif described.system:
+        found = rehearse_outputs(u, Ts, described)
     t, shown = _drawn(u, Ts)
     return Preview(
         experiment=plan.experiment,
@@ -160,8 +160,8 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
         u=shown,
         rehearsal=rehearsal_sentence(found),
         revolutions=found.revolutions,
-        alpha_deg=degrees(found.alpha_rad),
-        deviations=_deviations(u, Ts, alone=alone),
+        deflection_deg=found.deflection_deg,
+        deviations=deviations,
         notes=notes,
     )
 
@@ -177,20 +177,3 @@ def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]
     both = np.column_stack([np.minimum.reduceat(u, first), np.maximum.reduceat(u, first)])
     times = np.column_stack([first, first + n / 2]) * Ts
     return times.ravel().round(6).tolist(), both.ravel().tolist()
-
-
-def _deviations(u: NDArray[np.float64], Ts: float, *, alone: bool) -> list[str]:
-    """Return texts with the predicted standard deviations of physical parameters, in percent."""
-    if u.size > _MAX_DESIGN_SAMPLES:
-        return []
-    model, free = (chassis, ("J_1",)) if alone else (arm, ("J_1", "J_2"))
-    try:
-        found = predicted_parameter_std(
-            model, u, Ts=Ts, noise_variance=_NOISE_RAD**2, free=free, fixed=ArmParameters()
-        )
-    except ValueError:
-        return [f"nothing of {' and '.join(free)}"]
-    return [
-        f"{name} to ± {number(100 * std / value)} %" if std < value else f"nothing of {name}"
-        for name, value, std in zip(found.names, found.theta, found.std, strict=True)
-    ]

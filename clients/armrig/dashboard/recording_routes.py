@@ -16,7 +16,6 @@ from armrig_core.errors import ArmrigError, FileError, InputError
 from armrig_core.recording_file.file_records import MAGIC
 from armrig_core.recording_file.opening import regular_file
 from armrig_core.recording_file.recording_directory import directory_to_look_in, installed
-from armrig_core.telemetry.channels import THETA_1
 from msgspec import Meta
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
@@ -24,7 +23,7 @@ from starlette.routing import Route
 
 from armrig.dashboard.app import Answer, error, value
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.study_of_one import ModelOutput, csv, curves, facts, identified, report
+from armrig.dashboard.study_of_one import csv, curves, facts, identified, report
 from armrig.recordings.files.catalogue import Catalogue, catalogue, facts_of
 from armrig.recordings.files.recording_names import Answering, answering_among, short_name
 from armrig.recordings.files.recording_summary import RecordingSummary, shown_path
@@ -41,7 +40,8 @@ class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     file: Annotated[str, Meta(max_length=300)]
     start: _Seconds | None = None
     stop: _Seconds | None = None
-    output: ModelOutput = THETA_1
+    output: Annotated[str, Meta(max_length=100)] = ""
+    """Outputs of a model, with commas; default: the first channel."""
 
 
 class RecordingRoutes:

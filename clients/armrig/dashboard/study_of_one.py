@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any
 
 import numpy as np
-from armrig_core.telemetry.channels import ALPHA, THETA_1, ChannelName
 from numpy.typing import NDArray
 
 from armrig.dashboard.bins import rate
-from armrig.data.dataset import Dataset, Signals
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.recordings.files.loading import load
@@ -28,9 +27,6 @@ from armrig.validation.data_advice import examine_fit_of
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
-BOTH: Final = "theta_1,alpha"
-"""Choice of both angles as outputs of a model."""
-ModelOutput = Literal[ChannelName, "theta_1,alpha"]
 _POINTS = 4000  # of a curve: four for each pixel, so that extremes keep their times
 _MOST_GAPS = _MOST_NOTES = 100
 _KEPT = 2  # number of recordings kept: the recording on the page, and its validation recording
@@ -61,13 +57,13 @@ def facts(path: Path) -> dict[str, Any]:
 
 
 def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
-    """Return points of u, theta_1 (turns counted), its rate and alpha between two times in s.
+    """Return points of u, the first channel, its rate and the second between two times in s.
 
     If there is no sample between the two times, the function returns the next sample. If the
     recording ends before the two times, the function returns the last sample.
     """
     t, *signals = _part(path, start, stop)
-    names = ("u", THETA_1, ALPHA, "rate")
+    names = ("u", *_two_channels(_loaded(path)), "rate")
     return {name: _drawn(t, y) for name, y in zip(names, signals, strict=True)}
 
 
@@ -75,24 +71,28 @@ def csv(path: Path, start: float | None, stop: float | None) -> bytes:
     """Return a CSV of all samples between two times in s, with the page's quantities and units."""
     columns = _part(path, start, stop)[:-1]
     rows = zip(*(column.tolist() for column in columns), strict=True)
-    lines = (f"{t:.6f},{u:.4f},{theta_1:.4f},{alpha:.4f}\n" for t, u, theta_1, alpha in rows)
+    lines = (f"{t:.6f},{u:.4f},{first:.4f},{second:.4f}\n" for t, u, first, second in rows)
+    names = (
+        f"{c.name}{' counted' * c.turns} [{'deg' if c.unit == 'rad' else c.unit}]"
+        for c in _loaded(path).description.channels
+    )
     # This process encodes up to 100 MB, so that the server's process is free for a stop.
-    return ("t [s],u [V],theta_1 counted [deg],alpha [deg]\n" + "".join(lines)).encode()
+    return (",".join(["t [s]", "u [V]", *names]) + "\n" + "".join(lines)).encode()
 
 
 def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[np.float64]]:
-    """Return t in s, u in V, theta_1 (turns counted) and alpha in °, and the rate in °/s."""
+    """Return t in s, u in V, two channels (angles in °, turns counted), and the first's rate."""
     recording = _loaded(path)
     first = 0 if start is None else int(np.searchsorted(recording.t, start))
     first = min(first, recording.N - 1)
     last = recording.N if stop is None else int(np.searchsorted(recording.t, stop, "right"))
     part = slice(first, max(last, first + 1))
-    angles = (np.degrees(recording.theta_1), np.degrees(recording.alpha))
-    found = np.column_stack([np.arange(recording.N), recording.t, recording.u, *angles])
+    values = list(_two_channels(recording).values())
+    found = np.column_stack([np.arange(recording.N), recording.t, recording.u, *values])
     return [*found[part, 1:].T, rate(found[:0], found)[part]]
 
 
-def identified(path: Path, validation: Path | None, output: ModelOutput) -> dict[str, Any]:
+def identified(path: Path, validation: Path | None, output: str) -> dict[str, Any]:
     """Estimate an OE model with the orders that the data suggest, and validate the model.
 
     The outputs of a model of both angles share one denominator. Without a recording for validation,
@@ -124,7 +124,7 @@ def identified(path: Path, validation: Path | None, output: ModelOutput) -> dict
         "model": fit.label,
         "answer": answer(fit, table, tests, tuple(examine_fit_of(estimation, fit))),
         "simulated": {
-            row.output: _drawn(recording.t, np.degrees(row.y)) for row in compare(data, fit)
+            row.output: _drawn(recording.t, _degrees(row.unit, row.y)) for row in compare(data, fit)
         },
         "judged": "the second half of the recording" if validation is None else validation.name,
         "texts": [
@@ -142,8 +142,24 @@ def identified(path: Path, validation: Path | None, output: ModelOutput) -> dict
     }
 
 
-def _data(recording: Recording, output: ModelOutput) -> Dataset | Signals:
-    return recording.signals() if output == BOTH else recording.dataset(output)
+def _data(recording: Recording, output: str) -> Dataset | Signals:
+    """Return the data of the outputs whose names are given with commas; default: the first."""
+    names = output.split(",") if output else [recording.first]
+    return recording.signals(names) if len(names) > 1 else recording.dataset(names[0])
+
+
+def _two_channels(recording: Recording) -> dict[str, Vector]:
+    """Return the values of the channels as the page shows them; NaN for a missing second one."""
+    found = {
+        channel.name: _degrees(channel.unit, recording[channel.name])
+        for channel in recording.description.channels
+    }
+    return found if len(found) > 1 else found | {"": np.full(recording.N, np.nan)}
+
+
+def _degrees(unit: str, y: Vector) -> Vector:
+    """Return angles in degrees, and other values as they are."""
+    return np.degrees(y) if unit == "rad" else y
 
 
 def _of_each(texts: Mapping[str, str]) -> str:
@@ -153,14 +169,13 @@ def _of_each(texts: Mapping[str, str]) -> str:
     return "\n".join(f"{name}:\n{text}" for name, text in texts.items())
 
 
-def report(path: Path, validation: Path | None, output: ModelOutput) -> bytes:
+def report(path: Path, validation: Path | None, output: str) -> bytes:
     """Return the report of a recording as a PDF, for models of `output`: see `armrig report`."""
     from armrig.report.document import report as typeset
     from armrig.report.study import study
 
     recordings = [_loaded(path), *([_loaded(validation)] if validation else [])]
-    outputs: Sequence[ChannelName] = (THETA_1, ALPHA) if output == BOTH else (output,)
-    done = study(recordings, outputs=outputs)
+    done = study(recordings, outputs=output.split(",") if output else ())
     with tempfile.TemporaryDirectory(prefix="armrig-") as folder:
         return typeset(done, Path(folder) / "report.pdf").read_bytes()
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.numerics.quantities import NBSP, minus
-from armrig.plots.captions import NAMES, legend, named, sign
+from armrig.plots.captions import labelled, legend, named, sign
 from armrig.plots.layout import (
     BLUE,
     INK,
@@ -56,7 +56,7 @@ def without_ramp(
     left = np.var(y - level - slope * t[seen])
     if not left < (1 - MIN_RAMP_SHARE) * np.var(y):
         return none
-    shown, digits = NAMES.get(name, name), minus(f"{abs(slope):.3g}")
+    shown, digits = labelled(name), minus(f"{abs(slope):.3g}")
     label = f"{shown} {'−' if slope > 0 else '+'} {digits} $t$\n[{unit or '–'}]"
     rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{unit}/s' if unit else 'per s'}"
     return slope * t, label, (f"{shown} minus its mean rate, {rate}",)
@@ -112,7 +112,7 @@ def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = N
     data = _signals_of(source)
     Ts, edges, n = data.equidistant(), [*pairwise((*data.starts, data.N))], data.ny + data.nu
     every = rows(ax or (high_axes(n + 2) if n > 2 else axes(None)), n)
-    names = [*(NAMES.get(x, x) for x in data.outputs), *(_input(data, j) for j in range(data.nu))]
+    names = [*map(labelled, data.outputs), *(_input(data, j) for j in range(data.nu))]
     units = (*data.units, *data.input_units)
     columns, colours = np.hstack([data.y, data.u]).T, [BLUE] * data.ny + [INK] * data.nu
     for panel, colour, name, unit, x in zip(every, colours, names, units, columns, strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 from armrig.data.columns import Vector
 from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.criteria import Criterion
-from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.captions import labelled, legend, sign
 from armrig.plots.layout import (
     BLUE,
     GREEN,
@@ -55,7 +55,7 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
             response.lags, response.g - width, response.g + width, color=SKY, alpha=0.4, lw=0
         )
         below.plot(response.lags, response.g, color=BLUE)
-        below.set_ylabel(f"$g$ of {_name(response.output)}\n[{gain_unit(response)}]")
+        below.set_ylabel(f"$g$ of {labelled(response.output)}\n[{gain_unit(response)}]")
         below.set_xlabel("lag [samples]")
     else:
         ax, below = axes(ax), None
@@ -69,13 +69,13 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
     how = f"{response.kernel.upper()} kernel" if response.kernel else "least squares"
     finish(*(p for p in (ax, below) if p is not None))
     if below is not None:
-        legend(below, f"running sum: impulse response of {_name(response.output)}")
+        legend(below, f"running sum: impulse response of {labelled(response.output)}")
     return sign(ax, response.source, above=legend(ax, f"impulse response of {rate}, by {how}"))
 
 
 def label_coefficients(ax: Axes, response: ImpulseResponse) -> str:
     """Label the axis of an impulse response, and return the name of the responding signal."""
-    name = _name(response.output)
+    name = labelled(response.output)
     name = f"rate of {name}" if response.integrator else name
     ax.set_ylabel(f"$g$ of {name}\n[{gain_unit(response, rate=response.integrator)}]")
     return name
@@ -112,7 +112,7 @@ def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
         at, level, "o", color=VERMILION, ms=4, label=rf"63 %: $\tau$ = {1e3 * result.tau:.3g} ms"
     )
     ax.set_xlabel("$t$ from the step [s]")
-    ax.set_ylabel(f"{_name(result.output)} [{gain_unit(result)}]")
+    ax.set_ylabel(f"{labelled(result.output)} [{gain_unit(result)}]")
     end = min(float(result.t[-1]), 2.5 * max(result.settling, 2 * at))
     finish(ax, xlim=(max(float(result.t[0]), -0.15 * end), end))
     _about(ax, np.append(result.smooth[result.smooth_t <= end], [0.0, result.gain]))
@@ -216,7 +216,3 @@ def _about(ax: Axes, y: Vector) -> None:
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     room = 0.25 * (high - low) or 1.0
     ax.set_ylim(low - room, high + room)
-
-
-def _name(output: str) -> str:
-    return NAMES.get(output, output)

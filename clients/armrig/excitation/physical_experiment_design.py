@@ -11,13 +11,18 @@ from armrig_core.rig.arm import ArmParameters
 from armrig_core.telemetry.channels import THETA_1
 from numpy.typing import ArrayLike
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Vector
 from armrig.excitation.experiment_design import PredictedStd, inverted, planned_data
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.quantities import number
 from armrig.physics.grey_box.fit import scales
 from armrig.physics.grey_box.response import sensitivity
 from armrig.physics.grey_box.sampled_model import Model, Physics, linear_parts
+from armrig.physics.systems import arm, chassis
+
+_MAX_DESIGN_SAMPLES = 20_000  # limit for the predicted deviations: these take a second to compute
+_NOISE_RAD = 2 * np.pi / 1024 / 12**0.5  # one step of a converter of 10 bit
 
 
 def predicted_parameter_std(
@@ -100,3 +105,20 @@ def predicted_parameter_std(
         rows.append(Psi / scales(free, theta))
     values = np.array([*theta.values()])
     return inverted(np.vstack(rows), noise_variance, (*theta,), values, planned, np.eye(len(theta)))
+
+
+def arm_deviations(u: Vector, Ts: float, *, alone: bool) -> list[str]:
+    """Return texts with the predicted standard deviations of physical parameters, in percent."""
+    if u.size > _MAX_DESIGN_SAMPLES:
+        return []
+    model, free = (chassis, ("J_1",)) if alone else (arm, ("J_1", "J_2"))
+    try:
+        found = predicted_parameter_std(
+            model, u, Ts=Ts, noise_variance=_NOISE_RAD**2, free=free, fixed=ArmParameters()
+        )
+    except ValueError:
+        return [f"nothing of {' and '.join(free)}"]
+    return [
+        f"{name} to ± {number(100 * std / value)} %" if std < value else f"nothing of {name}"
+        for name, value, std in zip(found.names, found.theta, found.std, strict=True)
+    ]

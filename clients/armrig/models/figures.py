@@ -6,7 +6,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.telemetry.channels import THETA_1, VELOCITY
+from armrig_core.telemetry.channels import RATES
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.characteristics import integrates, overlapping
@@ -21,7 +21,7 @@ from armrig.models.uncertainty import (
     zero_regions,
 )
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band, HighestDensityRegion, Region
-from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.captions import labelled, legend, sign
 from armrig.plots.layout import (
     GREY,
     INK,
@@ -141,9 +141,10 @@ def plot_step(
             ax.fill_between(t, *edges, color=pen["color"], alpha=0.25, lw=0)
         ax.plot(t, y, label=name, **pen)
     ax.set_xlabel("$t$ [s]")
-    name = NAMES.get(models[0].output, models[0].output)
+    name = labelled(models[0].output)
     if rate:
-        name = NAMES[VELOCITY] if models[0].output == THETA_1 else f"rate of {name}"
+        named = RATES.get(models[0].output)
+        name = labelled(named) if named else f"rate of {name}"
     ax.set_ylabel(f"{name} [{gain_unit(models, rate=rate)}]")
     ax.margins(x=0)
     _limited(ax, np.concatenate(curves))

@@ -21,6 +21,21 @@ if TYPE_CHECKING:
     import control
 
 
+CAUSES = {
+    "gain": "on the rig it depends on the motor and its supply: 1/(N K_m) without friction, and "
+    "less with friction; inertias and spring have no effect",
+    "resonance": "it depends on both inertias, the spring and the motor's damping",
+    "antiresonance": "on the rig it is sqrt(K_lin/J_2), the frequency of the arm alone on its "
+    "spring; chassis and motor have no effect",
+    "bandwidth": "at the anti-resonance |G| is below −3 dB, so K_lin/J_2 affects the bandwidth "
+    "most",
+    "rise_time": "J_1 R_m / (N K_m)² determines the first rise, before the spring is wound",
+    "equivalent_time": "on the rig it is (J_1 + J_2) R_m / (N K_m)²; the spring has no effect",
+    "slowest_time": "the motor's damping stops the swing of the arm; with a heavier chassis this "
+    "takes longer",
+    "overshoot": "the spring returns its energy; J_2/J_1 and the motor's damping set the amount",
+}
+"""Causes of a characteristic of the arm, by the name of the characteristic."""
 HANDOUT = "handout"
 """Name of the handout's parameters in tables and figures."""
 

@@ -8,14 +8,12 @@ settles.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from math import pi, tau
 from typing import Any
 
 import numpy as np
 from armrig_core.rig import channels as rig
 from armrig_core.rig.calibration import Calibration, Potentiometer
-from armrig_core.telemetry import channels as rig_channels
 from armrig_core.telemetry.protobuf import ABSENT
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
@@ -23,10 +21,9 @@ from numpy.typing import NDArray
 from armrig.data.columns import Vector
 from armrig.numerics.stretches import Mask
 from armrig.recordings.grid import Grid
-from armrig.recordings.recording import Channel, Recording
+from armrig.recordings.recording import Channel
 
 Indices = NDArray[np.intp]
-_FIELDS = frozenset(field.name for field in fields(Recording))
 
 HALF_TURN_S = 0.25
 """Shortest time, in s, in which the chassis can make half a turn.
@@ -45,24 +42,18 @@ def channels_of(
     channels: Sequence[rig.Channel],
 ) -> dict[str, Any]:
     """Return the channels, their masks, and the rows from which the number of turns is unknown."""
-    found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
-    for channel in rig_channels.CHANNELS:
-        if channel not in channels:
-            found[channel.name] = np.full(rows.N, np.nan)
-            found[channel.valid] = np.zeros(rows.N, np.bool_)
+    found: dict[str, Channel] = {}
+    unknown: tuple[int, ...] = ()
     for channel in channels:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
         y = _on_grid(_calibrated(samples, channel, pot), rows.present)
         valid = _valid(samples, channel, rows.present, before) & np.isfinite(y)
         if channel.turns and (pot is None or pot.wraps):
             y = unwrap(y, valid)
-            found["turns_unknown"] += tuple(turns_unknown(valid, rows.present, Ts).tolist())
+            unknown += tuple(turns_unknown(valid, rows.present, Ts).tolist())
         y[~valid] = np.nan
-        if channel.name in _FIELDS:
-            found |= {channel.name: y, channel.valid: valid}
-        else:
-            found["others"][channel.name] = Channel(y, valid)
-    return found
+        found[channel.name] = Channel(y, valid)
+    return {"channels": found, "turns_unknown": unknown}
 
 
 def _valid(

@@ -17,6 +17,8 @@ from armrig.numerics.stretches import longest, stretches
 from armrig.recordings.jitter import angle_of_jitter, sampling_statistics
 
 if TYPE_CHECKING:
+    from armrig_core.rig.channels import Channel
+
     from armrig.data.dataset import Dataset
     from armrig.recordings.recording import Recording
 
@@ -28,7 +30,7 @@ Below the first ratio, a recording of 30 s determines the inertias with errors o
 Below the second ratio, the recording does not determine the inertias.
 """
 MOST_HIDDEN = 0.15
-"""Largest share of samples without theta_1 that a dead band of an eighth of a turn explains."""
+"""Largest share of samples without an angle that a dead band of an eighth of a turn explains."""
 MOST_MISSING = 0.01
 TOO_FEW = 20
 """Least number of samples for an estimate of a model of this rig."""
@@ -64,18 +66,22 @@ def check_input(r: Recording) -> Iterator[Finding]:
 
 
 def check_angle(r: Recording) -> Iterator[Finding]:
-    """Check the share of samples without theta_1, and the longest time without theta_1."""
-    came = r.samples.size
+    """Check the share of samples without the first channel, and the longest time without it."""
+    came, (first, *_) = r.samples.size, r.description.channels
+    name, body = first.name, first.body or "shaft"
+    if not first.turns:
+        yield from _check_value(r)
+        return
     if not r.valid.any():
-        text = f"no sample of {came} shows theta_1: a wire is broken, or the wiper is in the "
+        text = f"no sample of {came} shows {name}: a wire is broken, or the wiper is in the "
         text += "dead band; "
-        yield unusable("angle", text + "look at `armrig watch` while you turn the chassis by hand")
+        yield unusable("angle", text + f"look at `armrig watch` while you turn the {body} by hand")
         return
     share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
-    text = f"theta_1 is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
+    text = f"{name} is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
     text += "after it)"
     if unseen > LONGEST_UNSEEN_S:
-        text = f"theta_1 is hidden for {unseen:.1f} s without a break: the chassis was in the dead "
+        text = f"{name} is hidden for {unseen:.1f} s without a break: the {body} was in the dead "
         yield warning("angle", text + "band, or a wire is loose")
     elif share > MOST_HIDDEN:
         yield warning("angle", f"{text}: too many for a dead band; check the potentiometer")
@@ -83,61 +89,81 @@ def check_angle(r: Recording) -> Iterator[Finding]:
         yield good("angle", text)
 
 
+def _check_value(r: Recording) -> Iterator[Finding]:
+    """Check that the first channel, which does not turn, is inside the converter's range."""
+    if not r.valid.any():
+        text = f"no sample of {r.samples.size} shows {r.first}: a wire is broken, or the value is "
+        yield unusable("output", f"{text}outside the converter's range; look at `armrig watch`")
+    elif r.hidden:
+        text = f"{r.first} was at an end of the converter's range in {r.hidden} of "
+        yield warning("output", f"{text}{r.samples.size} samples, which count as missing")
+    else:
+        yield good("output", f"{r.first} is inside the converter's range in all samples")
+
+
 def check_step(r: Recording) -> Iterator[Finding]:
     """Check that the dead band does not hide the rise of a step."""
     hidden = hidden_step(r)
     if hidden is None:
         return
-    text = f"theta_1 is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} ms "
+    text = f"{r.first} is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} ms "
     text += "after the step, on the rise: the 63 % time is inaccurate. Repeat with "
     if np.isfinite(hidden.at_s):
         text += f"`--at {hidden.at_s:g} --seconds {hidden.seconds:g}`, which steps away from the "
         yield warning("step", f"{text}dead band")
     else:
-        yield warning("step", f"{text}the chassis turned by hand by a quarter turn")
+        body = r.description.channels[0].body or "shaft"
+        yield warning("step", f"{text}the {body} turned by hand by a quarter turn")
 
 
 def check_arm(r: Recording) -> Iterator[Finding]:
-    """Check that alpha is not at an end of its track; in a greybox run, check that alpha rests."""
+    """Check that the second channel is not at an end of its track, or rests in a greybox run."""
+    if len(r.description.channels) < 2:
+        return
     if r.manifest.kind == "greybox":
         yield from _check_removed_arm(r)
         return
     clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
     if clipped:
-        text = f"alpha was at the end of its track in {clipped} of {r.samples.size} samples. "
-        text += "These samples count as missing in alpha; theta_1 is not affected"
-        yield warning("arm", text)
+        first, second = r.description.channels
+        text = f"{second.name} was at the end of its {'track' if second.body else 'range'} in "
+        text += f"{clipped} of {r.samples.size} samples. "
+        text += f"These samples count as missing in {second.name}; {first.name} is not affected"
+        yield warning("arm" if second.body else "output", text)
 
 
-def alpha_moves(r: Recording) -> bool:
-    """Return True if alpha moved by more than its noise, which shows that the arm was attached."""
-    counts = r.samples["alpha_counts"][(r.samples["flags"] & Flag.ADC1_RAIL) == 0]
+def second_moves(r: Recording) -> bool:
+    """Return True if the second channel moved by more than its noise, as an attached arm does."""
+    if len(r.description.channels) < 2:
+        return False
+    name = r.description.channels[1].counts_field
+    counts = r.samples[name][(r.samples["flags"] & Flag.ADC1_RAIL) == 0]
     return counts.size > 0 and int(np.ptp(counts)) > _MAX_REST_STEPS * converter_step(r)
 
 
 def _check_removed_arm(r: Recording) -> Iterator[Finding]:
-    moved = alpha_moves(r)
+    moved, name = second_moves(r), r.description.channels[1].name
     rehearsed = r.manifest.rehearsal
-    configured_on = rehearsed is not None and rehearsed.alpha_rad > 0
+    configured_on = rehearsed is not None and rehearsed.deflects
     if moved and configured_on:
-        text = "alpha moves, and the daemon's configuration has an arm: remove the rotating "
+        text = f"{name} moves, and the daemon's configuration has an arm: remove the rotating "
         yield unusable("arm", text + "part (handout, figure 6) and set [arm] removed = true")
     elif moved:
-        text = "alpha moves, although the rotating part must be removed: remove the rotating part"
+        text = f"{name} moves, although the rotating part must be removed: remove the rotating part"
         yield warning("arm", text)
     elif configured_on:
-        text = "alpha rests, but the daemon's configuration has an arm: set [arm] removed = "
+        text = f"{name} rests, but the daemon's configuration has an arm: set [arm] removed = "
         yield warning("arm", text + "true, or the rehearsal uses the model of another rig")
     else:
         yield good("arm", "the rotating part is removed")
 
 
-def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
-    """Compare the signal in theta_1 with the noise and the step of the converter, all in rad."""
-    ratio = signal / noise
-    text = f"signal to noise {ratio:.2g} to 1: theta_1 deviates from a steady rotation by "
-    text += f"{error(signal, 'rad')} rms, and the noise, which an ARX model does not explain, is "
-    text += f"{error(noise, 'rad')} ({noise / step:.2g} steps of the converter)"
+def check_signal(first: Channel, signal: float, noise: float, step: float) -> Iterator[Finding]:
+    """Compare the signal in the first channel with the noise and the step of the converter."""
+    ratio, steady = signal / noise, "a steady rotation" if first.turns else "its mean"
+    text = f"signal to noise {ratio:.2g} to 1: {first.name} deviates from {steady} by "
+    text += f"{error(signal, first.unit)} rms, and the noise, which an ARX model does not explain, "
+    text += f"is {error(noise, first.unit)} ({noise / step:.2g} steps of the converter)"
     if ratio < NO_RATIO:
         yield unusable(
             "signal", f"{text}; the signal is only noise: use levels with a larger difference"
@@ -163,17 +189,17 @@ def check_samples(r: Recording) -> Iterator[Finding]:
 
 
 def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
-    """Compare the effect of jitter on theta_1 with the noise of theta_1, both in rad."""
+    """Compare the effect of jitter on the first channel with its noise, in the same unit."""
     timing = sampling_statistics(r)
     if not np.isfinite(timing.std_us):
         return
     angle = angle_of_jitter(timing, data)
     text = f"the sampling interval varies by {microseconds(timing.std_us)}"
     if angle > noise:
-        text += f" and moves theta_1 by {error(angle, 'rad')}, more than its noise: let the "
+        text += f" and moves {r.first} by {error(angle, data.unit)}, more than its noise: let the "
         yield warning("timing", f"{text}device pace the samples (--pacing scheduled)")
     else:
-        yield good("timing", f"{text}, too little to affect theta_1")
+        yield good("timing", f"{text}, too little to affect {r.first}")
 
 
 def check_turns(r: Recording) -> Iterator[Finding]:
@@ -196,7 +222,7 @@ def converter_step(r: Recording) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HiddenStep:
-    """Interval during the rise after a step in which the dead band hides theta_1."""
+    """Interval during the rise after a step in which the dead band hides a turning shaft."""
 
     begins_s: float
     """Time of the last sample before the interval, in s from the step."""
@@ -219,15 +245,17 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     computed without samples of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
-    if r.manifest.kind != "step" or edges.size != 1:
+    turns = r.description.channels[0].turns
+    if r.manifest.kind != "step" or edges.size != 1 or not turns:
         return None
+    y = r[r.first]
     at = int(edges[0]) + 1
     k, known = np.arange(r.N) - at, r.valid
     before, after = known & (k < 0) & (k > -at // 2 - 2), known & (k > (r.N - at) // 2)
     if min(np.count_nonzero(before), np.count_nonzero(after)) < _MIN_LINE_SAMPLES:
         return None
-    v0, y0 = np.polyfit(r.Ts * k[before], r.theta_1[before], 1)
-    since = r.theta_1 - y0 - v0 * r.Ts * k
+    v0, y0 = np.polyfit(r.Ts * k[before], y[before], 1)
+    since = y - y0 - v0 * r.Ts * k
     v1 = v0 + float(np.polyfit(r.Ts * k[after], since[after], 1)[0])
     lag = ramp_lag(np.asarray(r.Ts * k[after], np.float64), since[after])
     if np.isnan(lag):
@@ -237,8 +265,8 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:
         return None
     # The chassis turns from where this run ended to `_MARGIN_RAD` after the dead band.
-    begin = r.theta_1[gap.stop] + np.copysign(_MARGIN_RAD, v0)
-    way = (begin - r.theta_1[known][-1] - v1 * lag) % (2 * np.pi)
+    begin = y[gap.stop] + np.copysign(_MARGIN_RAD, v0)
+    way = (begin - y[known][-1] - v1 * lag) % (2 * np.pi)
     turns = abs(v0) > _MIN_SPEED_RAD_S
     later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0 if turns else float("nan")
     later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_STEP_S else later

@@ -9,24 +9,22 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.telemetry.channels import ALPHA, THETA_1, VELOCITY, OutputName
+from armrig_core.rig.channels import Channel
 
 from armrig.data.columns import Vector
 from armrig.data.treatment import Drift, drift, hampel
 from armrig.numerics.quantities import plural
-from armrig.recordings.findings import alpha_moves
+from armrig.recordings.findings import second_moves
 from armrig.recordings.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_SEARCHED_OUTPUTS: tuple[OutputName, ...] = (THETA_1, ALPHA)
-_DRIFTING_OUTPUTS: tuple[OutputName, ...] = (VELOCITY, ALPHA)
 _MIN_INPUT_CHANGES = 20  # as many as the coefficients of u in the model that finds outliers
 
 _RATE_INTERVAL_S = 0.1
-"""Interval, in s, over which the rate of theta_1 is computed.
+"""Interval, in s, over which the rate of a turning shaft is computed.
 
 One step of the converter changes this rate by 0.06 rad/s. Over an interval of 2 ms, one step would
 change the rate by 3 rad/s.
@@ -42,10 +40,9 @@ class Overview:
     outliers: Mapping[str, Vector]
     """Times of the outliers in s, by output; outputs that could not be searched are left out."""
     drift: Mapping[str, Drift]
-    """Drift of the rate of theta_1 and drift of alpha, by output.
+    """Drift of each rate, and of each channel without a rate, by output.
 
-    If samples with unknown u divide the recording into experiments, the names are "alpha 1",
-    "alpha 2" …
+    If samples with unknown u divide the recording into experiments, the names end in " 1", " 2" …
     """
     reasons: Mapping[str, str]
     """Reasons why outputs were not searched, by output; the name "outliers" means all outputs."""
@@ -53,17 +50,13 @@ class Overview:
     def rows(self) -> list[tuple[str, str]]:
         """Return the rows of a table: the name of a quantity and its value as text."""
         rec = self.recording
-        speed = f"{_range(_rate(rec))} rad/s"
-        turned = np.ptp(rec.theta_1[rec.valid]) / tau if rec.valid.any() else 0.0
+        first = rec.description.channels[0]
+        hidden = "dead band" if first.turns else "out of range"
         return [
             ("u", f"{_range(rec.u)} V, {np.nanmean(rec.u):.3g} V on average"),
-            (
-                THETA_1,
-                f"the chassis turned {turned:.1f} times, at {speed} over {_RATE_INTERVAL_S:g} s",
-            ),
-            (ALPHA, f"{_range(rec.alpha)} rad"),
+            *((channel.name, _motion(rec, channel)) for channel in rec.description.channels),
             ("missing", f"{rec.missing} of {plural(rec.N, 'sample')}"),
-            ("dead band", f"{plural(rec.hidden, 'sample')} without theta_1"),
+            (hidden, f"{plural(rec.hidden, 'sample')} without {first.name}"),
             *((f"outliers, {name}", _outliers(times)) for name, times in self.outliers.items()),
             *((f"drift, {name}", str(found)) for name, found in self.drift.items()),
             *((f"not looked at, {name}", why) for name, why in self.reasons.items()),
@@ -86,7 +79,7 @@ class Overview:
         }
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of u, both angles and the rate of theta_1, with the outliers marked."""
+        """Return a figure of u, the channels and their rates, with the outliers marked."""
         from armrig.plots.layout import figure_of
         from armrig.recordings.figures import plot_overview
 
@@ -94,15 +87,20 @@ class Overview:
 
 
 def overview(recording: Recording) -> Overview:
-    """Search both angles for outliers, and search alpha and the rate of theta_1 for a drift.
+    """Search the channels for outliers, and the channels without a rate and the rates for a drift.
 
-    The angle theta_1 is not searched for a drift: its slope is the response to the mean of u.
+    The angle of a turning shaft is not searched for a drift: its slope is the response to the mean
+    of u.
     """
+    channels = recording.description.channels
+    drifting = [channel.rate or channel.name for channel in channels]
     outliers: dict[str, Vector] = {}
     drifts: dict[str, Drift] = {}
     reasons: dict[str, str] = {}
-    if not alpha_moves(recording):  # each step of a reading at rest looks like an outlier
-        reasons[ALPHA] = "alpha is constant: the arm was removed or held"
+    if len(channels) > 1 and not second_moves(recording):
+        second = channels[1]  # each step of a reading at rest looks like an outlier
+        held = f": the {second.body} was removed or held" if second.body else ""
+        reasons[second.name] = f"{second.name} is constant{held}"
     known = np.isfinite(recording.u)
     changes = int(np.count_nonzero(np.diff(recording.u[known])))
     poor = changes < _MIN_INPUT_CHANGES
@@ -112,8 +110,12 @@ def overview(recording: Recording) -> Overview:
             "model cannot distinguish an outlier from the swing after a change: look at the figure"
         )
         # In 13 of 40 emulated steps without a drift, the search found a positive drift of the rate.
-        reasons[VELOCITY] = "u changes too rarely: the errors of the model would look like a drift"
-    searched = () if poor else _SEARCHED_OUTPUTS
+        reasons |= {
+            channel.rate: "u changes too rarely: the errors of the model would look like a drift"
+            for channel in channels
+            if channel.rate
+        }
+    searched = () if poor else tuple(recording.channels)
     for output in (name for name in searched if name not in reasons):
         try:
             data = recording.dataset(output)
@@ -122,9 +124,9 @@ def overview(recording: Recording) -> Overview:
             reasons[output] = str(err)
         else:
             outliers[output] = recording.t[known][marked]
-    for output in (name for name in _DRIFTING_OUTPUTS if name not in reasons):
+    for output in (name for name in drifting if name not in reasons):
         try:
-            # Neither signal integrates: springs hold alpha, and the back-EMF limits the rate. In a
+            # No such signal integrates: springs hold an arm, and the back-EMF limits the rate. In a
             # recording as short as the swing after a step, a test for an integrator is unreliable.
             found = drift(recording.dataset(output), integrator=False)
         except ValueError as err:
@@ -140,10 +142,19 @@ def overview(recording: Recording) -> Overview:
     )
 
 
-def _rate(recording: Recording) -> Vector:
-    """Return the rate of theta_1 over `_RATE_INTERVAL_S`, in rad/s; NaN without valid angles."""
+def _motion(rec: Recording, channel: Channel) -> str:
+    """Return the range of a channel, or the turns and the speed of a turning shaft."""
+    y, valid = rec.channel(channel.name)
+    if not channel.turns:
+        return f"{_range(y)} {channel.unit}"
+    turned = np.ptp(y[valid]) / tau if valid.any() else 0.0
+    speed = f"{_range(_rate(rec, y))} rad/s over {_RATE_INTERVAL_S:g} s"
+    return f"the {channel.body or 'shaft'} turned {turned:.1f} times, at {speed}"
+
+
+def _rate(recording: Recording, angle: Vector) -> Vector:
+    """Return the rate of an angle over `_RATE_INTERVAL_S`, in rad/s; NaN without valid angles."""
     n = max(1, round(_RATE_INTERVAL_S / recording.Ts))
-    angle = recording.theta_1
     return (angle[n:] - angle[:-n]) / (n * recording.Ts)
 
 

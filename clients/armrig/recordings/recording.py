@@ -12,7 +12,6 @@ from armrig_core.process.imports import imported
 from armrig_core.recording_file.manifest import Manifest, Outcome, Recovered
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description
-from armrig_core.telemetry.channels import THETA_1, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.columns import Vector as Vector
@@ -43,8 +42,12 @@ class Channel(NamedTuple):
 class Recording:
     """Recording of one run; element i of an array (N,) belongs to sample `k_first` + i.
 
-    Each sample that was due has a row. In the row of a missing sample, `theta_1` and `alpha` are
-    NaN.
+    Each sample that was due has a row. In the row of a missing sample, the channels are NaN.
+
+    The names of the channels are those of the rig's description. `recording["T1"]`, or
+    `recording.T1`, is the values of a channel in its unit, (N,), NaN where they are not valid.
+    `valid_T1` is its mask, and `valid` the mask of the first channel. A turning shaft's angle is
+    unwrapped.
 
     Examples
     --------
@@ -83,30 +86,18 @@ class Recording:
     of the code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
     record, or NaN without a gap record.
     """
-    theta_1: Vector
-    """Unwrapped angle of the chassis in rad, (N,); NaN where `valid` is False."""
-    alpha: Vector
-    """Angle of the arm relative to the chassis in rad, (N,); NaN where `valid_alpha` is False."""
-    valid: Mask
-    """Mask (N,) of theta_1.
+    channels: Mapping[str, Channel]
+    """Channels of the rig by name, in the order of the device's readings.
 
-    The mask is False in the dead band, at the first sample after the dead band, and for a missing
-    sample.
-    """
-    valid_alpha: Mask
-    """Mask (N,) of alpha: False for a missing sample, and at a rail (end of the reading's range).
-
-    The dead band of theta_1 has no effect on alpha. The first sample after a rail is valid, because
-    the arm does not make whole turns through its dead band.
+    A mask is False for a missing sample, and at a rail (end of the reading's range). For a turning
+    shaft it is False also at the first sample after the dead band.
     """
     description: Description
     """Description of the rig, as attached to the file; without an attached one, the arm's."""
-    others: Mapping[str, Channel]
-    """Channels of a described rig that are neither theta_1 nor alpha, by name."""
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
-    """Rows at which theta_1's number of turns becomes uncertain, after many missing samples."""
+    """Rows at which a number of turns becomes uncertain, after many missing samples."""
     samples: NDArray[np.void]
     """Structured array of the samples that arrived, with raw counts and all times."""
     gaps: tuple[Gap, ...]
@@ -149,8 +140,18 @@ class Recording:
         return self.N - int(self.samples.size)
 
     @property
+    def first(self) -> str:
+        """Name of the first channel, which is the default output."""
+        return next(iter(self.channels))
+
+    @property
+    def valid(self) -> Mask:
+        """Mask (N,) of the first channel."""
+        return self.channels[self.first].valid
+
+    @property
     def hidden(self) -> int:
-        """Number of arrived samples without a valid theta_1, in the dead band or just after it."""
+        """Number of arrived samples without a valid first channel, such as in a dead band."""
         return int(np.count_nonzero(self.present & ~self.valid))
 
     @property
@@ -167,24 +168,41 @@ class Recording:
         >>> alpha.y.shape, bool(alpha.valid.all())
         ((3000,), True)
         """
-        if name in self.others:
-            return self.others[name]
-        valid = {c.name: c.valid for c in self.description.channels}
-        if name not in valid:
-            raise InputError(f"channel {name!r}: the recording has {', '.join(valid)}")
-        return Channel(getattr(self, name), getattr(self, valid[name]))
+        if name not in self.channels:
+            raise InputError(f"channel {name!r}: the recording has {', '.join(self.channels)}")
+        return self.channels[name]
 
-    def dataset(self, output: OutputName = THETA_1) -> Dataset:
+    def __getitem__(self, name: str) -> Vector:
+        """Return the values of a channel, such as `recording["T1"]`."""
+        return self.channel(name).y
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        """Return the values of a channel of this name, or its mask for `valid_` and its name."""
+        channels: Mapping[str, Channel] = object.__getattribute__(self, "channels")
+        if name in channels:
+            return channels[name].y
+        if (of := name.removeprefix("valid_")) != name and of in channels:
+            return channels[of].valid
+        has = ", ".join(channels)
+        raise AttributeError(f"a recording of rig {self.description.rig.name} has no {name}: {has}")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs for models: the channels, and their rates."""
+        rates = (c.rate for c in self.description.channels if c.rate)
+        return (*self.channels, *rates)
+
+    def dataset(self, output: str | None = None) -> Dataset:
         """Return the dataset of u and one output for identification, with missing samples marked.
 
-        A sample with an unknown input is left out, and a new experiment begins after it. For
-        theta_1, a new experiment also begins where the number of turns is unknown.
+        A sample with an unknown input is left out, and a new experiment begins after it. For a
+        turning shaft, a new experiment also begins where the number of turns is unknown.
 
         Parameters
         ----------
-        output : {"theta_1", "alpha", "velocity"}
-            Angle of the chassis, angle of the arm, or rate of the chassis. The rate is computed
-            from differences of theta_1.
+        output : str, optional
+            Name of a channel or of its rate: for the arm theta_1, alpha or velocity, the rate of
+            theta_1. The rate is computed from differences. The default is the first channel.
 
         Raises
         ------
@@ -199,11 +217,10 @@ class Recording:
         >>> recording.dataset("velocity").unit
         'rad/s'
         """
-        outputs = {c.name: c for c in self.description.channels}
-        outputs |= {c.rate: c for c in self.description.channels if c.rate}
-        if output not in outputs:
-            raise InputError(f"output={output!r}: a recording has {', '.join(outputs)}")
-        measured = outputs[output]
+        output = self.first if output is None else output
+        if output not in self.outputs:
+            raise InputError(f"output={output!r}: a recording has {', '.join(self.outputs)}")
+        measured = next(c for c in self.description.channels if output in (c.name, c.rate))
         y, valid = self.channel(measured.name)
         known = np.isfinite(self.u)
         if not (valid & known).any():
@@ -230,7 +247,7 @@ class Recording:
         )
         return difference(data) if output == measured.rate else data
 
-    def signals(self, outputs: Sequence[OutputName] = (THETA_1, "alpha")) -> Signals:
+    def signals(self, outputs: Sequence[str] | None = None) -> Signals:
         """Return u and several outputs for identification, with missing samples marked.
 
         If the dataset of one output begins a new experiment at a sample, a new experiment begins
@@ -238,8 +255,8 @@ class Recording:
 
         Parameters
         ----------
-        outputs : sequence of {"theta_1", "alpha", "velocity"}
-            Outputs, as for `dataset`.
+        outputs : sequence of str, optional
+            Outputs, as for `dataset`; the default is all channels.
 
         Raises
         ------
@@ -252,7 +269,8 @@ class Recording:
         >>> signals.outputs, signals.inputs
         (('theta_1', 'alpha'), ('u',))
         """
-        each = [self.dataset(output) for output in outputs]
+        chosen = self.channels if outputs is None else outputs
+        each = [self.dataset(output) for output in chosen]
         if not each:
             raise InputError("outputs=() must name at least one output")
         history = dict.fromkeys(step for data in each for step in data.history)
@@ -262,7 +280,7 @@ class Recording:
             Ts=self.Ts,
             valid=np.column_stack([data.valid for data in each]),
             starts=sorted({start for data in each for start in data.starts}),
-            inputs=["u"],
+            inputs=[self.description.input.name],
             outputs=[data.output for data in each],
             input_units=[each[0].input_unit],
             units=[data.unit for data in each],
@@ -312,7 +330,7 @@ class Recording:
         return made
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of theta_1 and u against time: see `armrig.plots.plot_data`.
+        """Return a figure of the first channel and u against time: see `armrig.plots.plot_data`.
 
         Examples
         --------
@@ -340,10 +358,9 @@ class Recording:
 
 
 def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
-    """Return the columns (N,) of an export: k, t, u, theta_1, alpha, valid, valid_alpha, present.
+    """Return the columns (N,) of an export: k, t, u, the channels, their masks, and present.
 
-    Columns of further channels follow alpha, and their masks follow valid_alpha. `raw` adds columns
-    of the recorded readings and times, with 0 for a missing sample.
+    `raw` adds columns of the recorded readings and times, with 0 for a missing sample.
     """
     channels = [(c, recording.channel(c.name)) for c in recording.description.channels]
     found: dict[str, NDArray[Any]] = {

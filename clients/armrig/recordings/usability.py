@@ -45,16 +45,17 @@ class DataVerdict:
     findings: tuple[Finding, ...]
     """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Rms deviation of theta_1 from straight lines, one line for each second, in rad.
+    """Rms deviation of a turning shaft from straight lines, one line for each second, in rad.
 
-    The power of the noise is subtracted.
+    The power of the noise is subtracted. For another first channel, the deviation from its mean, in
+    its unit; the unit also holds for `noise_rad` and `step_rad`.
     """
     noise_rad: float
-    """Standard deviation of the part of theta_1 that an ARX model does not explain, in rad."""
+    """Standard deviation of the part of the first channel that no ARX model explains, in rad."""
     step_rad: float
-    """Step of the converter, converted to rad of theta_1."""
+    """Step of the converter, converted to rad of the first channel."""
     hidden_share: float
-    """Share of the arrived samples that show no theta_1, in the dead band or just after it."""
+    """Share of the arrived samples without a valid first channel, such as in the dead band."""
     missing_share: float
     """Share of the samples that did not arrive."""
 
@@ -97,9 +98,10 @@ class DataVerdict:
 def data_verdict(recording: Recording) -> DataVerdict:
     """Judge the data of a recording: run, samples, input, angles, signal, timing and turns.
 
-    The signal is the rms deviation of theta_1 from straight lines, one line for each second. The
-    power of the noise is subtracted. In runs longer than 3 s, the first second is left out, because
-    the chassis starts to turn in this second. The noise is the standard deviation of the residuals
+    The signal is the rms deviation of the first channel from straight lines, one line for each
+    second, or from its mean if the channel does not turn. The power of the noise is subtracted. In
+    runs longer than 3 s, the first second is left out, because a shaft starts to turn in this
+    second. The noise is the standard deviation of the residuals
     of an ARX model of order 10 or less. If the noise on the angle is white, this value is close to
     its standard deviation. The value is at least the step of the converter divided by sqrt(12).
 
@@ -128,7 +130,9 @@ def data_verdict(recording: Recording) -> DataVerdict:
     seen = recording.dataset() if known >= findings.TOO_FEW else None
     step = _step(recording)
     noise = max(_noise(seen), step / 12**0.5) if seen else float("nan")
-    signal = _signal(seen, noise) if seen else float("nan")
+    first = recording.description.channels[0]
+    deviation = _signal if first.turns else _deviation
+    signal = deviation(seen, noise) if seen else float("nan")
     found = [
         *findings.check_run(recording),
         *findings.check_samples(recording),
@@ -136,7 +140,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
         *findings.check_angle(recording),
         *findings.check_step(recording),
         *findings.check_arm(recording),
-        *(findings.check_signal(signal, noise, step) if seen else ()),
+        *(findings.check_signal(first, signal, noise, step) if seen else ()),
         *(findings.check_timing(recording, seen, noise) if seen else ()),
         *findings.check_turns(recording),
     ]
@@ -152,11 +156,17 @@ def data_verdict(recording: Recording) -> DataVerdict:
 
 
 def _step(r: Recording) -> float:
-    """Return the converter's step in rad of theta_1; without a calibration, use the default."""
-    from armrig_core.rig.calibration import Potentiometer
+    """Return the converter's step in the unit of the first channel."""
+    described = r.description
+    per_count = described.conversions[0].per_count
+    if described.is_calibrated:
+        per_count = (r.calibration or Calibration()).channels[0].rad_per_count
+    return abs(per_count) * findings.converter_step(r)
 
-    pot = r.calibration.theta_1 if r.calibration else Potentiometer()
-    return abs(pot.rad_per_count) * findings.converter_step(r)
+
+def _deviation(data: Dataset, noise: float) -> float:
+    """Return the standard deviation of y; subtract the noise's power."""
+    return float(np.sqrt(max(float(np.nanvar(data.y)) - noise**2, 0.0)))
 
 
 def _signal(data: Dataset, noise: float) -> float:
@@ -193,7 +203,8 @@ def doubts(recording: Recording) -> Iterator[Finding]:
         text = f"{name} has {recording.samples.size} samples: models from so few samples are poor; "
         yield warning("samples", f"{text}record {FEW} or more")
     if _reversed(recording):
-        text = f"{name}: theta_1 falls although the voltage is positive, so its potentiometer "
+        text = f"{name}: {recording.first} falls although the voltage is positive, so its "
+        text += "potentiometer "
         text += "or the motor's wires are reversed; run `armrig calibrate`"
         yield warning("direction", text)
 
@@ -286,22 +297,25 @@ def doubts_of_pair(
 ) -> Iterator[Finding]:
     """Yield the doubts about validating the models of `first` with `other`.
 
-    If `one_plant` is False, one recording may be of the chassis alone and the other recording of
-    the whole rig.
+    If `one_plant` is False, one recording may be of a part alone and the other recording of the
+    whole rig.
     """
     a, b = first.manifest, other.manifest
     name = other.path.name
     if b.kind in NO_MODEL:
         text = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
         yield _poorly_excited(other, f"{text}--validation`)")
-    if a.rig != b.rig or a.device.get("uid") != b.device.get("uid"):
+    if first.description.outputs != other.description.outputs:
+        text = f"{first.path.name} and {name} have different descriptions of their rig: "
+        yield warning("rig", f"{text}outputs, units or conversions differ")
+    elif a.rig != b.rig or a.device.get("uid") != b.device.get("uid"):
         text = f"{first.path.name} is of {_rig(first)}, {name} of {_rig(other)}: a model of one "
         yield warning("rig", f"{text}rig does not describe another rig")
     else:
         yield from different_calibrations([first, other])
     if one_plant and _experiment(first) != _experiment(other):
         text = f"{first.path.name} is of {_experiment(first)}, {name} of {_experiment(other)}: the "
-        yield warning("plant", f"{text}chassis alone and the whole rig are two plants")
+        yield warning("plant", f"{text}{_alone(first)} and the whole rig are two plants")
 
 
 def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[Finding]:
@@ -328,9 +342,11 @@ def _poorly_excited(r: Recording, way_out: str) -> Finding:
 
 
 def _reversed(r: Recording) -> bool:
-    """Return True if theta_1 decreases, although the driver applies no negative voltage."""
-    angle = r.theta_1[np.isfinite(r.theta_1)]
-    return angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD
+    """Return True if a turning shaft turns back, although no voltage is negative."""
+    angle = r[r.first]
+    angle = angle[np.isfinite(angle)]
+    turns = r.description.channels[0].turns
+    return turns and angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD
 
 
 def _rig(r: Recording) -> str:
@@ -339,12 +355,16 @@ def _rig(r: Recording) -> str:
 
 
 def _experiment(r: Recording) -> str:
-    return "the chassis alone" if r.manifest.kind == "greybox" else "the whole rig"
+    return f"the {_alone(r)}" if r.manifest.kind == "greybox" else "the whole rig"
+
+
+def _alone(r: Recording) -> str:
+    return f"{r.description.channels[0].body or 'first part'} alone"
 
 
 def _values(r: Recording) -> tuple[object, ...] | None:
     c = r.calibration
-    return None if c is None else (c.theta_1, c.alpha, c.driver)
+    return None if c is None else (*c.channels, c.driver)
 
 
 def _age(made: str, started: str) -> timedelta | None:

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
 from armrig.numerics.quantities import minus, places, with_range, with_std
+from armrig.physics.systems import CAUSES
 
 if TYPE_CHECKING:
     from armrig.validation.comparison import Comparison
@@ -25,20 +27,6 @@ _NAMES = {
     "equivalent_time": "equivalent time [s]",
     "slowest_time": "slowest pole [s]",
     "overshoot": "overshoot [%]",
-}
-_BECAUSE = {
-    "gain": "on the rig it depends on the motor and its supply: 1/(N K_m) without friction, and "
-    "less with friction; inertias and spring have no effect",
-    "resonance": "it depends on both inertias, the spring and the motor's damping",
-    "antiresonance": "on the rig it is sqrt(K_lin/J_2), the frequency of the arm alone on its "
-    "spring; chassis and motor have no effect",
-    "bandwidth": "at the anti-resonance |G| is below −3 dB, so K_lin/J_2 affects the bandwidth "
-    "most",
-    "rise_time": "J_1 R_m / (N K_m)² determines the first rise, before the spring is wound",
-    "equivalent_time": "on the rig it is (J_1 + J_2) R_m / (N K_m)²; the spring has no effect",
-    "slowest_time": "the motor's damping stops the swing of the arm; with a heavier chassis this "
-    "takes longer",
-    "overshoot": "the spring returns its energy; J_2/J_1 and the motor's damping set the amount",
 }
 
 
@@ -159,14 +147,14 @@ def _apart(
     row: Comparison, reference: Comparison, b: ModelCharacteristics, *, brief: bool
 ) -> Iterator[str]:
     """Yield a sentence for each characteristic that differs significantly from the reference b."""
-    a = row.characteristics
+    a, known = row.characteristics, row.channel.output in ARM_OUTPUTS
     if a.integrating != b.integrating:
         which = (row if a.integrating else reference).name
         yield f"Only {which} integrates: the other characteristics cannot be compared."
         return
     for name in SCALARS:
         x, y = getattr(a, name), getattr(b, name)
-        because = "" if brief else f"; {_BECAUSE[name]}"
+        because = f"; {CAUSES[name]}" if known and not brief else ""
         if np.isnan(x) != np.isnan(y):
             figure = _NAMES[name].partition(" [")[0]
             if np.isnan(y):

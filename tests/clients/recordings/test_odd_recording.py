@@ -33,6 +33,7 @@ from armrig_core.recording_file.manifest import Outcome
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import decode_sample
 
+from tests.clients.made_recordings import with_channel
 from tests.clients.odd_recording import (
     CLIPPED,
     K_FIRST,
@@ -215,7 +216,7 @@ def test_only_a_run_that_reached_its_end_is_complete(path: Path) -> None:
 def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> None:
     alpha = odd.alpha + 0.05 * np.maximum(odd.t - 14.0, 0.0)
 
-    found = overview(replace(odd, alpha=alpha))
+    found = overview(with_channel(odd, "alpha", alpha))
 
     rows = dict(found.rows())
     assert rows["drift, alpha 1"].startswith("no significant drift: ")
@@ -225,7 +226,9 @@ def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> No
 
 def test_a_swinging_chassis_turns_by_the_difference_of_its_extremes(odd: Recording) -> None:
     swinging = np.where(odd.valid, 4.0 * np.sin(tau * odd.t / 0.7), np.nan)
-    found = Overview(recording=replace(odd, theta_1=swinging), outliers={}, drift={}, reasons={})
+    found = Overview(
+        recording=with_channel(odd, "theta_1", swinging), outliers={}, drift={}, reasons={}
+    )
 
     rate = (swinging[2:] - swinging[:-2]) / 0.1
     assert dict(found.rows())["theta_1"] == (
@@ -238,7 +241,7 @@ def test_an_outlier_is_reported_with_its_time(odd: Recording) -> None:
     alpha = odd.alpha.copy()
     alpha[[90, 330, 450]] += 0.5
 
-    found = overview(replace(odd, alpha=alpha))
+    found = overview(with_channel(odd, "alpha", alpha))
 
     assert found.outliers["alpha"].tolist() == pytest.approx([4.5, 16.5, 22.5])
     assert dict(found.rows())["outliers, alpha"] == "3, at 4.5 s, 16.5 s, 22.5 s"

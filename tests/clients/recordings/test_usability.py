@@ -40,7 +40,16 @@ from armrig_core.rig.calibration import Calibration, Driver
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
-from tests.clients.made_recordings import POT, gap, manifest, of_the_arm, recorded, sample, written
+from tests.clients.made_recordings import (
+    POT,
+    gap,
+    manifest,
+    of_the_arm,
+    recorded,
+    sample,
+    with_channel,
+    written,
+)
 from tests.clients.odd_recording import odd_recording
 
 
@@ -241,7 +250,7 @@ def test_a_gap_without_a_recorded_voltage_is_evaluated(tmp_path: Path) -> None:
 
 def test_the_time_to_step_does_not_depend_on_the_sign_of_the_angle(hidden: Hidden) -> None:
     """A reversed potentiometer changes the sign of the angle, not the place of its dead band."""
-    mirrored = [hidden_step(replace(r, theta_1=-r.theta_1)) for r, _ in hidden]
+    mirrored = [hidden_step(with_channel(r, "theta_1", -r.theta_1)) for r, _ in hidden]
 
     assert mirrored == [found for _, found in hidden]
     for r, found in hidden:
@@ -257,13 +266,15 @@ def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
     odd = load(path)
     data, rows = odd.dataset(), np.arange(odd.N)
     moved = sampling_statistics(odd).std_us * 1e-3 * fastest_rate(data)
-    asleep = replace(odd, valid=odd.valid & ~((rows >= 310) & (rows < 336)))
+    asleep = with_channel(odd, "theta_1", valid=odd.valid & ~((rows >= 310) & (rows < 336)))
     lost = (rows >= 310) & (rows < 336)
-    silent = replace(odd, present=odd.present & ~lost, valid=odd.valid & ~lost)
-    poor = replace(odd, valid=odd.valid & (rows % 4 > 0))
+    unseen = with_channel(odd, "theta_1", valid=odd.valid & ~lost)
+    silent = replace(unseen, present=odd.present & ~lost)
+    poor = with_channel(odd, "theta_1", valid=odd.valid & (rows % 4 > 0))
     three, four = (replace(odd, turns_unknown=tuple(range(21, 21 + 20 * n, 20))) for n in (3, 4))
     damaged = replace(odd, truncated=True, damage="a bit has flipped")
 
+    first = odd.description.channels[0]
     [jitter] = check_timing(odd, data, noise=1e-6)
     said = {
         "asleep": check_angle(asleep),
@@ -275,9 +286,9 @@ def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
         "stopped": check_run(odd),
         "unknown": check_run(replace(odd, outcome=None)),
         "cut": check_run(replace(damaged, cut_off=True)),
-        "quiet": check_signal(0.0299, 0.01, 0.004),
-        "loud": check_signal(0.03, 0.01, 0.004),
-        "nothing": check_signal(0.0029, 0.01, 0.004),
+        "quiet": check_signal(first, 0.0299, 0.01, 0.004),
+        "loud": check_signal(first, 0.03, 0.01, 0.004),
+        "nothing": check_signal(first, 0.0029, 0.01, 0.004),
     }
     texts = {name: next(iter(found)) for name, found in said.items()}
 
@@ -398,15 +409,15 @@ def test_a_measured_angle_may_fall_by_half_a_radian_without_a_finding(
     theta_1 = np.linspace(1.0, 1.0 - fall, sound.N)
     ends = np.r_[np.nan, theta_1, np.nan][: sound.N + 1]
 
-    assert bool(all_doubts([replace(sound, theta_1=theta_1)])) is is_reversed
-    assert bool(all_doubts([replace(sound, theta_1=ends)])) is is_reversed
+    assert bool(all_doubts([with_channel(sound, "theta_1", theta_1)])) is is_reversed
+    assert bool(all_doubts([with_channel(sound, "theta_1", ends)])) is is_reversed
 
 
 def test_a_reversed_sensor_and_too_few_samples_are_reported(
     sound: Recording, tmp_path: Path
 ) -> None:
     """The voltage is never negative, so the angle of a reversed sensor falls."""
-    [reversed_] = all_doubts([replace(sound, theta_1=-sound.theta_1)])
+    [reversed_] = all_doubts([with_channel(sound, "theta_1", -sound.theta_1)])
     short = armrig.load(written(tmp_path, of_the_arm(armrig.telegraph(50, 0.2))))
     [few] = [found for found in all_doubts([short]) if found.about == "samples"]
 

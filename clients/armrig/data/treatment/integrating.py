@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from armrig_core.telemetry import channels as rig_channels
-from armrig_core.telemetry.channels import THETA_1
+from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS as INTEGRATING_OUTPUTS
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Vector
@@ -19,9 +19,6 @@ from armrig.numerics.least_squares import least_squares, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig.numerics.regressors import Whitening, whitening
 from armrig.numerics.whiteness import BAND_99_PERCENT, autoregression
-
-# Outputs that integrate by construction, whatever the result of a test on a short record.
-INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 _ORDER = 8  # order of the ARX model whose poles, except the slowest, shape the fast response
 _MAX_FAST_POLE = 0.99  # modulus to which the poles of the fast response are limited

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from armrig_core.errors import InputError
+from armrig_core.telemetry.channels import BODY, RATES
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -120,7 +121,8 @@ class StepAnalysis:
         low, high = self.dead_time_interval
         name = self.output
         if self.rate:  # the name that `sampling_time` prints
-            name = "the rate of theta_1" if name == "velocity" else f"the {name}"
+            of = next((output for output, rate in RATES.items() if rate == name), "")
+            name = f"the rate of {of}" if of else f"the {name}"
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
         dead_time = f"{self.dead_time:.4g} s" if self.dead_time else "not determined"
         lines = [
@@ -284,7 +286,7 @@ def _steps(data: Dataset) -> _Steps:
     if not at:
         raise InputError(
             f"{data.output} has fewer than 2 samples just before each of u's "
-            f"{plural(len(kept), 'step')}: record the step again at another angle of the chassis "
+            f"{plural(len(kept), 'step')}: record the step again at another angle of the {BODY} "
             "(`armrig collect step --at SECONDS`)"
         )
     return _Steps(at, pre, post)
@@ -413,7 +415,7 @@ def _warnings(
         yield (
             f"{data.output} is missing {times(*hidden)} after the step, on the rise, so the "
             f"63 % time is known only to ± {times(answer.tau_std)}; record the step again "
-            "at another angle of the chassis (`armrig collect step --at SECONDS`)"
+            f"at another angle of the {BODY} (`armrig collect step --at SECONDS`)"
         )
     if abs(unsettled) > _MIN_UNSETTLED_SHARE:
         yield (

@@ -8,7 +8,7 @@ from math import ceil, sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.telemetry.channels import ALPHA, THETA_1
+from armrig_core.telemetry.channels import SECOND_ORDER_OUTPUTS
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.argument import takes_recordings
@@ -33,8 +33,6 @@ from armrig.validation.feedback_and_delay.lag_tests import (
 )
 from armrig.validation.feedback_and_delay.open_loop import open_loop
 
-SECOND_ORDER = frozenset({THETA_1, ALPHA})
-"""Outputs whose second derivative jumps at a voltage step, with a continuous first derivative."""
 _MIN_SAMPLES = 50  # with a known y
 _LOSS_LAGS = 3  # number of lags after nk for which the result contains the loss
 _MAX_SHAPED_LAGS = 8  # noise that hides more lags hides the shape of the onset, too
@@ -185,7 +183,7 @@ def _lag_zero(data: Dataset) -> _LagZero:
         msg = f"u(t) is a multiple of {data.output}(t) in every sample, as under a P controller "
         msg += "with a constant set point: such data do not determine a delay; change the set "
         raise InputError(msg + "point")
-    if not loop.may_be_direct_term or data.output in SECOND_ORDER:
+    if not loop.may_be_direct_term or data.output in SECOND_ORDER_OUTPUTS:
         return _LagZero(
             rig=False,
             controller=True,
@@ -216,7 +214,7 @@ def _onset(
 ) -> tuple[int, int, dict[int, float]]:
     """Return the least and the greatest lag that are not ruled out, and `Delay.misfit`."""
     first, last = tests.least(), tests.shown
-    angle = data.output in SECOND_ORDER
+    angle = data.output in SECOND_ORDER_OUTPUTS
     if first == last or not (angle or (integrates and last - first <= _MAX_SHAPED_LAGS)):
         return first, last, {}
     misfit = smooth_onsets(data, first, last, integrator=integrates, progress=progress)
@@ -234,7 +232,7 @@ def _quantisation(data: Dataset, response: ImpulseResponse, first: int) -> Quant
     # y = b |Δu| t²/2 at the first sample of the response above 1 LSB
     b = 2 * float(rise[at]) / (change * ((at + 1) * data.Ts) ** 2)
     hidden = sqrt(2 * step / (b * change)) if step * b * change > 0 else None
-    t_q = hidden if data.output in SECOND_ORDER else None
+    t_q = hidden if data.output in SECOND_ORDER_OUTPUTS else None
     return Quantisation(quantum=step, largest_step=change, acceleration=b, t_q=t_q)
 
 

@@ -10,7 +10,7 @@ from armrig.estimation.figures import label_coefficients
 from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import BAND_99_PERCENT
-from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.captions import labelled, legend, sign
 from armrig.plots.layout import BLUE, GREY, VERMILION, axes, finish, panels, stems
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
         ax.text(0.5, 0.5, result.verdict, transform=ax.transAxes, ha="center")
         return sign(ax, result.source)
     shown = result.sims.lags <= _ABOUT
-    name = NAMES.get(result.output, result.output)
+    name = labelled(result.output)
     band, label = BAND_99_PERCENT * result.sims.std[shown], _OF_ZERO.format("99 %")
     coefficients = result.sims.coefficients[shown]
     stems(ax, result.sims.lags[shown], coefficients, BLUE, band=band, label=label)
