@@ -18,7 +18,7 @@ from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.physics.integrators.accuracy import convergence
 from armrig.plots import layout
-from armrig.plots.captions import legend, named, named_by_run
+from armrig.plots.captions import labelled, legend, named, named_by_run
 from armrig.recordings.figures import varying_times
 from armrig.report.handout_study import METHODS, HandoutStudy
 from armrig.report.study import STEP, AssessedFit, Study, each_output, kind_of
@@ -150,7 +150,9 @@ def plot_velocity(study: Study, *, ax: Axes) -> None:
     ax.set_ylim(lowest - room, highest + room)
     ax.set_xlim(begin, begin + DETAIL_S)
     ax.set_xlabel("$t$ [s]")
-    label = rf"$\Delta\theta_1/T_s$ [{data.unit}/s]"
+    symbol = labelled(data.output)
+    change = rf"$\Delta{symbol[1:-1]}/T_s$" if symbol.startswith("$") else f"Δ{symbol}/Ts"
+    label = f"{change} [{data.unit}/s]"
     ax.set_ylabel(label if study.integrates else named(data.output, data.unit))
     plots.finish(ax)
     plots.sign(ax, data.source, above=legend(ax))

@@ -20,7 +20,7 @@ from armrig.numerics.quantities import (
     places,
     power,
 )
-from armrig.recordings.findings import alpha_moves
+from armrig.recordings.findings import second_moves
 from armrig.report.recording_facts import calibration_sentences, jitter_verdicts, run_name
 from armrig.report.sections import Table, plain
 from armrig.report.study import AssessedFit, Study, each_output
@@ -93,8 +93,9 @@ def structure(study: Study) -> str:
     offset = " and the input offset" if fixed_roots else ""
     are = "are" if offset else "is"
     said.append(
-        f"The initial state{offset} of each experiment {are} estimated with the model. Samples in "
-        "the dead band of the potentiometer, and the first sample after it, count as missing."
+        f"The initial state{offset} of each experiment {are} estimated with the model."
+        + " Samples in the dead band of the potentiometer, and the first sample after it, count as "
+        "missing." * study.of_arm
     )
     return " ".join(said)
 
@@ -135,13 +136,16 @@ def percent_warning(study: Study) -> Iterator[str]:
 
 
 def physics(study: Study) -> str:
-    """Return a text on the deviation of each model from the physical model, the best first."""
+    """Return a text on the deviation of each model from the physical model, the best first.
+
+    The text ends in a blank, or is "" for a rig that is not the arm.
+    """
     if study.reference is None:
-        return without_arm(study)
+        return f"{without_arm(study)} " if study.of_arm else ""
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
-        f"{' '.join(_deviations(one, study) for one in each_output(study))}"
+        f"{' '.join(_deviations(one, study) for one in each_output(study))} "
     )
 
 
@@ -163,9 +167,10 @@ def _deviations(one: Study, study: Study) -> str:
 def without_arm(study: Study) -> str:
     """Return the reason why the models are not compared with the physical model."""
     used = {study.estimation.source, study.validation.source}
-    names = [run_name(r) for r in study.recordings if r.sha256 in used and not alpha_moves(r)]
+    names = [run_name(r) for r in study.recordings if r.sha256 in used and not second_moves(r)]
+    second = [*study.recordings[0].channels][-1]
     return (
-        f"In {plain(listed(names))} alpha is constant: the arm was removed or held. The models are "
+        f"In {plain(listed(names))} {second} is constant: the arm was removed or held. The models are "
         "therefore not compared with the physical model of the whole rig."
     )
 
@@ -245,17 +250,21 @@ def _residual_verdict(m: AssessedFit) -> str:
 def abstract(study: Study) -> str:
     """Return the result of a study in three sentences."""
     name, each = study.best.name, each_output(study)
+    the = {one.output: f"the {one.angle}" if one.of_arm else one.output for one in each}
+    outputs = [f"{the[x.output]} {x.symbol}" if x.of_arm else x.output for x in each]
     best = [next(m for m in one.estimated if m.name == name) for one in each]
     errors = [
-        f"the {one.angle} with an rms error of {error(m.comparison.rms_error, one.validation.unit)}"
+        f"{the[one.output]} with an rms error of "
+        f"{error(m.comparison.rms_error, one.validation.unit)}"
         for one, m in zip(each, best, strict=True)
     ]
     medians = [percent(100 * float(np.median(d))) for m in best if (d := m.deviation) is not None]
     differs = " In the median its frequency response differs from that of the physical model by "
     names = listed([with_article(m.name) for m in study.estimated])
+    motor = "motor's " * study.of_arm
     return (
-        f"{names[0].upper()}{names[1:]} model from the motor's voltage to "
-        f"{listed([f'the {one.angle} {one.symbol}' for one in each])} were estimated from "
+        f"{names[0].upper()}{names[1:]} model from the {motor}voltage to "
+        f"{listed(outputs)} were estimated from "
         f"{study.estimation.N} samples at {milliseconds(study.estimation.Ts)}. On validation data "
         f"the {name} model simulates {listed(errors)}."
         f"{f'{differs}{listed(medians)}.' if medians else ''}"

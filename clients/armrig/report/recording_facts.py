@@ -58,6 +58,8 @@ def facts(study: Study) -> Rows:
 
 def run_facts(r: Recording) -> dict[str, str]:
     """Return the facts about a run by name, as text; "" for a fact that is not known."""
+    turns, known = r.description.channels[0].turns, r.description.is_calibrated
+    hidden = "in the dead band, or just after" if turns else f"without {r.first}"
     return {
         "run": run_name(r),
         "experiment": r.manifest.experiment,
@@ -67,9 +69,9 @@ def run_facts(r: Recording) -> dict[str, str]:
         "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
         "length": f"{r.N * r.Ts:.1f} s",
         "input": _input_range(r),
-        "calibrated": calibration_date(r.calibration),
+        "calibrated": calibration_date(r.calibration) if known else "by its description",
         "missing samples": str(r.missing),
-        "in the dead band, or just after": str(r.hidden),
+        hidden: str(r.hidden),
         "outcome": _outcome(r),
     }
 
@@ -151,6 +153,12 @@ def _percentiles(spread: Spread) -> str:
 def data_text(study: Study) -> str:
     """Return a text on the sources of angles and voltage, and the percentages of missing angles."""
     said = ["The voltage is the applied voltage that the device reports."]
+    if not study.of_arm:
+        for one in each_output(study):
+            hidden = 100 * one.estimation.missing / one.estimation.N
+            said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {one.output}.")
+            said += linearity_sentences(one.validation)
+        return " ".join([*said, "The scales of the outputs are those of the rig's description."])
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
     for one in each_output(study):
@@ -249,7 +257,7 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
     A sentence that holds only for some of the recordings begins with the names of their files.
     """
     of: dict[Finding, list[str]] = {}
-    for r in recordings:
+    for r in (r for r in recordings if r.description.is_calibrated):
         for found in doubts_of_calibration(r.calibration, r.manifest):
             of.setdefault(found, []).append(r.path.name)
     return [

@@ -10,26 +10,27 @@ from typing import Any, Final
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.channels import ALPHA, THETA_1, OutputName
+from armrig_core.telemetry.channels import ALPHA, BODIES, THETA_1
 
 from armrig.data.dataset import Dataset, Signals, Vector
-from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.data.treatment import INTEGRATING_OUTPUTS, detrend
 from armrig.estimation.arx import arx
-from armrig.estimation.polynomial_structures import oe
+from armrig.estimation.polynomial_structures import armax, oe
 from armrig.estimation.request import require_sensible
 from armrig.models.fit import Fit
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.systems import physical_model
-from armrig.recordings.findings import alpha_moves
+from armrig.recordings.findings import second_moves
 from armrig.recordings.recording import Recording
 from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residual_test import ResidualTest
 from armrig.validation.residuals import residuals
+from armrig.validation.structure_hints import structure_hints
 
 STEP, STAIRCASE = "step", "staircase"
 """Kinds of experiments that a report shows, but does not use for estimation."""
-OUTPUTS: Final = {THETA_1: "chassis angle", ALPHA: "arm angle"}
-"""Outputs that a report can have, with the names of the outputs in the sentences of the report."""
+OUTPUTS: Final = {name: f"{body} angle" for name, body in BODIES.items()}
+"""Names of the arm's outputs in the sentences of a report."""
 SYMBOLS: Final = {THETA_1: "θ₁", ALPHA: "α"}
 """Symbols of the outputs, in tables and names of models."""
 
@@ -65,7 +66,7 @@ class Orders:
         na, nb, nf = (n - 1 for n in (self.na, self.nb, self.nf))
         if min(na, nb, nf) < 1:
             raise InputError(
-                f"na={self.na}, nb={self.nb}, nf={self.nf}: the models of alpha have one "
+                f"na={self.na}, nb={self.nb}, nf={self.nf}: the models of {output} have one "
                 "coefficient less of each; give orders >= 2"
             )
         return replace(self, na=na, nb=nb, nf=nf, integrator=False)
@@ -102,7 +103,7 @@ class Study:
     recordings: tuple[Recording, ...]
     """Given recordings, in their order."""
     estimation: Dataset
-    """Data that the models were estimated from: u in V, theta_1 in rad."""
+    """Data that the models were estimated from: u in V."""
     validation: Dataset
     """Data with which the models are compared, in the same units."""
     halves: bool
@@ -110,7 +111,7 @@ class Study:
     estimated: tuple[AssessedFit, ...]
     """Models that were estimated from the estimation data."""
     reference: Comparison | None
-    """Comparison of the physical model of the arm; None if the arm was removed or held."""
+    """Comparison of the physical model of the arm; None for another rig, or a held arm."""
     note: str
     """Text that names the quantities that the comparisons estimated from the validation data."""
     omega: Vector
@@ -120,7 +121,7 @@ class Study:
 
     @property
     def output(self) -> str:
-        """Name of the output: theta_1 or alpha."""
+        """Name of the output."""
         return self.estimation.output
 
     @property
@@ -137,6 +138,11 @@ class Study:
     def integrates(self) -> bool:
         """True if the output is a ramp at a constant voltage."""
         return self.output in INTEGRATING_OUTPUTS
+
+    @property
+    def of_arm(self) -> bool:
+        """True if the recordings are of the arm."""
+        return bool(self.recordings[0].description.arm)
 
     @property
     def models(self) -> tuple[Comparison, ...]:
@@ -180,11 +186,13 @@ def study(
     *,
     orders: Orders | None = None,
     treat: Callable[[Any], Any] | None = None,
-    outputs: Sequence[OutputName] = (THETA_1,),
+    outputs: Sequence[str] = (),
 ) -> Study:
     """Estimate ARX and OE models, and compare them and the physical model with validation data.
 
-    If alpha is constant, the arm was removed or held, and there is no physical model.
+    If alpha is constant, the arm was removed or held, and there is no physical model. There is none
+    for a rig that is not the arm either: ARMAX replaces ARX, the level of y at u = 0 is estimated,
+    and the default orders are those that `structure_hints` recommends.
 
     Steps and staircases are used neither for estimation nor for validation. Of the other
     recordings, the first is used for estimation, and the second for validation. A single other
@@ -199,9 +207,9 @@ def study(
     treat : callable, optional
         Treatment of the data of each recording before the estimation, such as `armrig.hampel`.
         The report prints every step of the treatment.
-    outputs : sequence of {"theta_1", "alpha"}, default theta_1
-        Outputs of the models. If two outputs are given, each model has both outputs, and the OE
-        model has one denominator for both outputs.
+    outputs : sequence of str, optional
+        Outputs of the models; default: the first channel. If two outputs are given, each model has
+        both outputs, and the OE model has one denominator for both outputs.
 
     Returns
     -------
@@ -212,29 +220,33 @@ def study(
     Raises
     ------
     ValueError
-        There are no data to estimate from, the orders are too high for the data, or an output is
-        neither theta_1 nor alpha.
+        There are no data to estimate from, the orders are too high for the data, or an output does
+        not exist, or is a rate.
     """
-    orders = orders or Orders()
-    if not outputs or len({*outputs} & OUTPUTS.keys()) < len(outputs):
-        raise InputError(
-            f"{', '.join(outputs) or 'no output'}: the models of a report have the output "
-            f"{' or '.join(OUTPUTS)}, or both; `armrig identify` takes the others"
-        )
     excited = [r for r in recordings if kind_of(r) not in (STEP, STAIRCASE)]
     if not excited:
         raise FileError(
             "nothing to identify from: give a recording whose input is not a single step, such as "
             "a recording of `armrig collect blackbox`"
         )
-    several = len(outputs) > 1
+    outputs, known = outputs or (excited[0].first,), [*excited[0].channels]
+    if len({*outputs} & {*known}) < len(outputs):
+        raise InputError(
+            f"{', '.join(outputs)}: the models of a report have the output {' or '.join(known)}"
+            f"{', or both' * (len(known) > 1)}; `armrig identify` takes the others"
+        )
+    several, of_arm = len(outputs) > 1, bool(excited[0].description.arm)
     read = [r.signals(outputs) if several else r.dataset(outputs[0]) for r in excited[:2]]
-    data = read if treat is None else [treat(one) for one in read]
+    data: list[Any] = [*read] if treat is None else [treat(one) for one in read]
+    if several and not of_arm:
+        data = [detrend(one) for one in data]
     estimation, validation = data if len(data) > 1 else data[0].split(2)
     each = [
         [one.dataset(name) for name in one.outputs] if isinstance(one, Signals) else [one]
         for one in (estimation, validation)
     ]
+    chosen = orders or Orders()
+    orders = chosen if of_arm or chosen != Orders() else _recommended(each[0])
     for one in each[0]:
         _require_sensible(one, orders.of(one.output))
     tests: dict[str, ResidualTest] = {}
@@ -246,12 +258,13 @@ def study(
             for one in each[0]
         ]
     else:
-        fits = [_fits(one, orders.of(one.output)) for one in each[0]]
+        made = _fits if of_arm else _fits_with_level
+        fits = [made(one, orders.of(one.output)) for one in each[0]]
     shared: dict[str, Any] = {
         "recordings": tuple(recordings),
         "halves": len(excited) == 1,
     }
-    has_arm = all(alpha_moves(r) for r in excited[:2])
+    has_arm = of_arm and all(second_moves(r) for r in excited[:2])
     physics = [physical_model(ArmParameters(), one) if has_arm else None for one in each[0]]
     first, *others = (
         Study(
@@ -263,6 +276,14 @@ def study(
         for found, reference, ours, theirs in zip(fits, physics, *each, strict=True)
     )
     return replace(first, others=tuple(others))
+
+
+def _recommended(data: Sequence[Dataset]) -> Orders:
+    """Return the orders of an OE model that the data of all outputs suggest."""
+    hints = [structure_hints(one) for one in data]
+    nb, nf = (max(getattr(found, name) for found in hints) for name in ("nb", "nf"))
+    integrator = any(found.integrator for found in hints)
+    return Orders(na=nf, nb=nb, nf=nf, nk=min(f.nk for f in hints), integrator=integrator)
 
 
 def _require_sensible(data: Dataset, orders: Orders) -> None:
@@ -279,6 +300,16 @@ def _fits(data: Dataset, orders: Orders) -> dict[str, Fit]:
     return {
         "ARX": arx(data, na=orders.na, nb=nb, nk=nk),
         "OE": oe(data, nb=nb, nf=orders.nf, nk=nk, integrator=orders.integrator),
+    }
+
+
+def _fits_with_level(data: Dataset, orders: Orders) -> dict[str, Fit]:
+    """Return the models of one output whose level at u = 0 need not be 0."""
+    how: dict[str, Any] = {"nb": orders.nb, "nk": orders.nk, "integrator": orders.integrator}
+    how["offset"] = not orders.integrator
+    return {
+        "ARMAX": armax(data, na=orders.na, nc=orders.na, **how),
+        "OE": oe(data, nf=orders.nf, **how),
     }
 
 

@@ -16,7 +16,7 @@ from armrig.report import model_facts, recording_facts
 from armrig.report.figures import DETAIL_S, suffix
 from armrig.report.recording_facts import run_name, without_turns
 from armrig.report.sections import Contents, Figure, Section, Table, figure, numbered
-from armrig.report.study import STEP, Study, each_output, kind_of
+from armrig.report.study import OUTPUTS, STEP, Study, each_output, kind_of
 
 
 def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
@@ -51,7 +51,7 @@ def results(study: Study) -> Section:
         f"). {study.note[0].upper()}{study.note[1:]}.",
         header=(
             *(["output"] if study.others else []),
-            *("model", "fit of the angle", "rms error"),
+            *("model", f"fit of the {_quantity(study)}", "rms error"),
             *(["fit of the velocity"] if velocity else []),
         ),
         rows=tuple(row for one in each_output(study) for row in _fit_rows(one, study)),
@@ -76,12 +76,15 @@ def data(study: Study) -> Section:
     step: tuple[Figure, ...] = ()
     if steps:
         shown += ", <step> the step"
-        caption = "(a) Chassis angle after a step of the motor's voltage; (b) the voltage; "
+        of = OUTPUTS.get(steps[0].first, steps[0].first)
+        caption = f"(a) {of[0].upper()}{of[1:]} after a step of the {_motor(study)}voltage; "
+        caption += "(b) the voltage; "
         step = figure("step", f"{caption}recording {run_name(steps[0])}.")
     return Section(
         title="Data",
         paragraphs=(
-            f"{recording_facts.data_text(study)} {shown}. Samples in a shaded area have no angle. "
+            f"{recording_facts.data_text(study)} {shown}. Samples in a shaded area have no "
+            f"{_quantity(study)}. "
             "Appendix A describes the recordings.",
             *(["The data were treated in the order of the list."] if treated else []),
         ),
@@ -146,7 +149,7 @@ def physics(study: Study) -> Section:
     return Section(
         title="Comparison with the physics" if compared else "Frequency and step responses",
         paragraphs=(
-            f"{model_facts.physics(study)} {_shows(study, 'bode')} the frequency responses, "
+            f"{model_facts.physics(study)}{_shows(study, 'bode')} the frequency responses, "
             f"{_references(study, 'step_poles')} the step responses, poles and zeros.",
         ),
         figures=(
@@ -216,6 +219,15 @@ def _with_velocity(study: Study) -> bool:
     return any(one.models[0].velocity_fit_percent is not None for one in each_output(study))
 
 
+def _quantity(study: Study) -> str:
+    """Return the word for a value of the outputs."""
+    return "angle" if study.of_arm else "value"
+
+
+def _motor(study: Study) -> str:
+    return "motor's " * study.of_arm
+
+
 def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:
     """Yield a row for each model: its fits and its rms error for one output."""
     for k, row in enumerate(one.models):
@@ -259,7 +271,7 @@ def _captions(one: Study) -> dict[str, str]:
     return {
         "data": f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
         f"recording {validation}){halves}: {angles}; (b, d) voltage that the device applied. "
-        "Shaded: dead band or missing sample.",
+        f"Shaded: {'dead band or ' * one.of_arm}missing sample.",
         "compare": f"(a) Measured and simulated {angle} of the validation data (recording "
         f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model has a "
         "much larger error, the scale is logarithmic beyond the dotted lines.",

@@ -8,13 +8,12 @@ from collections.abc import Collection
 from functools import lru_cache
 from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.part_names import PART, part_number
-from armrig_core.telemetry.channels import THETA_1, OutputName
 
 from armrig.data.treatment import detrend
 from armrig.estimation.request import Request
@@ -32,7 +31,7 @@ _LATEST_NS = (1 << 63) - 1
 class Identify(Request, frozen=True, kw_only=True, tag="identify"):
     """Estimate a model from each recording."""
 
-    signal: OutputName = THETA_1
+    signal: str | None = None
     """Output of the model."""
     detrend: bool = False
 
@@ -299,7 +298,7 @@ def _validated(task: Validate, recording: Recording) -> Row:
     from armrig.validation.residuals import residuals
 
     fit = _model(task.model)
-    data = recording.dataset(_output(fit))
+    data = recording.dataset(_output(fit, recording))
     data = detrend(data) if task.detrend else data
     tests = residuals(fit, data)
     return _attributes(compare(data, fit)[0], "validate") | {
@@ -351,10 +350,9 @@ def _model(text: str) -> Fit:
     return fit_of(text, "the model")
 
 
-def _output(fit: Fit) -> OutputName:
-    """Return the output of a model; for an unknown output theta_1, which `compare` then refuses."""
-    outputs: tuple[OutputName, ...] = get_args(OutputName)
-    return next((output for output in outputs if fit.output == output), THETA_1)
+def _output(fit: Fit, recording: Recording) -> str:
+    """Return the output of a model, or the first channel, which `compare` then refuses."""
+    return fit.output if fit.output in recording.outputs else recording.first
 
 
 def _in_a_line(text: str) -> str:
