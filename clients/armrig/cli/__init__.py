@@ -35,7 +35,7 @@ _HEADINGS = {
     "Validate": {"validate": "validate compare check linearity report"},
     "Physics": {"physics": "model simulate greybox split integrate"},
     "Administration": {
-        "administration": "doctor glossary flash conformance service pki router",
+        "administration": "rigs doctor glossary flash conformance service pki router",
     },
 }
 """Commands under each heading of `armrig --help`, by module."""

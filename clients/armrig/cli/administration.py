@@ -17,7 +17,17 @@ from armrig_core.process.signal_pipe import until_signal
 
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Commands, Json, RigId, Verbose, argument, chosen, group, option
-from armrig.cli.printing import agree, inform, print_json, print_result, say, say_answer, say_more
+from armrig.cli.printing import (
+    agree,
+    echo,
+    inform,
+    print_json,
+    print_result,
+    print_table,
+    say,
+    say_answer,
+    say_more,
+)
 from armrig.cli.spinner import spinner
 from armrig.lab import installation
 
@@ -231,6 +241,35 @@ def read_terms(page: str) -> dict[str, str]:
         entry["term"]: (f"{entry['long']}. " if entry["long"] else "") + entry["text"]
         for entry in _ENTRY.finditer(page)
     }
+
+
+rigs = Commands("List the descriptions of rigs, or check a description.", no_args_is_help=False)
+
+
+@rigs.callback(invoke_without_command=True)
+def list_rigs(context: typer.Context) -> None:
+    """List the descriptions that come with armrig; `armrig rigs check FILE` checks another."""
+    from armrig_core.rig.description import read_description, shipped_files
+
+    if context.invoked_subcommand is None:
+        for path in shipped_files():
+            echo(f"{path.stem:10} {read_description(path).rig.title}")
+        inform("`armrig lab --rig-file NAME` emulates a rig; `armrig rigs check NAME` shows it")
+
+
+@rigs.add("rigs check heater.toml", "check")
+def check_rig(
+    file: Annotated[Path, argument("FILE", "Description (TOML), or a name of `armrig rigs`.")],
+    json: Json = False,
+) -> None:
+    """Check the description of a rig, and print how it was understood."""
+    from armrig_core.rig.description import path_of, read_description
+
+    described = read_description(path_of(file))
+    if json:
+        print_json(dict(described.rows()))
+    else:
+        print_table(*described.rows())
 
 
 def _page() -> Path:

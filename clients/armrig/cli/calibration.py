@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,12 +31,13 @@ from armrig.numerics.quantities import with_std
 if TYPE_CHECKING:
     from armrig_core.rig.calibration import Calibration
 
-    from armrig.recordings.calibration import Estimate
+    from armrig.physics.calibration import Estimate
     from armrig.recordings.recording import Recording
 
 _OWNER = "armrig calibrate"
 _DEAD_MAN_S = 1.0
 _MAX_LEVEL_S = 600.0
+_MIN_COUNTS = 640  # ten steps of a converter of 10 bits
 _START_S = 0.5  # time at 0 V before the turns, to read the arm at rest
 _QUESTION = "Load the calibration into the running daemon now?"
 
@@ -102,6 +104,7 @@ class Player:
         from armrig.rig.collection import Plan, collect
 
         of_run: dict[str, Any] = {"owner": _OWNER, "pacing": "scheduled", "dead_man": _DEAD_MAN_S}
+        of_run["of_arm"] = True
         plan = Plan(experiment=experiment, seconds=seconds, Ts=self.Ts, **of_run, **of_input)
         return armrig.load(collect(plan, rig=self.rig, connect=self.connect, tell=inform).path)
 
@@ -110,7 +113,7 @@ def check_turns(levels: Sequence[float], level_seconds: float) -> None:
     """Refuse voltages outside the rig's range, and times too short for a steady speed."""
     from armrig_core.rig.volts import U_MAX_V
 
-    from armrig.recordings.calibration_turns import LEAST_S, SETTLE_S
+    from armrig.physics.calibration_turns import LEAST_S, SETTLE_S
 
     for u in levels:
         if not 0 < u <= U_MAX_V:
@@ -217,6 +220,11 @@ class _Wanted:
         "Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
         metavar="CODE=VOLTS",
     )
+    point: list[str] | None = chosen(
+        None,
+        "Known value of an output that does not turn; give two values of one output.",
+        metavar="NAME=VALUE",
+    )
     meter_std: float = chosen(0.01, "Standard deviation of a meter's reading, in V.")
     by_hand: bool = chosen(
         False, "Leave the motor off; deflect the arm by hand to find the sign of its angle."
@@ -275,8 +283,11 @@ def calibrate(
     """
     from armrig_core.rig.calibration import Calibration
 
-    from armrig.recordings.calibration import estimate
+    from armrig.physics.calibration import estimate
 
+    if wanted.point:
+        _measure_points(wanted, Dialogue(yes=yes), rig, connect, json=json)
+        return
     path = _checked(save or _default(rig))
     _check_figure(plot, wanted)
     check_turns(wanted.levels, wanted.level_seconds)
@@ -310,6 +321,45 @@ def calibrate(
         print_json(facts | fields_of(found, "alpha_sign warnings") | {"in_use": used})
     else:
         say_next("calibrate", rig=naming(rig, connect))
+
+
+def _measure_points(
+    wanted: _Wanted, ask: Dialogue, rig: str, connect: str | None, *, json: bool
+) -> None:
+    """Measure the readings at two values of an output; print the lines for the description."""
+    points = [point.partition("=") for point in wanted.point or []]
+    with armrig.Rig(rig, connect=connect) as opened:
+        status = opened.status()
+        described = status.described
+        name = points[0][0]
+        if len(points) != 2 or points[1][0] != name or name not in described.outputs:
+            raise InputError(
+                "--point: give two values of one output, such as --point NAME=1.5 --point NAME=3; "
+                f"the rig has {', '.join(described.outputs)}"
+            )
+        try:
+            values = [float(value) for *_, value in points]
+        except ValueError:
+            raise InputError(f"--point {name}: give a number after =") from None
+        channel, unit = [*described.outputs].index(name), described.outputs[name].unit
+        counts = []
+        for value in values:
+            ask.ready(f"Bring {name} to {value:g} {unit} and hold it.")
+            n = max(2, round(wanted.rest_seconds / status.Ts))
+            some = islice((s for s in opened.stream() if not isinstance(s, armrig.LiveGap)), n)
+            counts.append(sum((s.counts_0, s.counts_1)[channel] for s in some) / n)
+    if abs(counts[1] - counts[0]) < _MIN_COUNTS or values[0] == values[1]:
+        raise InputError(
+            f"--point {name}: the readings are {counts[0]:.0f} and {counts[1]:.0f} counts; give "
+            "two values that are further apart, and check the wires"
+        )
+    per_count = (values[1] - values[0]) / (counts[1] - counts[0])
+    zero_counts = counts[0] - values[0] / per_count
+    if json:
+        print_json({"output": name, "zero_counts": zero_counts, "per_count": per_count})
+        return
+    inform("put these lines into the description of the rig:")
+    say_to_copy(f"[outputs.{name}]\nzero_counts = {zero_counts:.6g}\nper_count = {per_count:.6g}")
 
 
 def _measured(
@@ -399,7 +449,7 @@ def _write(
     from armrig_core.rig.calibration import Made
     from armrig_core.rig.calibration_file import toml_of
 
-    from armrig.recordings.calibration_readings import compressed
+    from armrig.physics.calibration_readings import compressed
 
     first = recordings["rest"].manifest
     uids = {str(r.manifest.device.get("uid", "")) for r in recordings.values()}

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import FileError
-from armrig_core.telemetry.channels import THETA_1, OutputName
 from msgspec import structs
 from msgspec.structs import asdict
 
@@ -45,6 +44,7 @@ from armrig.cli.recorded_data import (
     data_group,
     each_channel,
     facts_by_channel,
+    from_arm,
     from_recording,
     recording_path,
     require_result,
@@ -81,6 +81,7 @@ if TYPE_CHECKING:
 
 _MAX_SHOWN_MODELS = 5  # models of a search without --verbose
 _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
+_MAX_TS_S, _LEAST_S, _LEAST_SAMPLES = 1.0, 30.0, 600  # of the experiment that `next:` names
 _NK = "1; estimated with --search of one input and one output"
 
 
@@ -133,7 +134,8 @@ def sampling(
         if signals.read and (again := step_again(signals.read[0])):
             say_next("step hidden", again=again)
         elif from_recording(data):
-            say_next("sampling", Ts=choice.Ts)
+            Ts = min(choice.Ts, _MAX_TS_S)  # a slow rig is sampled faster, for longer
+            say_next("sampling", Ts=Ts, seconds=max(_LEAST_S, _LEAST_SAMPLES * Ts))
         else:
             say_next("sampling other", file=typed(file), given=signals.options())
 
@@ -341,12 +343,12 @@ def _for_outputs(
     wanted: _Search | Request, data: Dataset | Signals, *, integrator: bool
 ) -> _Search | Request:
     """Return what is wanted, with the integrators and the shared denominator of several outputs."""
-    # A rig's outputs share one denominator, and only theta_1 integrates; all other data integrate.
+    # A rig's outputs share one denominator. Some outputs of the arm integrate, and all other data.
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
-    columns, recorded = data.signals(), from_recording(data)
+    columns, recorded, known = data.signals(), from_recording(data), from_arm(data)
     integrating = tuple(
-        name for name in columns.outputs if not recorded or name in INTEGRATING_OUTPUTS
+        name for name in columns.outputs if not known or name in INTEGRATING_OUTPUTS
     )
     if integrator and not integrating:
         msg = f"--integrator: the rig has no pole at 1 for {listed(columns.outputs)}"
@@ -356,7 +358,7 @@ def _for_outputs(
     if (columns.ny, columns.nu) == (1, 1):
         return wanted
     if isinstance(wanted, _Search):
-        fixed = wanted.fixed | {"integrator": integrating if integrator or recorded else ()}
+        fixed = wanted.fixed | {"integrator": integrating if integrator or known else ()}
         return replace(wanted, fixed=fixed)
     if recorded and "shared" in STRUCTURES[wanted.structure].takes:
         wanted = structs.replace(wanted, shared=True)
@@ -588,7 +590,7 @@ def identify_each(
     folder: Folder,
     output: Table,
     given: Annotated[Given, estimation_options(structure="oe")],
-    signal: OutputName = chosen(THETA_1, "Output of the model."),
+    signal: str | None = chosen(None, "Output of the model.", "the first channel", metavar="NAME"),
     detrend: Detrend = False,
     selection: Selection,
 ) -> None:
@@ -622,7 +624,7 @@ def validate_each(
     if (fit.ny, fit.nu) != (1, 1):
         raise FileError(
             f"{model} is a model of several signals; here give a model of one output and one "
-            "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
+            "input, such as fit[OUTPUT, INPUT] of it (armrig.load_fit and fit.save in Python)"
         )
     task = Validate(model=model_text(fit), detrend=detrend)
     _process(task, folder, output, selection)

@@ -16,10 +16,15 @@ from typing import TYPE_CHECKING
 from armrig_core.errors import ArmrigError
 from armrig_core.process.printable import printable
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.telemetry.channels import THETA_1
 from msgspec import structs
 
-from armrig.cli.recorded_data import SignalChoice, far_from_zero, from_recording, measured
+from armrig.cli.recorded_data import (
+    SignalChoice,
+    far_from_zero,
+    from_arm,
+    from_recording,
+    measured,
+)
 from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import STRUCTURES
 
@@ -41,13 +46,15 @@ _MAX_SEARCHED = 100
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
-    "lab chassis": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
+    "lab alone": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
+    "lab other": "armrig collect step{rig} --name first",
+    "status other": "armrig collect step{rig} --name first",
     "flash": "armrig conformance --device {port}",
     "model": "armrig model --set J_2=0.005 --set K_lin=2.4 -o step.png",
     "model --set": "armrig lab",
     "calibrate": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
     "status": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
-    "status chassis": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
+    "status alone": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
     "demo": "{opener} {file}",
     "reset": "armrig status{rig}",
     "ls": "armrig info {file}",
@@ -56,7 +63,7 @@ AFTER: Mapping[str, str] = {
     "record": "armrig info {file}",
     "collect step": "armrig sampling {file} -o sampling.png",
     "step hidden": "armrig collect step{again}",
-    "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --validation",
+    "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds {seconds:g} --validation",
     "sampling other": "armrig hints {file}{given} -o hints.png",
     "collect blackbox": "armrig plot {file}",
     "collect greybox": "armrig greybox {file} -o chassis.png",
@@ -79,6 +86,7 @@ AFTER: Mapping[str, str] = {
     "check": "armrig lab --config chassis.toml",
     "check with chassis": "armrig greybox {chassis} -o chassis.png",
     "check greybox": "armrig integrate -o integrate.png",
+    "check rig": "armrig report {file} -o report.pdf",
     "check other": "armrig hints {file}{given} -o hints.png",
     "greybox": "armrig split {file}{given} -o split.png",
     "split": "armrig integrate -o integrate.png",
@@ -323,6 +331,8 @@ _REJECTED = {"residuals", "search", "feedback"}
 
 def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     """Print the next command, which acts on the findings, saves the model or validates it."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
     fit, request, data, signals = found.fit, found.request, found.data, found.signals
     tests = None if found.validation is None else found.validation.tests
     one = (fit.ny, fit.nu) == (1, 1)
@@ -353,8 +363,8 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         columns = data.signals()
         output = (*signals.outputs, *columns.outputs)[0]
         channel = signals.of_channel(output, (*signals.inputs, *columns.inputs)[0], data)
-    # The next step after the validation of one output is known for theta_1 alone.
-    known = not one or fit.output == THETA_1
+    # The next step after the validation of one output is known for the arm's angle alone.
+    known = not one or fit.output in INTEGRATING_OUTPUTS
     # `armrig check` has no option --offset.
     checked = channel.options() + " --detrend" * (one and fit.offset and not signals.detrend)
     if options == CHECK:
@@ -375,7 +385,7 @@ def _better_options(request: Request, data: Dataset | Signals, about: Set[str]) 
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     columns = data.signals()
-    if not from_recording(data):
+    if not from_arm(data):
         outputs = [y for _, y in measured(columns)]
         if far_from_zero([*outputs, *columns.u.T]):  # without the means the orders may fit
             return f"{options_of(request)} --detrend"
@@ -397,13 +407,16 @@ def after_validate(
 
     `estimation` is the name of the estimation data, if the user gave them.
     """
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
     channel, recorded = signals, from_recording(data)
     if (fit.ny, fit.nu) == (1, 1):
         estimation = estimation or (estimation_of(file) if recorded else "")
         after = "validate" if estimation else "validate alone"
     else:
         channel = signals.of_channel(*tests.poorest_pair, data)
-        after = "validate several" if recorded and THETA_1 in fit.outputs else "validate alone"
+        of_arm = from_arm(data) and not INTEGRATING_OUTPUTS.isdisjoint(fit.outputs)
+        after = "validate several" if of_arm else "validate alone"
     part = SignalChoice(calibration=signals.calibration, start=signals.start, stop=signals.stop)
     say_next(
         after,

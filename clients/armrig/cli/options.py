@@ -157,6 +157,14 @@ class Commands(typer.Typer):
 
 
 RigId = Annotated[str, option("--rig", "Id of the rig.")]
+RigFile = Annotated[
+    Path | None,
+    option(
+        "--rig-file TOML",
+        "Description of the rig: a file, or a name of `armrig rigs`.",
+        "[rig] file, or the arm",
+    ),
+]
 Connect = Annotated[
     str | None,
     option(

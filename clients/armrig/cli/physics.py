@@ -27,6 +27,7 @@ from armrig.cli.recorded_data import (
     data_group,
     recorded_outputs,
     recording_path,
+    require_arm,
 )
 from armrig.cli.results import Draw, Output, Shown, shown
 from armrig.cli.spinner import spinner
@@ -211,7 +212,8 @@ def greybox(
         fixed = parameters(given)
         [recording] = recordings = part.recordings(file)
         model, rig = _rig(recording, cast("Rig | None", model))
-        outputs = recorded_outputs(part.outputs or (THETA_1,))
+        require_arm(recording)
+        outputs = recorded_outputs(recording, part.outputs)
         shown = THETA_1 if THETA_1 in outputs else outputs[0]
         data = recording.dataset(shown)
         signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
@@ -310,6 +312,7 @@ def split(
     """
     cuts, fixed = _cuts(parts), parameters(given)
     [recording] = part.recordings(file)
+    require_arm(recording)
     data = recording.dataset(signal)
     _, rig = _rig(recording, model)
 
@@ -411,9 +414,9 @@ def _simulate_step(compared: dict[str, ArmParameters], out: Output) -> None:
 
 def _rig(recording: Recording, model: Rig | None) -> tuple[Rig, Any]:
     """Return "arm" or "chassis", as the recorded alpha shows, and its model; refuse another one."""
-    from armrig.recordings.findings import alpha_moves
+    from armrig.recordings.findings import second_moves
 
-    moves = alpha_moves(recording)
+    moves = second_moves(recording)
     seen: Rig = "arm" if moves else "chassis"
     if model is not None and model != seen:
         what = "alpha moves: the arm was attached" if moves else "alpha rests: the arm was removed"

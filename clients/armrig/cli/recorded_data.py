@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, fields, replace
 from math import ceil
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import typer
 from armrig_core.errors import InputError
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.telemetry.channels import THETA_1, OutputName
+from armrig_core.telemetry.channels import ARM_OUTPUTS, CHANNELS
 
 import armrig
 from armrig.cli.options import CalibrationFile, Detrend, From, Group, To, argument, chosen, group
@@ -85,9 +85,9 @@ class DataOptions:
     )
     signal: str | None = chosen(
         None,
-        "Output: theta_1, alpha or velocity; in other data, the column's name, or its number "
-        "from 1.",
-        "theta_1; y of other data",
+        "Output: a channel of the rig, or its rate; in other data, the column's name, or its "
+        "number from 1.",
+        "the first channel; y of other data",
         metavar="NAME",
     )
     time: str | None = chosen(
@@ -141,10 +141,8 @@ Named = Sequence[tuple[str, "Vector"]]
 """Names of signals, with their measured values."""
 UNNAMED = ("", "y")
 """Names of model outputs that may mean any signal."""
-_INPUTS = ("u",)
-"""Inputs of a recording."""
-_OUTPUTS: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
-"""Outputs of a recording."""
+_FIRST = CHANNELS[0].name
+"""First channel of the arm, which a line `next:` does not name."""
 _IS = ("is", "are")
 _MIN_SAMPLES = 20
 """Smallest number of samples for which a note about the mean is printed."""
@@ -160,37 +158,49 @@ def names(option: str, text: str | None) -> tuple[str, ...]:
     return found
 
 
-def recorded_outputs(chosen: Sequence[str]) -> list[OutputName]:
-    """Return the names as outputs of a recording; refuse any other name."""
-    if unknown := [name for name in chosen if name not in _OUTPUTS]:
-        raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(_OUTPUTS)}")
-    return [_OUTPUTS[name] for name in chosen]
+def recorded_outputs(recording: Recording, chosen: Sequence[str]) -> list[str]:
+    """Return the names as outputs of a recording, by default the first; refuse any other name."""
+    has = recording.outputs
+    if unknown := [name for name in chosen if name not in has]:
+        raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(has)}")
+    return [*chosen] or [recording.first]
 
 
-def chosen_outputs(signal: Sequence[str] | None) -> list[OutputName]:
-    """Return the outputs of a recording that a repeatable --signal names; by default theta_1."""
-    return recorded_outputs(names("--signal", ",".join(signal or ())) or (THETA_1,))
+def require_arm(recording: Recording) -> None:
+    """Refuse a recording of a rig that the arm's physical model does not describe."""
+    if not recording.description.arm:
+        raise InputError(
+            f"{recording.path.name} is of rig {recording.description.rig.name}, and this command "
+            "is for the arm's physical model; use `armrig identify`, or armrig.greybox in Python "
+            "with your own model"
+        )
 
 
-def modelled_outputs(model: Fit, chosen: Sequence[str]) -> list[OutputName]:
+def chosen_outputs(recording: Recording, signal: Sequence[str] | None) -> list[str]:
+    """Return the outputs of a recording that a repeatable --signal names; by default the first."""
+    return recorded_outputs(recording, names("--signal", ",".join(signal or ())))
+
+
+def modelled_outputs(recording: Recording, model: Fit, chosen: Sequence[str]) -> list[str]:
     """Return the model's outputs in the model's order; refuse a model of other signals.
 
-    If the only output of the model has no name, it is the chosen output, or theta_1.
+    If the only output of the model has no name, it is the chosen output, or the first channel.
     """
     if (model.ny, model.nu) == (1, 1) and model.output in UNNAMED:
-        return recorded_outputs(chosen or (THETA_1,))
-    if not set(model.outputs) <= _OUTPUTS.keys() or model.inputs != _INPUTS:
+        return recorded_outputs(recording, chosen)
+    input = recording.description.input.name
+    if not set(model.outputs) <= {*recording.outputs} or model.inputs not in (("u",), (input,)):
         raise InputError(
             f"the model's inputs are {', '.join(model.inputs)} and its outputs "
-            f"{', '.join(model.outputs)}, but a recording has the input u and the outputs "
-            f"{', '.join(_OUTPUTS)}; use data with the model's signals"
+            f"{', '.join(model.outputs)}, but a recording has the input {input} and the outputs "
+            f"{', '.join(recording.outputs)}; use data with the model's signals"
         )
     if chosen and set(chosen) != set(model.outputs):
         raise typer.BadParameter(
             f"--signal {','.join(chosen)}: the model has {plural(model.ny, 'output')}, "
             f"{listed(model.outputs)}; leave --signal out"
         )
-    return [_OUTPUTS[name] for name in model.outputs]
+    return [*model.outputs]
 
 
 def require_as_many(model: Fit, outputs: Sequence[str], inputs: Sequence[str]) -> None:
@@ -323,6 +333,11 @@ class SignalChoice(DataOptions):
         return names("--input", self.input)
 
     @property
+    def default(self) -> str:
+        """Output without --signal: the first channel of the recording that was read."""
+        return self.read[0].first if self.read else _FIRST
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Numbers of the named outputs and inputs; 1 where the user named none."""
         return len(self.outputs) or 1, len(self.inputs) or 1
@@ -333,7 +348,7 @@ class SignalChoice(DataOptions):
         If the user named no output and the output of `data` is not the default, add --signal.
         """
         signal, found = self.signal, () if data is None else data.signals().outputs
-        if signal is None and len(found) == 1 and found[0] not in (*UNNAMED, THETA_1):
+        if signal is None and len(found) == 1 and found[0] not in (*UNNAMED, self.default):
             signal = found[0]
         return "".join(f" {typed}" for typed in replace(self, signal=signal).given())
 
@@ -345,7 +360,7 @@ class SignalChoice(DataOptions):
         recorded = from_recording(data)
         return replace(
             self,
-            signal=None if recorded and output == THETA_1 else output,
+            signal=None if recorded and output == self.default else output,
             input=None if recorded else input,
         )
 
@@ -373,7 +388,7 @@ class SignalChoice(DataOptions):
         if self.assume is not None:
             return decided.integrates, [f"{taken}, as --assume says"]
         line = f"{taken}; --assume {kinds[not decided.integrates]} changes this"
-        return decided.integrates, [line] if decided.reason or not from_recording(data) else []
+        return decided.integrates, [line] if decided.reason or not from_arm(data) else []
 
     def of(self, file: Path, model: Fit | None = None) -> Dataset | Signals:
         """Return the data of a file, and print its defects; the default signals are the model's.
@@ -480,10 +495,11 @@ class SignalChoice(DataOptions):
 
     def recorded(self, file: Path, model: Fit | None) -> Dataset | Signals:
         """Return the data of a recording; the default outputs are the model's."""
-        outputs = recorded_outputs(self.outputs or (THETA_1,))
-        if model is not None:
-            outputs = modelled_outputs(model, self.outputs)
         recording = self._recording(file)
+        if model is None:
+            outputs = recorded_outputs(recording, self.outputs)
+        else:
+            outputs = modelled_outputs(recording, model, self.outputs)
         return recording.dataset(outputs[0]) if len(outputs) == 1 else recording.signals(outputs)
 
 
@@ -570,6 +586,11 @@ def measured(data: Signals) -> list[tuple[str, Vector]]:
 def from_recording(data: Dataset | Signals) -> bool:
     """Return True if data come from a recording of a rig."""
     return ":" not in data.source
+
+
+def from_arm(data: Dataset | Signals) -> bool:
+    """Return True if data come from a recording of the arm, whose integrating output is known."""
+    return from_recording(data) and ARM_OUTPUTS.issuperset(data.signals().outputs)
 
 
 def source_facts(data: Dataset | Signals) -> dict[str, str]:

@@ -14,7 +14,6 @@ import typer
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
-from armrig_core.telemetry.channels import THETA_1, ChannelName
 
 import armrig
 from armrig.cli.next_step import AFTER, kind_of, say_next, typed
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from armrig_core.recording_file.manifest import Recovered
     from armrig_core.recording_file.recovery import RecoveredFile
 
+    from armrig.data.finding import Finding
     from armrig.recordings.files.catalogue import Catalogue, LeftOut
     from armrig.recordings.files.recording_names import Answering
     from armrig.recordings.files.recording_summary import RecordingSummary
@@ -230,7 +230,6 @@ def info(file: File, part: Part, out: Shown) -> None:
 
 def _recording_facts(rec: Recording) -> dict[str, Any]:
     from armrig.recordings.jitter import disturbances
-    from armrig.recordings.usability import doubts_of_calibration
 
     return {
         **fields_of(rec, "sha256 manifest"),
@@ -243,7 +242,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
         "sampling": armrig.sampling_statistics(rec),
         "causes": disturbances(rec),
         "calibration": rec.calibration,
-        "remarks": [f.text for f in doubts_of_calibration(rec.calibration, rec.manifest)],
+        "remarks": [f.text for f in _calibration_doubts(rec)],
         "verdict": armrig.data_verdict(rec).facts(),
         **fields_of(rec, "gaps events notes"),
     }
@@ -252,7 +251,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
 def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
     from armrig.recordings.daemon_reports import gap_lines
     from armrig.recordings.jitter import disturbances
-    from armrig.recordings.usability import calibration_date, doubts_of_calibration
+    from armrig.recordings.usability import calibration_date
 
     manifest, timing = rec.manifest, armrig.sampling_statistics(rec)
     details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
@@ -273,8 +272,9 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     yield "outcome", _outcome(rec)
     if rec.recovered is not None:
         yield "recovered", _recovered(rec.recovered)
-    yield "calibrated", calibration_date(rec.calibration)
-    for remark in doubts_of_calibration(rec.calibration, manifest):
+    calibrated = rec.description.is_calibrated
+    yield "calibrated", calibration_date(rec.calibration) if calibrated else "by its description"
+    for remark in _calibration_doubts(rec):
         yield "remark", remark.text
     of_interval = "spread of the sampling interval, by the device's clock"
     yield "jitter", _percentiles(timing.jitter, 0, of_interval)
@@ -296,16 +296,23 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
         yield finding.about, finding.text
 
 
+def _calibration_doubts(rec: Recording) -> Iterator[Finding]:
+    """Yield the doubts about the calibration; the description of another rig has its scales."""
+    from armrig.recordings.usability import doubts_of_calibration
+
+    if rec.description.is_calibrated:
+        yield from doubts_of_calibration(rec.calibration, rec.manifest)
+
+
 def _clipped(text: str) -> str:
     return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
 
 
 def _sample_count(rec: Recording) -> str:
     """Return the numbers of samples as text; for a truncated file, also the time of its end."""
-    text = (
-        f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
-        "an angle (dead band, and the sample after)"
-    )
+    turns = rec.description.channels[0].turns
+    why = "an angle (dead band, and the sample after)" if turns else f"a valid {rec.first}"
+    text = f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without {why}"
     if rec.truncated:
         text += f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
     return text
@@ -394,7 +401,7 @@ def plot(
 ) -> None:
     """Plot a recording, and report its faults (handout 3.1.4).
 
-    The figure shows u, theta_1, its rate and alpha. Missing samples and the dead band are shaded,
+    The figure shows u, the channels and their rates. Missing samples and the dead band are shaded,
     and outliers are ringed. A drift is reported in the text.
     """
     from armrig.recordings.overview import overview
@@ -452,7 +459,9 @@ def export(
         False, "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel."
     ),
     raw: bool = chosen(False, "Include the readings and times as recorded."),
-    signal: ChannelName = chosen(THETA_1, "Signal that becomes y in the MAT-file."),
+    signal: str | None = chosen(
+        None, "Signal that becomes y in the MAT-file.", "the first channel", metavar="NAME"
+    ),
     start: From = None,
     stop: To = None,
     calibration: CalibrationFile = None,
@@ -465,7 +474,8 @@ def export(
     In MATLAB: `s = load('data.mat'); z = iddata(s.y, s.u, s.Ts)`. Missing samples have rows, too.
     A missing y is NaN.
     """
-    from armrig.recordings.files.export import write_csv, write_mat, write_parquet, write_transforms
+    from armrig.physics.files.poses import write_transforms
+    from armrig.recordings.files.export import write_csv, write_mat, write_parquet
 
     asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
     kind = _format(out, asked)

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from itertools import islice
 from math import degrees, isfinite
@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from armrig_core.process.loading import end_at_ctrl_c
 from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import until_signal
+from armrig_core.rig.channels import Channel, sample_names
 
 import armrig
-from armrig.cli.options import Connect, Json, RigId, argument, chosen
+from armrig.cli.options import Connect, Json, RigFile, RigId, argument, chosen
 from armrig.cli.printing import (
     echo,
     folded,
@@ -56,7 +57,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         return
     print_table(*status_rows(report))
     if report.phase == "safe" and not report.line:
-        _say_next("status chassis" if report.arm_removed else "status", rig, connect)
+        _say_next(_after("status", report), rig, connect)
 
 
 def watch(
@@ -72,17 +73,19 @@ def watch(
     With --json each line has the fields of a sample, or of a gap: k_first, count, reason and more.
     """
     with opened_rig(rig, connect) as opened:
+        channels = opened.status().described.channels
+        names = sample_names(channels)
         samples = islice(opened.stream("sample"), count)
         with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
             if json:
                 for sample in samples:
                     if not isinstance(sample, armrig.LiveGap):
-                        sample = dict(zip(SAMPLE_NAMES, sample, strict=True))
+                        sample = dict(zip(names, sample, strict=True))
                     print_json(sample)
             elif sys.stdout.isatty():
-                _watch(samples)
+                _watch(samples, channels)
             else:
-                _watch_in_lines(samples)
+                _watch_in_lines(samples, channels)
 
 
 def stop(
@@ -187,6 +190,13 @@ def note(
     print_result({"rig": rig, "recorded": is_recorded}, text, json=json)
 
 
+def _after(command: str, status: StatusReport) -> str:
+    """Return the key of the next command: the kind of rig decides."""
+    if not status.described.arm:
+        return f"{command} other"
+    return f"{command} alone" if status.arm_removed else command
+
+
 def _say_next(after: str, rig: str, connect: str | None) -> None:
     from armrig.cli.next_step import naming, say_next
 
@@ -205,33 +215,47 @@ def opened_rig(rig: str, connect: str | None) -> Iterator[Any]:
             raise RefusedError(refusal_sentence(err, reset_command(rig, connect))) from err
 
 
-_WATCH_HEADING = f"{'k':>10} {'u [V]':>8} {'theta_1 [°]':>12} {'alpha [°]':>10} {'late [µs]':>10}"
+_Channels = Sequence[Channel]
+_COLUMNS = (12, 10)
+"""Widths of the columns of the channels."""
 
 
-def _watch(samples: Any) -> None:
+def _heading(channels: _Channels) -> str:
+    shown = (
+        f"{f'{c.name} [{_degrees(c)[0]}]':>{width}}"
+        for c, width in zip(channels, _COLUMNS, strict=False)
+    )
+    return f"{'k':>10} {'u [V]':>8} {' '.join(shown)} {'late [µs]':>10}"
+
+
+def _degrees(channel: Channel) -> tuple[str, float]:
+    """Return the unit in which a person reads a channel, and the factor to this unit."""
+    return ("°", degrees(1.0)) if channel.unit == "rad" else (channel.unit, 1.0)
+
+
+def _watch(samples: Any, channels: _Channels) -> None:
     from rich.console import Console
     from rich.live import Live
 
     with Live(console=Console(), refresh_per_second=10) as live:
         for sample in samples:
-            live.update(f"{_WATCH_HEADING}\n{_sample_line(sample)}")
+            live.update(f"{_heading(channels)}\n{_sample_line(sample, channels)}")
 
 
-def _watch_in_lines(samples: Any) -> None:
+def _watch_in_lines(samples: Any, channels: _Channels) -> None:
     """Print a line for each sample, so that a program can read the samples."""
-    echo(_WATCH_HEADING)
+    echo(_heading(channels))
     for sample in samples:
-        echo(_sample_line(sample))
+        echo(_sample_line(sample, channels))
 
 
-def _sample_line(sample: Any) -> str:
+def _sample_line(sample: Any, channels: _Channels) -> str:
     if isinstance(sample, armrig.LiveGap):
         return f"{sample.k_first:>10} {sample.count} missing: {sample.reason}"
     late = (sample.t_host_ns - sample.t_sched_ns) / 1e3
-    return (
-        f"{sample.k:>10} {sample.u_applied_v:>8.3f} {degrees(sample.theta_1_rad):>12.2f} "
-        f"{degrees(sample.alpha_rad):>10.2f} {late:>10.1f}"
-    )
+    values = zip(channels, (sample.value_0, sample.value_1), _COLUMNS, strict=False)
+    shown = (f"{y * _degrees(c)[1]:>{width}.2f}" for c, y, width in values)
+    return f"{sample.k:>10} {sample.u_applied_v:>8.3f} {' '.join(shown)} {late:>10.1f}"
 
 
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
@@ -255,6 +279,7 @@ def lab(
         None, "Configuration file, in place of the installed files.", metavar="TOML"
     ),
     rig: RigId = "1",
+    rig_file: RigFile = None,
     page: bool = chosen(
         True,
         "Also serve the dashboard, and open it if there is a screen; not with --json.",
@@ -281,6 +306,7 @@ def lab(
     log.parent.mkdir(parents=True, exist_ok=True)
     arguments = ["--rig", rig, *(["--emulate"] if port is None else ["--port", port])]
     arguments += [] if config is None else ["--config", str(config)]
+    arguments += [] if rig_file is None else ["--rig-file", str(rig_file)]
     with (
         running(arguments, rig=rig, log=log) as daemon,
         armrig.Rig(rig) as opened,
@@ -314,7 +340,7 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, js
     shown = told = ""
     status, asked_s = rig.status(), time.monotonic()
     # Computed once: the commands of later recordings print their own next command.
-    after = next_line("lab chassis" if status.arm_removed else "lab", rig=naming(status.rig))
+    after = next_line(_after("lab", status), rig=naming(status.rig))
     with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
         sample = None
         while True:
@@ -355,10 +381,10 @@ def _lines(status: StatusReport, sample: Any) -> str:
     who = f"owner {status.owner}" if status.owner else "no owner"
     lines = [f"rig {status.rig}: {status.phase}, {who}"]
     if sample is not None:
-        lines.append(
-            f"u {sample.u_applied_v:.3f} V   theta_1 {_angle(sample.theta_1_rad)}   "
-            f"alpha {_angle(sample.alpha_rad)}"
-        )
+        channels = status.described.channels
+        values = zip(channels, (sample.value_0, sample.value_1), strict=False)
+        shown = [f"{c.name} {_shown(c, y)}" for c, y in values]
+        lines.append("   ".join([f"u {sample.u_applied_v:.3f} V", *shown]))
     last = status.last_run
     if last is not None:
         how = f"recorded, {last.outcome}" if last.finished else "recording"
@@ -366,8 +392,11 @@ def _lines(status: StatusReport, sample: Any) -> str:
     return "\n".join(lines)
 
 
-def _angle(x: float) -> str:
-    return f"{degrees(x):.1f}°" if isfinite(x) else _BLANK
+def _shown(channel: Channel, x: float) -> str:
+    """Return a value with its unit; an angle is in degrees."""
+    if not isfinite(x):
+        return _BLANK
+    return f"{degrees(x):.1f}°" if channel.unit == "rad" else f"{x:.4g} {channel.unit}"
 
 
 def _between_words(text: str, columns: int) -> str:

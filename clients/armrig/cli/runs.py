@@ -27,6 +27,7 @@ from armrig.cli.options import (
     Connect,
     From,
     Json,
+    RigFile,
     RigId,
     SamplingTime,
     To,
@@ -596,6 +597,7 @@ def demo(
         "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
         "builds the necessary program, which no wheel contains.",
     ),
+    rig_file: RigFile = None,
     json: Json = False,
 ) -> None:
     """Emulate a rig, record it, identify models and write a report.
@@ -612,7 +614,8 @@ def demo(
         raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
     if seconds > _MAX_DEMO_S:
         raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_MAX_DEMO_S:g} s")
-    how = {"virtual": virtual or firmware, "firmware": firmware}
+    how: dict[str, Any] = {"virtual": virtual or firmware, "firmware": firmware}
+    how["rig_file"] = rig_file
     facts, text = run_demo(directory, seconds=seconds, seed=seed, **how)
     print_result(facts, text, json=json)
     if not json:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
-from armrig_core.telemetry.channels import OutputName
 
 import armrig
 from armrig import plots
@@ -54,11 +53,11 @@ from armrig.cli.recorded_data import (
     Part,
     SignalChoice,
     by_channel,
-    chosen_outputs,
     data_group,
     facts_by_channel,
     from_recording,
     loaded,
+    names,
     recording_path,
     require_result,
     say_channel,
@@ -401,6 +400,8 @@ def check(
     def say_after() -> None:
         if not from_recording(data):
             say_next("check other", file=typed(file), given=signals.options())
+        elif not signals.read[0].description.arm:
+            say_next("check rig", file=typed(file))
         elif kind_of(file) == "greybox":
             say_next("check greybox")
         elif recorded := chassis():
@@ -550,7 +551,9 @@ def report(
             problem["cases"] = cases(given) if given else None
             recordings, typeset = _handout_report(files, calibration, answers, **problem)
         else:
-            recordings, typeset = _study_report(files, calibration, orders, chosen_outputs(signal))
+            recordings, typeset = _study_report(
+                files, calibration, orders, names("--signal", ",".join(signal or ()))
+            )
         with spinner("typesetting"):
             typeset(output, source=source)
     print_result(
@@ -635,7 +638,7 @@ def _study_report(
     files: Sequence[Path],
     calibration: Path | None,
     orders: dict[str, Any],
-    outputs: Sequence[OutputName],
+    outputs: Sequence[str],
 ) -> tuple[list[Recording], Callable[..., Any]]:
     """Return the recordings, and the function that typesets a report on them."""
     from armrig.report.document import report as typeset

@@ -21,6 +21,7 @@ from armrig_core.commands.commands import (
 )
 from armrig_core.errors import ParameterError
 from armrig_core.recording_file.part_names import part_paths
+from armrig_core.telemetry.channels import BODY
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 from rich.console import Console
@@ -101,6 +102,8 @@ class Plan:
     """Time in s without a sign of life after which the daemon stops the run; None for no limit."""
     without_arm: bool = False
     """True if the experiment needs the chassis without the arm."""
+    of_arm: bool = False
+    """True if the experiment calibrates the potentiometers of the arm."""
 
     def __post_init__(self) -> None:
         """Raise ParameterError for settings that are invalid, whatever the sampling time."""
@@ -233,13 +236,24 @@ def collect(
     """
     with Rig(rig, connect=connect) as opened:
         status = opened.status()
+        described = status.described
+        if (plan.without_arm or plan.of_arm) and not described.arm:
+            name = described.channels[0].name
+            two = f"--point {name}=A --point {name}=B"
+            instead = f"`armrig calibrate {two}`" if plan.of_arm else "`armrig collect blackbox`"
+            raise RigError(
+                f"this experiment is for the arm, and rig {status.rig} is "
+                f"'{described.rig.name}': use {instead}"
+            )
         if plan.without_arm and not status.arm_removed:
             raise RigError(
-                f"this experiment needs the chassis alone, but rig {status.rig} has its arm on: "
+                f"this experiment needs the {BODY} alone, but rig {status.rig} has its arm on: "
                 f"{ARM_OFF}"
             )
+        if described.model is None:
+            tell("not rehearsed: the description of this rig has no [model]")
         if status.arm_removed and not plan.without_arm:
-            tell(f"rig {status.rig} has no arm ([arm] removed): this is the chassis alone")
+            tell(f"rig {status.rig} has no arm ([arm] removed): this is the {BODY} alone")
         armed = False
         try:
             granted = opened.arm(plan.owner, plan.Ts)

@@ -136,10 +136,20 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
         ("recordings", report.recordings),
         ("Ts", f"{report.Ts:g} s"),
         ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
-        ("calibration", report.calibration or "not reported by this daemon"),
-        ("arm", "removed, according to [arm] removed" if report.arm_removed else "mounted"),
+        *_rig_rows(report),
         ("host", "; ".join(scheduling_sentences(report.host))),
         *([("device", device)] if not silent else []),
+    ]
+
+
+def _rig_rows(report: StatusReport) -> list[tuple[str, str]]:
+    """Return the rows about the calibration and the arm, or about the outputs of another rig."""
+    described = report.described
+    if not described.arm:
+        return described.rows()[:-1]
+    return [
+        ("calibration", report.calibration or "not reported by this daemon"),
+        ("arm", "removed, according to [arm] removed" if report.arm_removed else "mounted"),
     ]
 
 

@@ -31,6 +31,7 @@ VALUES: dict[str, Any] = {
     "options": "--structure oe --nb 4 --nf 4 --nk 1 --integrator",
     "validate": " --validate F2.mcap",
     "Ts": 0.005,
+    "seconds": 30.0,
     "part": " --from 1",
     "rig": " --rig 2",
     "given": " --signal theta_1",

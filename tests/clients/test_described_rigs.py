@@ -1,0 +1,111 @@
+"""Two described rigs from the recording to the report: an RC circuit, and a heater."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.excitation import telegraph
+from armrig_core.commands.commands import Run
+from armrig_core.errors import InputError
+from armrig_core.rig.description import shipped
+from armrig_daemon.config import Config, Timing
+from armrig_daemon.emulator.device import Device
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
+
+ARM_WORDS = ("chassis", "theta_1", "alpha", "J_1", "dead band", "motor")
+
+
+def recordings(folder: Path, rig: str, Ts: float, N: int, a: float) -> list[Path]:
+    """Record two telegraph signals of a described rig in virtual time."""
+    described = shipped(rig)
+    service = VirtualService(
+        Config(timing=Timing(Ts=Ts)),
+        folder,
+        seed=1,
+        switch_on=partial(Device, description=described),
+        description=described,
+    )
+    inputs = [telegraph(N, a, 0.5, 4.5, seed=seed).tolist() for seed in (1, 2)]
+    return [service.record(Run(lease=LEASE, n=1, u=u, experiment="blackbox")) for u in inputs]
+
+
+@pytest.fixture(scope="module")
+def rc(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return recordings(tmp_path_factory.mktemp("rc"), "rc", 0.01, 3000, 0.1)
+
+
+@pytest.fixture(scope="module")
+def heater(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return recordings(tmp_path_factory.mktemp("heater"), "heater", 1.0, 400, 0.02)
+
+
+def test_the_poles_of_the_circuit_are_found_within_their_deviations(rc: list[Path]) -> None:
+    fit = armrig.oe(armrig.load(rc[0]).dataset(), nb=2, nf=2)
+
+    figures = fit.summary().figures
+    order = np.argsort(figures.poles.real)
+    apart = np.abs(figures.poles[order] - [-15.0, -8.0])
+    assert fit.output == "y"
+    assert np.all(apart < 4 * figures.poles_std[order])
+    assert np.all(figures.poles_std < 0.1)
+
+
+def test_channels_of_a_recording_have_the_names_of_the_rig(heater: list[Path]) -> None:
+    recording = armrig.load(heater[0])
+    signals = recording.signals()
+
+    assert (signals.outputs, signals.inputs) == (("T1", "T2"), ("power",))
+    assert recording["T2"] is recording.T2
+    assert recording.valid_T1 is recording.valid
+    fit = armrig.n4sid(armrig.detrend(signals), order=3)
+    assert fit["T2", "power"].output == "T2"
+    with pytest.raises(AttributeError, match="recording of rig heater has no theta_1: T1, T2"):
+        _ = recording.theta_1
+
+
+def test_no_command_speaks_of_an_arm(
+    rc: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = map(str, rc)
+    model = str(tmp_path / "model.json")
+    commands = (
+        f"info {first}",
+        f"sampling {first}",
+        f"hints {first}",
+        f"identify {first} --structure oe --nb 2 --nf 2 --validate {second} --save {model}",
+        f"validate {second} --model {model}",
+        f"compare {first} {second} --model {model}",
+        f"check {first}",
+    )
+    for command in commands:
+        assert main(command.split()) == 0, command
+        said = "".join(capsys.readouterr()).replace(str(tmp_path), "")
+        assert not [word for word in ARM_WORDS if word in said], (command, said)
+
+
+def test_a_command_of_the_physics_refuses_another_rig(
+    rc: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["greybox", str(rc[0])]) == 1
+    assert "is of rig rc, and this command is for the arm's" in capsys.readouterr().err
+
+
+def test_a_report_of_another_rig_has_no_physical_model(rc: list[Path]) -> None:
+    from armrig.report.study import study
+    from armrig.report.study_sections import study_contents
+
+    done = study([armrig.load(path) for path in rc])
+
+    said = repr(study_contents(done, ()))
+    assert done.reference is None
+    assert not [word for word in ARM_WORDS if word in said]
+
+
+def test_a_model_of_the_arm_is_refused_for_another_rig(rc: list[Path]) -> None:
+    with pytest.raises(InputError, match="a recording has y"):
+        armrig.load(rc[0]).dataset("alpha")
