@@ -488,6 +488,9 @@ def export(
     check_output(out, [file])
     with spinner("reading"):
         recording = armrig.load(file, calibration, start=start, stop=stop)
+    if signal is not None and signal not in recording.channels:
+        has = ", ".join(recording.channels)
+        raise typer.BadParameter(f"--signal {signal}: the recording has {has}")
     warned(recording)
     with spinner("writing"), _whole(out):
         writers[kind](recording, out)

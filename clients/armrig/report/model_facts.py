@@ -170,8 +170,8 @@ def without_arm(study: Study) -> str:
     names = [run_name(r) for r in study.recordings if r.sha256 in used and not second_moves(r)]
     second = [*study.recordings[0].channels][-1]
     return (
-        f"In {plain(listed(names))} {second} is constant: the arm was removed or held. The models are "
-        "therefore not compared with the physical model of the whole rig."
+        f"In {plain(listed(names))} {second} is constant: the arm was removed or held. The models "
+        "are therefore not compared with the physical model of the whole rig."
     )
 
 

@@ -21,7 +21,7 @@ from armrig_core.commands.commands import (
 )
 from armrig_core.errors import ParameterError
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.telemetry.channels import BODY
+from armrig_core.rig.calibration import BODY
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 from rich.console import Console

@@ -11,6 +11,8 @@ from armrig_core.rig.volts import U_MAX_V
 
 CALIBRATED = ("theta_1", "alpha")
 """Names of the channels that a calibration contains, in the order of the device's readings."""
+BODY = "chassis"
+"""Part of the arm whose turns the device counts."""
 _MAX_ZERO_COUNTS = 655_360  # ten times the range of the converter
 _MIN_RAD_PER_COUNT, _MAX_RAD_PER_COUNT = 1e-8, 0.1  # 0.04° and 1000 turns for the full range
 

@@ -29,8 +29,6 @@ CHANNELS = shipped("arm").channels
 """Channels of the arm, in addition to u."""
 BODIES = {channel.name: channel.body for channel in CHANNELS}
 """Part of the arm whose motion each channel shows."""
-BODY = CHANNELS[0].body
-"""Part of the arm whose turns the device counts."""
 SAMPLE_FIELDS = sample_fields(CHANNELS)
 """Name and protobuf type of each field of the arm's `armrig.v1.Sample`, numbered from 1."""
 SAMPLE_NAMES = tuple(name for name, _ in SAMPLE_FIELDS)

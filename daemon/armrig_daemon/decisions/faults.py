@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
-from armrig_core.telemetry.channels import BODY
+from armrig_core.rig.calibration import BODY
 from armrig_protocol.messages import Cause
 
 

@@ -167,7 +167,7 @@ def test_a_lab_reports_a_ready_rig_or_the_reason(changes: dict[str, Any], lines:
 
 
 def test_the_view_of_a_lab_has_degrees_and_the_newest_run() -> None:
-    sample = SimpleNamespace(u_applied_v=2.5, theta_1_rad=-1.0, alpha_rad=float("nan"))
+    sample = SimpleNamespace(u_applied_v=2.5, value_0=-1.0, value_1=float("nan"))
     run = {"recording": "/of/mine/1-step.mcap", "run_id": "a", "missing": 2, "samples": 30}
     run = {name: x for name, x in run.items() if name in LastRun.__struct_fields__}
     going = LastRun(**run, outcome="", finished=False)

@@ -66,6 +66,7 @@ VALUES = {
     **{"--set": "R_m=4", "--omega": "5", "--amplitude": "1", "--span": "3", "--method": "heun"},
     **{"--tolerance": "0.02", "--free": "J_2", "--friction": "both", "--parts": "2,3"},
     **{"--from": "0.5", "--to": "2.5", "--level": "0.002", "--lags": "7", "--horizon": "3"},
+    **{"--rig-file": "r.toml", "--point": "y=1"},
     **{"--model": "m2.json", "--calibration": "c.toml", "--validate": OTHER},
     **{"--poles": "3", "--zeros": "1", "--delay": "0.1", "--form": "P1D"},
 }

@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 from armrig.cli import main, runs
-from armrig.cli.rig import _WATCH_HEADING, _sample_line
+from armrig.cli.rig import _heading, _sample_line
 from armrig.rig.replies import RefusedError
 from armrig.rig.telemetry_stream import LiveGap
 from armrig_core.commands.codes import COMPLETE, RefusalCode
 from armrig_core.commands.commands import StatusReport
+from armrig_core.rig.description import shipped
 
 from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import sample
@@ -202,10 +203,11 @@ def test_a_line_of_watch_has_its_units() -> None:
     volts = {"u_applied_v": 1.25, "u_cmd_v": 3.0}
     one = sample(42)._replace(**volts, value_0=-1.0, value_1=0.5, t_host_ns=0)
 
-    line = _sample_line(one._replace(t_sched_ns=-7_500))
+    channels = shipped("arm").channels
+    line = _sample_line(one._replace(t_sched_ns=-7_500), channels)
 
     assert line.split() == ["42", "1.250", "-57.30", "28.65", "7.5"]
-    assert len(line) == len(_WATCH_HEADING)
+    assert len(line) == len(_heading(channels))
 
 
 def test_watch_prints_samples_and_gaps_as_lines_or_json(

@@ -91,7 +91,6 @@ def test_a_report_may_have_only_the_output_alpha(three_recordings: tuple[Path, P
     [
         (("velocity",), Orders(), "velocity: the models of a report have the output theta_1 or"),
         (("theta_1", "theta_1"), Orders(), "theta_1, theta_1: the models of a report"),
-        ((), Orders(), "no output: the models"),
         (("theta_1", "alpha"), Orders(nb=1), "nb=1, nf=4: the models of alpha have one"),
     ],
 )

@@ -29,15 +29,13 @@ CAL_REPLY_NS = 260 * US  # 26 bytes at 1 Mbaud
 def reading(host: Host, theta_1: Iterable[int], alpha: Iterable[int]) -> list[tuple[str, int]]:
     """Let the converter read these codes in turn; return the readings, and their times."""
     read: list[tuple[str, int]] = []
-    board = host.device.board
-    for name, values in (("theta_1", theta_1), ("alpha", alpha)):
-        turn = iter(values)
+    turns = iter(theta_1), iter(alpha)
 
-        def take(t_ns: int, name: str = name, turn: Iterable[int] = turn) -> int:
-            read.append((name, t_ns))
-            return next(turn)
+    def take(channel: int, t_ns: int) -> int:
+        read.append((("theta_1", "alpha")[channel], t_ns))
+        return next(turns[channel])
 
-        setattr(board, name, take)
+    host.device.board.reading = take  # type: ignore[method-assign]
     return read
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.telemetry.channels import BODY, RATES
+from armrig_core.rig.calibration import BODY
+from armrig_core.telemetry.channels import RATES
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
