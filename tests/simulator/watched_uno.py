@@ -18,7 +18,7 @@ from armrig_daemon.emulator.harness import Duty
 from armrig_daemon.emulator.harness import Violation as Violated
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import arrivals, wire_ns
-from armrig_daemon.emulator.uno import PERIOD, THETA_1, Uno
+from armrig_daemon.emulator.uno import PERIOD, Uno
 from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import decode
@@ -119,7 +119,7 @@ class WatchedUno(Uno):
         self.violations.clear()
 
     def _reading(self, cycle: int, channel: int) -> int:
-        if channel == THETA_1:
+        if channel == 0:
             self._holds.append(self.ns(cycle))
         return super()._reading(cycle, channel)
 
