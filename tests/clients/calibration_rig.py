@@ -71,7 +71,7 @@ def runs(settings: EmulatorSettings, *inputs: NDArray[np.float64]) -> list[Readi
         samples = [s for s in decoded if s and 0 <= s.k - started.k_first < u.size]
         assert len(samples) == u.size
         t_us, u_v, theta_1, alpha = np.array(
-            [(s.t_device_us, s.u_applied_v, s.theta_1_counts, s.alpha_counts) for s in samples],
+            [(s.t_device_us, s.u_applied_v, s.counts_0, s.counts_1) for s in samples],
             dtype=np.float64,
         ).T
         found.append(Readings(t=(t_us - t_us[0]) * 1e-6, u=u_v, theta_1=theta_1, alpha=alpha))

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.dashboard.feed import Feed
+from armrig.dashboard.serving import Listener, not_drawn
 from armrig.excitation import telegraph
+from armrig.recordings.usability import doubts_of_pair
 from armrig_core.commands.commands import Run
 from armrig_core.errors import InputError
 from armrig_core.rig.description import shipped
 from armrig_daemon.config import Config, Timing
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
+from msgspec.structs import replace
+
+from tests.clients.fake_daemon import FakeDaemon
 
 ARM_WORDS = ("chassis", "theta_1", "alpha", "J_1", "dead band", "motor")
 
@@ -104,6 +112,35 @@ def test_a_report_of_another_rig_has_no_physical_model(rc: list[Path]) -> None:
     said = repr(study_contents(done, ()))
     assert done.reference is None
     assert not [word for word in ARM_WORDS if word in said]
+
+
+def test_the_page_shows_only_rigs_with_outputs_of_the_arm() -> None:
+    status = replace(FakeDaemon("there").status(), description=shipped("rc").text.decode())
+    feed, rig = Feed(), SimpleNamespace(status=lambda: status, arrivals=lambda _: nullcontext(list))
+
+    with pytest.raises(InputError, match="draw only the arm, and this rig is 'rc': use `armrig wa"):
+        Listener(feed, rig="1", connect=None, found=pytest.fail)._listen(rig)  # type: ignore[arg-type]
+
+    assert feed.status is None
+    assert not not_drawn(shipped("arm"))
+    assert not not_drawn(shipped("chassis"))
+
+
+def test_recordings_without_a_common_output_are_not_compared(
+    rc: list[Path], heater: list[Path]
+) -> None:
+    with pytest.raises(InputError, match=r"rig 'rc', .* of a rig 'heater': no output has the same"):
+        list(doubts_of_pair(armrig.load(rc[0]), armrig.load(heater[0])))
+
+
+def test_the_advice_to_turn_the_rig_is_for_the_arm() -> None:
+    u = armrig.step(200, at=50)
+    y, valid = np.ones(200), np.arange(200) != 49
+    valid[20:49] = False
+    for name, is_arm in (("theta_1", True), ("T1", False)):
+        with pytest.raises(InputError, match="record the step again") as refusal:
+            armrig.step_analysis(armrig.Dataset(u=u, y=y, Ts=0.01, valid=valid, output=name))
+        assert ("chassis" in str(refusal.value)) == is_arm
 
 
 def test_a_model_of_the_arm_is_refused_for_another_rig(rc: list[Path]) -> None:

@@ -47,7 +47,7 @@ def test_an_unknown_angle_is_encoded_as_nan() -> None:
     decoded = decode_sample(encode_sample(sample))
 
     assert decoded is not None
-    assert math.isnan(decoded.theta_1_rad)
+    assert math.isnan(decoded.value_0)
 
 
 @pytest.mark.parametrize("name", sorted({*protobuf.OF_STREAM.values()} - {protobuf.LOG}))

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from armrig_core.errors import InputError, OperationError
-from armrig_core.rig.description import path_of
 from numpy.typing import NDArray
 
 import armrig
@@ -31,7 +30,7 @@ _CONFIG = """\
 # Configuration of the demonstration: an emulated rig, sampled at 100 Hz.
 [rig]
 id = "{rig}"
-{described}
+
 [device]
 watchdog_ms = 250  # the longest: a busy machine stalls the emulator, too
 
@@ -94,15 +93,11 @@ def experiments(seconds: float, seed: int) -> list[Experiment]:
     return plan
 
 
-def write_config(directory: Path, seed: int, rig_file: Path | None = None) -> Path:
+def write_config(directory: Path, seed: int) -> Path:
     """Write the configuration of the demonstration's rig, and return its path."""
     path = directory / "armrig.toml"
     folder = json.dumps(str(directory.absolute()), ensure_ascii=False)  # also a string of TOML
-    described = ""
-    if rig_file is not None:
-        file = json.dumps(str(path_of(rig_file).absolute()), ensure_ascii=False)
-        described = f"file = {file}\n"
-    text = _CONFIG.format(rig=RIG, described=described, Ts=Ts, directory=folder, seed=seed)
+    text = _CONFIG.format(rig=RIG, Ts=Ts, directory=folder, seed=seed)
     path.write_text(text, encoding="utf-8")
     return path
 
@@ -114,7 +109,6 @@ def demo(
     seed: int,
     virtual: bool = False,
     firmware: bool = False,
-    rig_file: Path | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Record an emulated rig, identify and validate models, and write a report to `directory`.
 
@@ -122,10 +116,10 @@ def demo(
 
     If the machine stalls too often in real time, the remaining experiments are recorded in virtual
     time. If they cannot be recorded in virtual time either, an OperationError is raised.
-    `firmware` needs `virtual`. `rig_file` describes the rig; default: the arm.
+    `firmware` needs `virtual`.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    config, plan = write_config(directory, seed, rig_file), experiments(seconds, seed)
+    config, plan = write_config(directory, seed), experiments(seconds, seed)
     paths: list[Path] = []
     why = "" if virtual else _record(plan, config, paths)
     if why:

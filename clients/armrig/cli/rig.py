@@ -8,15 +8,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
-from itertools import islice
+from itertools import chain, islice
 from math import degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from armrig_core.errors import InputError
 from armrig_core.process.loading import end_at_ctrl_c
 from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import until_signal
-from armrig_core.rig.channels import Channel, sample_names
+from armrig_core.rig.channels import Channel, channel
+from armrig_core.telemetry.topics import PLAYED
 
 import armrig
 from armrig.cli.options import Connect, Json, RigFile, RigId, argument, chosen
@@ -33,6 +35,7 @@ from armrig.cli.printing import (
 
 if TYPE_CHECKING:
     from armrig_core.commands.commands import StatusReport
+    from armrig_core.telemetry.telemetry import Sample
     from rich.text import Text
 
     from armrig.dashboard.serving import Served
@@ -73,16 +76,19 @@ def watch(
     With --json each line has the fields of a sample, or of a gap: k_first, count, reason and more.
     """
     with opened_rig(rig, connect) as opened:
-        channels = opened.status().described.channels
-        names = sample_names(channels)
-        samples = islice(opened.stream("sample"), count)
+        samples: Iterator[Any] = islice(opened.stream("sample"), count)
         with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
             if json:
                 for sample in samples:
-                    if not isinstance(sample, armrig.LiveGap):
-                        sample = dict(zip(names, sample, strict=True))
-                    print_json(sample)
-            elif sys.stdout.isatty():
+                    is_gap = isinstance(sample, armrig.LiveGap)
+                    print_json(sample if is_gap else sample._asdict())
+                return
+            if rig.startswith(PLAYED):  # no daemon, so no status: the samples have the names
+                first = next(samples)
+                channels, samples = _channels_of(first), chain([first], samples)
+            else:
+                channels = opened.status().described.channels
+            if sys.stdout.isatty():
                 _watch(samples, channels)
             else:
                 _watch_in_lines(samples, channels)
@@ -220,6 +226,14 @@ _COLUMNS = (12, 10)
 """Widths of the columns of the channels."""
 
 
+def _channels_of(sample: Sample) -> _Channels:
+    """Return the channels that the names of a sample's fields contain."""
+    names = sample._fields
+    fields = ((names[i], names[i + 4].removesuffix("_counts")) for i in (4, 5))
+    used = ((field, name) for field, name in fields if not field.startswith("unused_"))
+    return [channel(i, name, field[len(name) + 1 :]) for i, (field, name) in enumerate(used)]
+
+
 def _heading(channels: _Channels) -> str:
     shown = (
         f"{f'{c.name} [{_degrees(c)[0]}]':>{width}}"
@@ -310,7 +324,7 @@ def lab(
     with (
         running(arguments, rig=rig, log=log) as daemon,
         armrig.Rig(rig) as opened,
-        _page(rig) if page and not json else nullcontext("") as url,
+        _page(opened) if page and not json else nullcontext("") as url,
     ):
         try:
             _show(opened, daemon, log, _Lab(what, url), json=json)
@@ -320,13 +334,17 @@ def lab(
 
 
 @contextmanager
-def _page(rig: str) -> Iterator[str]:
+def _page(rig: Rig) -> Iterator[str]:
     """Serve the dashboard, and open it in a browser if there is a screen."""
     import webbrowser
 
-    from armrig.dashboard.serving import Settings, dashboard
+    from armrig.dashboard.serving import Settings, dashboard, not_drawn
 
-    with dashboard(Settings(rig=rig)) as served:
+    if why := not_drawn(rig.status().described):
+        inform(why)
+        yield ""
+        return
+    with dashboard(Settings(rig=rig.rig)) as served:
         if sys.stdout.isatty() and any(name in os.environ for name in _SCREENS):
             webbrowser.open(served.browser_url)
         yield served.url
@@ -457,14 +475,19 @@ def dashboard(
         inform("starting the dashboard …", dim=True)
     # `until_signal` only notes the first Ctrl-C, and the imports take seconds on a busy machine.
     has_loaded = end_at_ctrl_c("armrig")
-    import armrig.dashboard.serving  # noqa: F401 - used below
+    import armrig.dashboard.serving
 
     has_loaded()
+    described = None
     with until_signal() as ended, ExitStack() as opened:
-        from armrig.dashboard.serving import Settings
+        from armrig.dashboard.serving import Settings, not_drawn
         from armrig.dashboard.serving import dashboard as serving
         from armrig.dashboard.share import own_address
 
+        with suppress(armrig.RigError), armrig.Rig(rig, connect=connect) as live:
+            described = live.status().described
+        if described and (why := not_drawn(described)):
+            raise InputError(why)
         address = own_address() if share else None
         settings = Settings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))

@@ -27,7 +27,6 @@ from armrig.cli.options import (
     Connect,
     From,
     Json,
-    RigFile,
     RigId,
     SamplingTime,
     To,
@@ -558,7 +557,8 @@ def play(
         tell(f"{file}: {run.damage}; the undamaged part is played")
     where = listen or own_endpoint(rig)
     count = 0
-    with staged(where, rig) as stage, suppress(KeyboardInterrupt):  # Ctrl-C is a normal end
+    # Ctrl-C is a normal end.
+    with staged(where, rig, run.channels) as stage, suppress(KeyboardInterrupt):
         _announce(run, rig, where, speed, named=listen, json=json)
         while True:
             if wait:
@@ -597,7 +597,6 @@ def demo(
         "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
         "builds the necessary program, which no wheel contains.",
     ),
-    rig_file: RigFile = None,
     json: Json = False,
 ) -> None:
     """Emulate a rig, record it, identify models and write a report.
@@ -615,7 +614,6 @@ def demo(
     if seconds > _MAX_DEMO_S:
         raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_MAX_DEMO_S:g} s")
     how: dict[str, Any] = {"virtual": virtual or firmware, "firmware": firmware}
-    how["rig_file"] = rig_file
     facts, text = run_demo(directory, seconds=seconds, seed=seed, **how)
     print_result(facts, text, json=json)
     if not json:

@@ -15,6 +15,7 @@ from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, stream_key
 
+from armrig.dashboard.serving import not_drawn
 from armrig.physics.files.poses import transforms, transforms_channel
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
@@ -22,7 +23,7 @@ from armrig.rig.session import RigError
 HOST = "127.0.0.1"
 PORT = 8765
 LAYOUTS = Path(__file__).parent / "layouts"
-"""Folder of the layouts for Foxglove and PlotJuggler; the layouts show the topics of rig 1."""
+"""Folder of the layouts for Foxglove and PlotJuggler; they show the topics of the arm, rig 1."""
 _FRAMES = "transforms"
 _PERIOD_S = 0.02
 """Period of the messages, in s (50 Hz); only the newest sample of each period is sent."""
@@ -80,7 +81,8 @@ def _send(channels: dict[str, Any], rig: str, connect: str | None, ends: threadi
     while not ends.is_set():
         try:
             with Rig(rig, connect=connect) as opened:
-                _pass_on(channels, opened, ends)
+                if not not_drawn(opened.status().described):
+                    _pass_on(channels, opened, ends)
         except (RigError, ValueError):
             pass  # the dashboard shows the reason
         ends.wait(_AGAIN_S)

@@ -286,7 +286,8 @@ def advised(status: StatusReport) -> StatusReport:
 def _newest(sample: Sample | None) -> dict[str, float | None] | None:
     if sample is None:
         return None
-    angles = {c.name: getattr(sample, c.value_field) for c in CHANNELS}
+    values = zip(CHANNELS, (sample.value_0, sample.value_1), strict=True)
+    angles = {c.name: y for c, y in values}
     return {
         "u": sample.u_applied_v,
         **{name: round(degrees(y), 2) if isfinite(y) else None for name, y in angles.items()},

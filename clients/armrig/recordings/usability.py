@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.commands.codes import OutcomeCode
+from armrig_core.errors import InputError
 from armrig_core.recording_file.manifest import Manifest
 from armrig_core.rig.calibration import Calibration
 
@@ -299,12 +300,21 @@ def doubts_of_pair(
 
     If `one_plant` is False, one recording may be of a part alone and the other recording of the
     whole rig.
+
+    Raises InputError if the recordings have no output in common.
     """
     a, b = first.manifest, other.manifest
     name = other.path.name
     if b.kind in NO_MODEL:
         text = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
         yield _poorly_excited(other, f"{text}--validation`)")
+    ours, theirs = ({(c.name, c.unit) for c in r.description.channels} for r in (first, other))
+    if not ours & theirs:
+        raise InputError(
+            f"{first.path.name} is of a rig '{first.description.rig.name}', {name} of a rig "
+            f"'{other.description.rig.name}': no output has the same name and unit; choose "
+            "recordings of one rig"
+        )
     if first.description.outputs != other.description.outputs:
         text = f"{first.path.name} and {name} have different descriptions of their rig: "
         yield warning("rig", f"{text}outputs, units or conversions differ")

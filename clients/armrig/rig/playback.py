@@ -15,8 +15,10 @@ import numpy as np
 import zenoh
 from armrig_core.access.owned_session import group_may_open, owned_session
 from armrig_core.errors import FileError
-from armrig_core.recording_file.manifest import Manifest
+from armrig_core.recording_file.manifest import Manifest, description_of
+from armrig_core.rig.channels import Channel
 from armrig_core.telemetry import protobuf
+from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, alive_key, schema_key, stream_key
 from numpy.typing import NDArray
@@ -58,6 +60,8 @@ class PublishedRun:
     """All other messages, in the order of their times."""
     clock: Clock
     """Conversion of the host's times to `t`."""
+    channels: tuple[Channel, ...] = CHANNELS
+    """Channels of the rig, which name fields of the samples."""
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -109,6 +113,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
         samples=samples,
         others=tuple(others),
         clock=clock,
+        channels=description_of(content.attachments).channels,
     )
 
 
@@ -135,7 +140,7 @@ def _host_ns(stream: str, message: Any, content: Content, clock: Clock) -> int:
 class Stage:
     """Session that publishes the messages of a recording; `staged` creates this session."""
 
-    def __init__(self, session: zenoh.Session, rig: str) -> None:
+    def __init__(self, session: zenoh.Session, rig: str, channels: tuple[Channel, ...]) -> None:
         self._session = session
         self._publishers = {
             stream: session.declare_publisher(
@@ -146,7 +151,7 @@ class Stage:
             for stream in STREAMS
         }
         self._served = {
-            schema_key(rig, name): protobuf.descriptor_set(name)
+            schema_key(rig, name): protobuf.descriptor_set(name, channels)
             for name in protobuf.OF_STREAM.values()
         }
         # Other queries get no answer: a client that got a status would take this session for a rig.
@@ -173,8 +178,10 @@ class Stage:
 
 
 @contextmanager
-def staged(where: str, rig: str) -> Iterator[Stage]:
+def staged(where: str, rig: str, channels: tuple[Channel, ...] = CHANNELS) -> Iterator[Stage]:
     """Yield a session that listens at an endpoint; clients cannot publish or answer queries there.
+
+    `channels` name fields of the schema of a sample.
 
     Raises RigError if the endpoint is not valid, is in use, or cannot be created.
     """
@@ -188,7 +195,7 @@ def staged(where: str, rig: str) -> Iterator[Stage]:
             "zenoh endpoint, such as tcp/127.0.0.1:7447; choose another endpoint with --listen"
         ) from err
     with session:
-        yield Stage(session, rig)
+        yield Stage(session, rig, channels)
 
 
 def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Published]:

@@ -17,7 +17,8 @@ from armrig_core.commands.codes import GapCode
 from armrig_core.errors import InputError
 from armrig_core.telemetry import protobuf, telemetry, topics
 from armrig_core.telemetry.channels import SAMPLE_NAMES
-from armrig_core.telemetry.telemetry import Sample
+from armrig_core.telemetry.telemetry import Sample, named_sample
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import DecodeError
 
 from armrig.rig.session import (
@@ -32,6 +33,7 @@ from armrig.rig.session import (
 SILENCE_S = 1.0
 """Time in s without a message; after this time the listener checks whether the daemon runs."""
 _LOOK_TIMEOUT_S = 1.0
+_SCHEMA_TIMEOUT_S = 5.0
 _LISTEN_INTERVAL_S = 0.002
 _RING_MESSAGES = 10_000  # a slower listener misses the oldest messages
 _RING_BYTES = MOST_RECEIVED  # of all messages; one message may be this long
@@ -64,9 +66,9 @@ def stream(
     Yields
     ------
     Sample, LiveGap or protobuf message
-        A sample is a named tuple; the names of its fields contain the unit (`u_applied_v`,
-        `theta_1_rad`). A `LiveGap` is a gap between two samples. Every other message is an
-        `armrig.v1` message.
+        A sample is a named tuple; the names of its fields are those of the rig and contain the unit
+        (`u_applied_v`, `theta_1_rad`). A `LiveGap` is a gap between two samples. Every other
+        message is an `armrig.v1` message.
 
     Raises
     ------
@@ -155,13 +157,36 @@ def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any
         ring.add(payload, len(payload))
 
     def messages_since() -> list[Any]:
-        return [_read(rig, name, payload) for payload in ring.take()]
+        messages = [_read(rig, name, payload) for payload in ring.take()]
+        return [kind._make(message) for message in messages] if name == "sample" else messages
 
     # The callback runs in the receiving thread. For another thread, zenoh would use a queue that
     # limits only the number of messages.
     callback = zenoh.handlers.Callback(receive, indirect=False)
     with session.declare_subscriber(key, callback):
+        kind = _sample_kind(session, rig) if name == "sample" else Sample
         yield messages_since
+
+
+def _sample_kind(session: zenoh.Session, rig: str) -> type[Sample]:
+    """Return the type of a rig's samples, named by its schema; without a schema, by number."""
+    for reply in session.get(topics.schema_key(rig, protobuf.SAMPLE), timeout=_SCHEMA_TIMEOUT_S):
+        if reply.ok is None:
+            raise NoReplyError(f"rig {rig}: its daemon does not report the names of its samples")
+        try:
+            files = FileDescriptorSet.FromString(reply.ok.payload.to_bytes()).file
+        except DecodeError as err:
+            raise RigError(f"rig {rig}: the schema of its samples cannot be read ({err})") from err
+        fields = {
+            field.number: field.name
+            for file in files
+            for message in file.message_type
+            if f"{file.package}.{message.name}" == protobuf.SAMPLE
+            for field in message.field
+        }
+        by_number = enumerate(Sample._fields, 1)
+        return named_sample(tuple(fields.get(number, name) for number, name in by_number))
+    return Sample
 
 
 def decoded(name: str, payload: bytes) -> Any:
@@ -171,7 +196,7 @@ def decoded(name: str, payload: bytes) -> Any:
     sample = telemetry.decode_sample(payload)
     if sample is not None:
         return sample
-    # A sample of another version, with more or fewer fields.
+    # A sample of another version, with more or fewer fields; their numbers are those of every rig.
     message = protobuf.decoded(protobuf.SAMPLE, payload)
     return Sample._make(getattr(message, field) for field in SAMPLE_NAMES)
 

@@ -33,7 +33,7 @@ MOST_NOTE_LENGTH = 500
 """Longest note, in characters."""
 
 
-class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
+class Rehearsal(msgspec.Struct, frozen=True, kw_only=True, repr_omit_defaults=True):
     """Response of the model to an input, from standstill."""
 
     revolutions: float = 0.0

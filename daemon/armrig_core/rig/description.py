@@ -35,7 +35,7 @@ IMAGES = ("uno",)
 COUNTS = 65536
 """Full scale of a reading, in counts."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
-_RESERVED = {"k", "t", "u", "flags", "valid", "outputs", "signals"}
+_RESERVED = {"k", "t", "u", "flags", "valid", "outputs", "signals", "value_0", "value_1"}
 _MAX_TEXT = 80
 _MAX_STATES = 40
 _MAX_DELAY_S = 3600.0
@@ -358,7 +358,7 @@ def shipped_files() -> list[Path]:
 def path_of(file: Path) -> Path:
     """Return the file of a description; a name without suffix may be that of a shipped one."""
     found = _SHIPPED / f"{file}.toml"
-    return found if len(file.parts) == 1 and found.is_file() and not file.exists() else file
+    return found if len(file.parts) == 1 and found.is_file() and not file.is_file() else file
 
 
 def described_at(file: Path | None) -> Description:

@@ -10,6 +10,9 @@ its unit.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from keyword import iskeyword
+from operator import itemgetter
 from struct import Struct
 from typing import NamedTuple
 
@@ -67,25 +70,29 @@ class Sample(NamedTuple):
     flags: int
     """`armrig_protocol.messages.Flag` of the device."""
 
-    @property
-    def theta_1_rad(self) -> float:
-        """Angle of the arm's chassis from its potentiometer, which wraps."""
-        return self.value_0
 
-    @property
-    def alpha_rad(self) -> float:
-        """Angle of the arm relative to the chassis."""
-        return self.value_1
+@cache
+def named_sample(names: tuple[str, ...]) -> type[Sample]:
+    """Return `Sample` with the names of a rig for its fields, in addition to those by number.
 
-    @property
-    def theta_1_counts(self) -> int:
-        """Raw reading of the arm's theta_1."""
-        return self.counts_0
+    A field keeps its name by number if Python does not allow the rig's name.
+    """
+    allowed = (
+        name.isidentifier() and not iskeyword(name) and not hasattr(tuple, name) for name in names
+    )
+    fields = tuple(
+        name if is_allowed else by_number
+        for name, is_allowed, by_number in zip(names, allowed, Sample._fields, strict=True)
+    )
+    values = {name: property(itemgetter(i)) for i, name in enumerate(fields)}
+    by_number = {name: getattr(Sample, name) for name in Sample._fields}
+    made = {"__slots__": (), "_fields": fields, "__repr__": _repr, **values, **by_number}
+    return type("Sample", (Sample,), made)
 
-    @property
-    def alpha_counts(self) -> int:
-        """Raw reading of the arm's alpha."""
-        return self.counts_1
+
+def _repr(sample: Sample) -> str:
+    shown = (f"{name}={value!r}" for name, value in sample._asdict().items())
+    return f"Sample({', '.join(shown)})"
 
 
 def encode_sample(sample: Sample) -> bytes:

@@ -21,6 +21,7 @@ from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
 from armrig_core.commands.commands import LastRun, StatusReport
+from armrig_core.rig.description import shipped
 
 from tests.clients.fake_daemon import status_report
 from tests.integration.processes import settled
@@ -129,7 +130,9 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     if screen:
         monkeypatch.setenv(screen, ":0")
 
-    with _page("1") as url:
+    described = SimpleNamespace(described=shipped("arm"))
+    live: Any = SimpleNamespace(rig="1", status=lambda: described)
+    with _page(live) as url:
         assert url == "http://page"
 
     assert opened == (["http://token"] if terminal and screen else [])

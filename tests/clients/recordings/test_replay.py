@@ -83,7 +83,7 @@ def test_a_replay_reports_a_changed_sample(run: Path, tmp_path: Path, n: int) ->
             return data
         one = decode_sample(data)
         assert one is not None
-        return encode_sample(one._replace(counts_1=one.alpha_counts + 1))
+        return encode_sample(one._replace(counts_1=one.counts_1 + 1))
 
     found = replayed(run, tmp_path / "a.mcap", change)
 

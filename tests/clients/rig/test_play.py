@@ -19,6 +19,8 @@ from armrig.rig.client import Rig
 from armrig.rig.playback import play, published, staged
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import LiveGap, stream
+from armrig_core.rig.channels import sample_names
+from armrig_core.rig.description import shipped
 from armrig_core.telemetry import telemetry
 from armrig_core.telemetry.topics import check_own_id
 from armrig_daemon.config import Rig as RigTable
@@ -159,6 +161,42 @@ def test_a_listener_receives_the_recorded_messages(run: Path, where: str) -> Non
     ]
     [missing] = [v for v in heard if isinstance(v, LiveGap)]
     assert (missing.k_first, missing.count, missing.reason) == (20, 5, "link silent")
+
+
+@pytest.mark.parametrize(("name", "field"), [("arm", "theta_1_rad"), ("heater", "T1_degC")])
+def test_a_live_sample_has_the_names_of_its_rig(
+    name: str, field: str, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    channels = shipped(name).channels
+    one = sample(7)._replace(value_0=0.5)
+    with staged(where, "played-1", channels) as stage:
+        samples = stream("rig/played-1/sample", connect=where)
+        ends = threading.Event()
+
+        def publish() -> None:
+            while not ends.wait(0.01):
+                stage.publish("sample", telemetry.encode_sample(one))
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            heard = next(samples)
+            watch = f"watch --rig played-1 --connect {where} --count 1".split()
+            codes = main(watch), main([*watch, "--json"])
+        finally:
+            ends.set()
+            thread.join()
+            samples.close()
+
+    assert (heard, tuple(heard._asdict())) == (one, sample_names(channels))
+    assert getattr(heard, field) == heard.value_0 == 0.5
+    assert f"{field}=0.5" in repr(heard)
+    assert hasattr(heard, "theta_1_rad") == (name == "arm")
+    head, line, found = capsys.readouterr().out.splitlines()
+    assert codes == (0, 0)
+    assert head.split()[3:7:2] == [c.name for c in channels]
+    assert line.split()[2] == ("28.65" if name == "arm" else "0.50")
+    assert json.loads(found)[field] == 0.5
 
 
 def test_a_slow_listener_does_not_delay_the_player(run: Path, where: str) -> None:

@@ -138,9 +138,9 @@ def test_a_sample_is_converted_to_the_units_of_the_telemetry(
 
     assert (sample.k, sample.t_sched_ns, sample.t_host_ns, sample.t_device_us) == (11, 22, 33, 44)
     assert (sample.u_cmd_v, sample.u_applied_v) == (volts_of(55_000), volts_of(40_000))
-    assert (sample.theta_1_counts, sample.alpha_counts, sample.flags) == (20_000, 30_000, flags)
-    assert isnan(sample.theta_1_rad) != theta_1
-    assert isnan(sample.alpha_rad) != alpha
+    assert (sample.counts_0, sample.counts_1, sample.flags) == (20_000, 30_000, flags)
+    assert isnan(sample.value_0) != theta_1
+    assert isnan(sample.value_1) != alpha
     if theta_1 and alpha:
-        assert sample.theta_1_rad == calibration.theta_1.value(20_000)
-        assert sample.alpha_rad == calibration.alpha.value(30_000)
+        assert sample.value_0 == calibration.theta_1.value(20_000)
+        assert sample.value_1 == calibration.alpha.value(30_000)

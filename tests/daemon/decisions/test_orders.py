@@ -259,8 +259,8 @@ def test_the_next_sample_is_converted_by_the_new_calibration() -> None:
 
     later = [s for s in bench.samples if s.k > k]
     assert later
-    assert all(s.theta_1_rad == (100 - s.theta_1_counts) / 16 for s in later)
-    assert all(s.alpha_rad == (s.alpha_counts - 200) / 32 for s in later)
+    assert all(s.value_0 == (100 - s.counts_0) / 16 for s in later)
+    assert all(s.value_1 == (s.counts_1 - 200) / 32 for s in later)
     assert {s.u_applied_v for s in later} == {0.0}
 
 

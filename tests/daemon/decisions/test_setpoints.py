@@ -331,7 +331,7 @@ def test_a_sample_of_the_run_is_published_with_its_k() -> None:
 
     (published,) = [a for a in actions if isinstance(a, Publish)]
     s = published.sample
-    assert (s.k, s.t_host_ns, s.theta_1_counts, published.queued) == (210, NOW + 3, 5, 44)
+    assert (s.k, s.t_host_ns, s.counts_0, published.queued) == (210, NOW + 3, 5, 44)
     assert (s.u_cmd_v, s.u_applied_v) == (volts_of(CODES[10]), volts_of(u))
     assert (after.last_reported_k, after.applied, after.t_us) == (210, u, (5 << 32) + 123)
     assert after.run.due == 11

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.rig.calibration import BODY
-from armrig_core.telemetry.channels import RATES
+from armrig_core.telemetry.channels import ARM_OUTPUTS, RATES
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -287,10 +287,16 @@ def _steps(data: Dataset) -> _Steps:
     if not at:
         raise InputError(
             f"{data.output} has fewer than 2 samples just before each of u's "
-            f"{plural(len(kept), 'step')}: record the step again at another angle of the {BODY} "
-            "(`armrig collect step --at SECONDS`)"
+            f"{plural(len(kept), 'step')}: record the step again{_elsewhere(data.output)}"
         )
     return _Steps(at, pre, post)
+
+
+def _elsewhere(output: str) -> str:
+    """Return where the arm's step is recorded again: not in the dead band of a potentiometer."""
+    if output not in ARM_OUTPUTS:
+        return ""
+    return f" at another angle of the {BODY} (`armrig collect step --at SECONDS`)"
 
 
 def _before(at: int, pre: int) -> slice:
@@ -415,8 +421,8 @@ def _warnings(
     if hidden:
         yield (
             f"{data.output} is missing {times(*hidden)} after the step, on the rise, so the "
-            f"63 % time is known only to ± {times(answer.tau_std)}; record the step again "
-            f"at another angle of the {BODY} (`armrig collect step --at SECONDS`)"
+            f"63 % time is known only to ± {times(answer.tau_std)}; record the step again"
+            f"{_elsewhere(data.output)}"
         )
     if abs(unsettled) > _MIN_UNSETTLED_SHARE:
         yield (

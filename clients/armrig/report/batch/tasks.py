@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.part_names import PART, part_number
+from armrig_core.telemetry.channels import THETA_1
 
 from armrig.data.treatment import detrend
 from armrig.estimation.request import Request
@@ -71,9 +72,12 @@ def name_of(task: Task) -> str:
 def digest(task: Task) -> str:
     """Return a hash of the task and its options; results with another hash are not reused.
 
-    An option that is None is left out, so that a new field does not change earlier hashes.
+    An option that is None is left out, so that a new field does not change earlier hashes. Only the
+    signal is not: earlier releases put the name of the arm's first output into the hash.
     """
     asked = {name: x for name, x in msgspec.to_builtins(task).items() if x is not None}
+    if isinstance(task, Identify):
+        asked.setdefault("signal", THETA_1)
     return sha256(msgspec.json.encode(asked, order="sorted").decode())
 
 
