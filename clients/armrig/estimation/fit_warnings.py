@@ -38,7 +38,7 @@ def search_warnings(best: Optimum, starts: tuple[Start, ...], *, agreed: bool) -
     elif not agreed:
         text = (
             f"the search from {starts[-1].name!r} ended in a poorer minimum "
-            f"(loss {starts[-1].loss:.4g}): the best was taken, it may not be global"
+            f"(loss {starts[-1].loss:.2g}): the best was taken, it may not be global"
         )
         yield warning("search", text, loss=starts[-1].loss)
 

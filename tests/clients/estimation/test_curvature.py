@@ -67,7 +67,7 @@ def test_the_end_of_a_search_is_reported_with_its_numbers(converged: bool, agree
     found = search_warnings(best, starts, agreed=agreed)
     told = [(x.text.partition(":")[0], x.remedy) for x in found]
 
-    poorer = "the search from 'FIR' ended in a poorer minimum (loss 1.25)"
+    poorer = "the search from 'FIR' ended in a poorer minimum (loss 1.2)"
     assert told == [
         *([("the search did not converge in 17 steps", "order")] if not converged else []),
         *([(poorer, "")] if converged and not agreed else []),
