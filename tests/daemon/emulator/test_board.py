@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from armrig_core.rig.description import shipped
 from armrig_core.rig.volts import duty
 from armrig_daemon.emulator import board as board_module
 from armrig_daemon.emulator.board import Board, Change, VoltageError, reported, volts
@@ -94,6 +95,15 @@ def test_an_ideal_sensor_has_no_dead_band() -> None:
 
     assert board.reading(0, 0) == 65536 // 4
     assert board.reading(1, 0) == round(65536 * 176 / 360)
+
+
+def test_a_board_reads_the_outputs_of_a_described_rig() -> None:
+    """The heater at rest is as warm as the room."""
+    heater, settings = shipped("heater"), EmulatorSettings(adc_bits=0, adc_noise_v=0.0)
+
+    board = Board(settings, 0, np.random.default_rng(0), description=heater)
+
+    assert heater.outputs["T1"].value(board.reading(0, 0)) == pytest.approx(23.0, abs=0.3)
 
 
 @pytest.mark.parametrize(
