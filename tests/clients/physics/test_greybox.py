@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.physics.grey_box.estimate import minimised, worse_with_friction
 from armrig.physics.grey_box.fit import below_zero
-from armrig.physics.grey_box.least_squares_problem import GreyBox
+from armrig.physics.grey_box.least_squares_problem import GreyBox, by_experiment
 from armrig.physics.grey_box.sampled_model import Friction, Physics, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
 from armrig_core.errors import InputError
@@ -419,7 +419,7 @@ def test_the_final_weights_of_the_outputs_do_not_depend_on_the_first() -> None:
 
         problem, best = minimised(begun, start)
 
-        (e,) = problem.residuals(problem.at(best.theta).e)
+        (e,) = by_experiment(problem.at(best.theta).e, problem.experiments, problem.std)
         np.testing.assert_allclose(problem.std, np.sqrt(np.mean(e**2, axis=0)), rtol=1e-3)
         found.append(best.theta)
     np.testing.assert_allclose(found[0], found[1], rtol=1e-6)

@@ -13,17 +13,11 @@ from numpy.typing import ArrayLike
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.data.treatment.wrong_samples import quantum
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.physics.grey_box.equations import Ode, Parameter
-from armrig.physics.grey_box.fit import GreyFit, named_std
-from armrig.physics.grey_box.inference import (
-    ROUNDING_SHARE,
-    determined,
-    inferred,
-    no_model,
-    noise_warnings,
-)
+from armrig.physics.grey_box.fit import GreyFit
+from armrig.physics.grey_box.inference import Held, grey_fit
+from armrig.physics.grey_box.least_squares_problem import by_experiment
 from armrig.physics.grey_box.shooting import (
     COLUMNS,
     MIN_SEGMENT,
@@ -73,7 +67,7 @@ class Equations:
             problem = _problem(self.model, (), {**self.model.values, **values}, experiments)
             nothing = np.zeros(0)
             z = problem.relaxed(nothing, problem.begun(nothing))
-            return np.vstack(residuals_of(problem, _searched(problem, z)))
+            return _residuals(problem, _searched(problem, z).theta)
 
     def to_control(self, parameters: Any) -> control.StateSpace:
         """Refuse: own equations may be nonlinear."""
@@ -189,7 +183,7 @@ def _searched(problem: Shooting, z: Vector) -> Optimum:
 def _refined(problem: Shooting, best: Optimum) -> tuple[Shooting, Optimum]:
     """Return problem and minimum with the noise of several outputs, and with enough steps."""
     for _ in range(_MAX_ROUNDS):
-        e = np.vstack(residuals_of(problem, best))
+        e = _residuals(problem, best.theta)
         noise = np.sqrt(np.nanmean(e**2, axis=0))
         steps, _ = problem.solver_error(best.theta, _MAX_SOLVER_SHARE * noise)
         finer = steps > problem.steps
@@ -205,81 +199,47 @@ def _refined(problem: Shooting, best: Optimum) -> tuple[Shooting, Optimum]:
     return problem, best
 
 
-def residuals_of(problem: Shooting, best: Optimum) -> list[Matrix]:
-    """Return the residuals (N, ny) of each experiment."""
-    return problem.residuals(problem.linearise(best.theta)[0])
+def _residuals(problem: Shooting, theta: Vector) -> Matrix:
+    """Return the residuals (N, ny) of all experiments."""
+    return np.vstack(by_experiment(problem.linearise(theta)[0], problem.experiments, problem.std))
 
 
 def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int) -> GreyFit:
     """Return the result, whose loss, fit and whiteness are those of output i."""
     names, d = problem.names, len(problem.names)
     at, values = problem.at(best.theta), problem.values(best.theta)
-    bounded = problem.coordinates.bounded()
     lost = [n for n, s in zip(names, at.size, strict=True) if not s > 0]
     if lost:
         raise InputError(
             f"{', '.join(lost)}: no effect on the output at the end of the search; hold fixed, "
             "start nearer, or check whether the equations contain it"
         )
+    noise = np.sqrt(np.nanmean(_residuals(problem, best.theta) ** 2, axis=0))
+    allowed = _MAX_SOLVER_SHARE * noise
+    error = problem.solver_error(best.theta, allowed)[1][i]
+    bounded = problem.coordinates.bounded()
     stopped = bounded & (np.abs(best.theta[:d] - start) >= MAX_MOVE)
-    free = np.flatnonzero(~stopped)
-    basis = determined(at.Psi[:, free], [names[j] for j in free])
-    found = inferred(problem, at, basis)
-    slope = problem.coordinates.slopes(best.theta[:d])
-    covariances = []
-    for part in (found.covariance, found.covariance_robust):
-        whole = np.full((d, d), np.nan)
-        whole[np.ix_(free, free)] = part
-        covariances.append(whole * np.outer(slope, slope))
-    quality, own = found.quality[i], data.dataset(data.outputs[i], data.inputs[0])
-    noise = float(np.sqrt(found.noise_covariance[i, i]))
-    noises = np.sqrt(np.diag(found.noise_covariance))
-    error = float(problem.solver_error(best.theta, 2 * _MAX_SOLVER_SHARE * noises)[1][i])
-    rounding = ROUNDING_SHARE * float(np.nansum((data.y / problem.std) ** 2))
-    converged = best.converged or best.cost <= rounding
-    steps = [quantum(data.dataset(name, data.inputs[0])) for name in data.outputs]
-    std = named_std(names, covariances[0])
-    sizes = np.linalg.norm(at.Psi[:, free], axis=0)
-    return GreyFit(
-        names=names,
+    doubts = [
+        f"{names[j]} ended at its bound, and has no deviation" for j in np.flatnonzero(stopped)
+    ]
+    if error > 2 * allowed[i]:
+        doubts.append(f"the integration is exact to {error:.1g}; the noise is {noise[i]:.1g}")
+    return grey_fit(
+        data,
+        i,
+        problem,
+        at,
+        best,
         values=values,
-        std=std,
-        std_noise=std,
-        std_robust=named_std(names, covariances[1]),
-        covariance=covariances[0],
-        covariance_robust=covariances[1],
-        condition=float(np.linalg.cond(at.Psi[:, free] / sizes)),
-        influence={},
-        fixed={**problem.fixed, **values},
-        fixed_std={},
-        initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
-        offset=tuple(float(x[-1]) for x in at.free),
-        noise_variance=noise**2,
-        loss=quality.loss,
-        fit_percent=quality.fit_percent,
-        whiteness=quality.white.p_value,
-        whiteness_test=quality.white.test,
-        quantum=steps[i],
-        N=quality.N,
-        Ts=own.Ts,
-        converged=converged,
+        slopes=problem.coordinates.slopes(best.theta[:d]),
+        held=Held(values={**problem.fixed, **values}),
         physics=Equations(
-            model=problem.ode, output=data.outputs[i], steps=problem.steps, solver_error=error
+            model=problem.ode,
+            output=data.outputs[i],
+            steps=problem.steps,
+            solver_error=float(error),
         ),
-        by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
-        warnings=(
-            *([] if converged else [f"no convergence in {best.iterations} steps"]),
-            *(
-                f"{names[j]} ended at its bound, and has no deviation"
-                for j in np.flatnonzero(stopped)
-            ),
-            *no_model(min(q.fit_percent for q in found.quality)),
-            *(
-                [f"the integration is exact to {error:.1g}; the noise is {noise:.1g}"]
-                if error > 2 * _MAX_SOLVER_SHARE * noise
-                else []
-            ),
-            *noise_warnings(data.outputs, steps, found, has_friction=True),
-        ),
-        **own.origin() | {"digest": data.digest},
+        doubts=lambda std: doubts,
+        stopped=stopped,
+        has_friction=True,
     )

@@ -12,25 +12,19 @@ from armrig_core.telemetry.channels import THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_signals
-from armrig.data.columns import Matrix, Vector
+from armrig.data.columns import Vector
 from armrig.data.dataset import Signals
-from armrig.data.treatment.wrong_samples import quantum
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.physics.grey_box.equations import Ode
 from armrig.physics.grey_box.equations_estimate import estimated
-from armrig.physics.grey_box.fit import GreyFit, below_zero, carried, named_std, scales
-from armrig.physics.grey_box.inference import (
-    ROUNDING_SHARE,
-    determined,
-    inferred,
-    no_model,
-    noise_warnings,
-)
+from armrig.physics.grey_box.fit import GreyFit, below_zero, scales
+from armrig.physics.grey_box.inference import Held, grey_fit
 from armrig.physics.grey_box.least_squares_problem import (
     GreyBox,
     GreyBoxWithFriction,
     bipolar,
+    by_experiment,
 )
 from armrig.physics.grey_box.sampled_model import (
     COULOMB,
@@ -211,7 +205,7 @@ def minimised(problem: GreyBox, start: Vector) -> tuple[GreyBox, Optimum]:
     """Return the problem with the estimated noise of several outputs, and its minimum."""
     best = searched(problem, start)
     for _ in range(_MAX_ROUNDS if problem.std.size > 1 else 0):
-        e = np.vstack(problem.residuals(problem.at(best.theta).e))
+        e = np.vstack(by_experiment(problem.at(best.theta).e, problem.experiments, problem.std))
         std = np.maximum(np.sqrt(np.nanmean(e**2, axis=0)), 1e-12 * problem.std)
         change = float(np.max(np.abs(std / problem.std - 1)))
         problem = replace(problem, std=std)
@@ -253,8 +247,7 @@ def _fit(
 ) -> GreyFit:
     """Return the result, whose loss, fit and whiteness are those of output i."""
     plain = problem if isinstance(problem, GreyBox) else problem.plain
-    physics, own = plain.physics[i], data.dataset(data.outputs[i])
-    at = problem.at(best.theta)
+    physics, at = plain.physics[i], problem.at(best.theta)
     values = plain.values(best.theta[: len(plain.names)])
     if COULOMB in names:
         values[COULOMB] = float(best.theta[len(plain.names)])
@@ -263,71 +256,32 @@ def _fit(
         raise InputError(
             f"the data do not determine {', '.join(lost)}: hold it fixed, or excite the rig more"
         )
-    rounding = ROUNDING_SHARE * float(np.nansum((data.y / plain.std) ** 2))
-    converged = best.converged or best.cost <= rounding
-    basis = determined(at.Psi, names)
-    found = inferred(plain, at, basis)
     held = tuple(x for x in NAMES if x not in names)
-    influence = -basis.W @ (basis.Q.T @ problem.at(best.theta, held).Psi)
-    scale_held = scales(held, {x: getattr(physics.fixed, x) for x in held})
-    # The uncertainty of the fixed parameters is added in coordinates.
-    added = carried(influence, np.array([fixed_std.get(x, 0.0) for x in held]) / scale_held)
-    scale = scales(names, values)
-    noise, whole, robust = (
-        part * np.outer(scale, scale)
-        for part in (found.covariance, found.covariance + added, found.covariance_robust + added)
-    )
-    std = named_std(names, whole)
-    has_friction = bool({"b_1", COULOMB} & {*names})
-    quality, steps = found.quality[i], [quantum(data.dataset(name)) for name in data.outputs]
-    return GreyFit(
-        names=names,
+    return grey_fit(
+        data,
+        i,
+        plain,
+        at,
+        best,
         values=values,
-        std=std,
-        std_noise=named_std(names, noise),
-        std_robust=named_std(names, robust),
-        covariance=whole,
-        covariance_robust=robust,
-        condition=float(np.linalg.cond(at.Psi / np.linalg.norm(at.Psi, axis=0))),
-        influence=_named_influence(names, held, influence),
-        fixed=physics.parameters(values),
-        fixed_std=fixed_std,
-        initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
-        offset=tuple(float(x[-1]) for x in at.free),
-        noise_variance=float(found.noise_covariance[i, i]),
-        loss=quality.loss,
-        fit_percent=quality.fit_percent,
-        whiteness=quality.white.p_value,
-        whiteness_test=quality.white.test,
-        quantum=steps[i],
-        N=quality.N,
-        Ts=own.Ts,
-        converged=converged,
+        slopes=scales(names, values),
+        held=Held(
+            values=physics.parameters(values),
+            names=held,
+            Psi=problem.at(best.theta, held).Psi,
+            std=fixed_std,
+            coordinate_std=np.array([fixed_std.get(x, 0.0) for x in held])
+            / scales(held, {x: getattr(physics.fixed, x) for x in held}),
+        ),
         physics=physics,
-        by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
-        warnings=(
-            *([] if converged else [f"no convergence in {best.iterations} steps"]),
+        doubts=lambda std: [
             *at_bound(plain.names, best.theta - start),
-            *no_model(min(q.fit_percent for q in found.quality)),
             *worse,
             *below_zero(values, std),
-            *noise_warnings(data.outputs, steps, found, has_friction=has_friction),
-        ),
-        **own.origin() | {"digest": data.digest},
+        ],
+        stopped=np.zeros(len(names), np.bool_),
+        has_friction=bool({"b_1", COULOMB} & {*names}),
     )
-
-
-def _named_influence(
-    names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
-) -> dict[str, dict[str, float]]:
-    """Return d ln(estimate)/d ln(fixed parameter) by both names, without the frictions."""
-    return {
-        name: {
-            k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9
-        }
-        for name, row in zip(names, influence, strict=True)
-        if name not in SIGNED | {COULOMB}
-    }
 
 
 def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:

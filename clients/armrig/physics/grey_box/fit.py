@@ -305,7 +305,7 @@ class GreyFit:
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
-def below_zero(values: dict[str, float], std: dict[str, float]) -> list[str]:
+def below_zero(values: Mapping[str, float], std: Mapping[str, float]) -> list[str]:
     """Return a warning for each negative estimate of a friction."""
     return [
         f"{n} = {v:.2g} is below 0, by {abs(v) / std[n]:.1f} standard deviations: take it as 0"
@@ -317,15 +317,3 @@ def below_zero(values: dict[str, float], std: dict[str, float]) -> list[str]:
 def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
     """Return the derivative of each parameter with respect to its coordinate."""
     return np.array([1.0 if x in SIGNED | {COULOMB} else values[x] for x in names])
-
-
-def carried(by_held: Matrix, std: ArrayLike) -> Matrix:
-    """Return the covariance that the standard deviations of the fixed parameters cause."""
-    moved = by_held * np.asarray(std)
-    return np.asarray(moved @ moved.T)
-
-
-def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
-    """Return standard deviations by name."""
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return dict(zip(names, std.tolist(), strict=True))

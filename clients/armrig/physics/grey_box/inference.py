@@ -2,27 +2,150 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.data.columns import Matrix
-from armrig.data.treatment.wrong_samples import too_quiet
+from armrig.data.columns import Matrix, Vector
+from armrig.data.dataset import Signals
+from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.stretches import Mask
-from armrig.physics.grey_box.least_squares_problem import Linearised, WeightedData
+from armrig.physics.grey_box.fit import GreyFit, PhysicalModel
+from armrig.physics.grey_box.least_squares_problem import (
+    Linearised,
+    WeightedData,
+    by_experiment,
+)
+from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED
 
-ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
+_ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
 _MIN_COMPONENT = 0.05  # least component of a parameter in a combination without effect
+_MIN_INFLUENCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """Parameters that are not estimated, with their effect on the outputs."""
+
+    values: Any
+    """All parameters, as `GreyFit.fixed`."""
+    names: tuple[str, ...] = ()
+    Psi: Matrix | None = None
+    """Derivatives of the outputs with respect to the coordinates of `names`, as in `Linearised`."""
+    std: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations by name, as given to the estimator."""
+    coordinate_std: Vector = field(default_factory=lambda: np.zeros(0))
+    """Standard deviations of the coordinates of `names`."""
+
+
+def grey_fit(
+    data: Signals,
+    i: int,
+    problem: WeightedData,
+    at: Linearised,
+    best: Optimum,
+    *,
+    values: dict[str, float],
+    slopes: Vector,
+    held: Held,
+    physics: PhysicalModel,
+    doubts: Callable[[Mapping[str, float]], Iterable[str]],
+    stopped: Mask,
+    has_friction: bool,
+) -> GreyFit:
+    """Return the result, whose loss, fit and whiteness are those of output i.
+
+    `slopes` are the derivatives of the parameters with respect to their coordinates. Parameters
+    that `stopped` at a bound have no standard deviation. `doubts` returns warnings from the
+    standard deviations.
+    """
+    names, free = tuple(values), np.flatnonzero(~stopped)
+    basis = determined(at.Psi[:, free], [names[j] for j in free])
+    found = inferred(problem, at, basis)
+    influence = np.zeros((free.size, 0))
+    if held.Psi is not None:
+        influence = -basis.W @ (basis.Q.T @ held.Psi)
+    moved = influence * held.coordinate_std
+
+    def whole(part: Matrix) -> Matrix:
+        covariance = np.full((len(names), len(names)), np.nan)
+        covariance[np.ix_(free, free)] = part
+        return covariance * np.outer(slopes, slopes)
+
+    noise, covariance = whole(found.covariance), whole(found.covariance + moved @ moved.T)
+    robust = whole(found.covariance_robust + moved @ moved.T)
+    std, quality = _named_std(names, covariance), found.quality[i]
+    own = [data.dataset(name, data.inputs[0]) for name in data.outputs]
+    steps = [quantum(output) for output in own]
+    rounding = _ROUNDING_SHARE * float(np.nansum((data.y / problem.std) ** 2))
+    converged = best.converged or best.cost <= rounding
+    return GreyFit(
+        names=names,
+        values=values,
+        std=std,
+        std_noise=_named_std(names, noise),
+        std_robust=_named_std(names, robust),
+        covariance=covariance,
+        covariance_robust=robust,
+        condition=float(np.linalg.cond(at.Psi[:, free] / np.linalg.norm(at.Psi[:, free], axis=0))),
+        influence=_named_influence([names[j] for j in free], held.names, influence),
+        fixed=held.values,
+        fixed_std=dict(held.std),
+        initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
+        offset=tuple(float(x[-1]) for x in at.free),
+        noise_variance=float(found.noise_covariance[i, i]),
+        loss=quality.loss,
+        fit_percent=quality.fit_percent,
+        whiteness=quality.white.p_value,
+        whiteness_test=quality.white.test,
+        quantum=steps[i],
+        N=quality.N,
+        Ts=own[i].Ts,
+        converged=converged,
+        physics=physics,
+        by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
+        warnings=(
+            *([] if converged else [f"no convergence in {best.iterations} steps"]),
+            *_no_model(min(q.fit_percent for q in found.quality)),
+            *doubts(std),
+            *_noise_warnings(data.outputs, steps, found, has_friction=has_friction),
+        ),
+        **own[i].origin() | {"digest": data.digest},
+    )
+
+
+def _named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
+    """Return standard deviations by name."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return dict(zip(names, std.tolist(), strict=True))
+
+
+def _named_influence(
+    names: Sequence[str], held: Sequence[str], influence: Matrix
+) -> dict[str, dict[str, float]]:
+    """Return d ln(estimate)/d ln(fixed parameter) by both names, without the frictions."""
+    if not held:
+        return {}
+    shown = [(j, k) for j, k in enumerate(held) if k not in SIGNED]
+    return {
+        name: {k: float(row[j]) for j, k in shown if abs(row[j]) > _MIN_INFLUENCE}
+        for name, row in zip(names, influence, strict=True)
+        if name not in SIGNED | {COULOMB}
+    }
 
 
 def inferred(plain: WeightedData, at: Linearised, basis: Basis) -> Inference:
     """Return covariances of the coordinates, and the quality for each output."""
     ny, begin, experiments = plain.std.size, 0, []
-    for data, e, Z in zip(plain.experiments, plain.residuals(at.e), at.spans, strict=True):
+    for data, e, Z in zip(
+        plain.experiments, by_experiment(at.e, plain.experiments, plain.std), at.spans, strict=True
+    ):
         outputs = []
         for i, std in enumerate(plain.std):
             known = data.valid[:, i]
@@ -62,7 +185,7 @@ def determined(Psi: Matrix, names: Sequence[str]) -> Basis:
     return basis
 
 
-def no_model(fit: float) -> Iterator[str]:
+def _no_model(fit: float) -> Iterator[str]:
     """Yield a warning if the model explains the output less well than a constant."""
     if fit < 0:
         yield (
@@ -71,7 +194,7 @@ def no_model(fit: float) -> Iterator[str]:
         )
 
 
-def noise_warnings(
+def _noise_warnings(
     outputs: Sequence[str], steps: Sequence[float], found: Inference, *, has_friction: bool
 ) -> Iterator[str]:
     """Yield warnings of noise below a third of a converter step, and of coloured residuals."""

@@ -61,9 +61,6 @@ class WeightedData(Protocol):
     def std(self) -> Vector:
         """Standard deviation of the noise of each output, (ny,)."""
 
-    def residuals(self, e: Vector) -> list[Matrix]:
-        """Return the residuals (N, ny) of each experiment in units of y."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyBox:
@@ -130,23 +127,47 @@ class GreyBox:
         rows = zip(of_outputs, data.valid.T, self.std, strict=True)
         return np.concatenate([x[known] / std for x, known, std in rows])
 
-    def residuals(self, e: Vector) -> list[Matrix]:
-        """Return the residuals (N, ny) of each experiment in units of y, NaN where y is missing."""
-        return by_experiment(e, self.experiments, self.std)
-
 
 def by_experiment(e: Vector, experiments: Sequence[Signals], std: Vector) -> list[Matrix]:
     """Return weighted residuals, as in `Linearised`, as a matrix (N, ny) for each experiment.
 
     The unit is that of y; a missing y has the residual NaN.
     """
-    edges = np.cumsum([np.count_nonzero(data.valid) for data in experiments])[:-1]
     found = []
-    for data, part in zip(experiments, np.split(e, edges), strict=True):
+    for data, rows in zip(experiments, _rows(experiments), strict=True):
         whole = np.full(data.y.shape, np.nan)
-        whole.T[data.valid.T] = part * np.repeat(std, data.valid.sum(axis=0))
+        whole.T[data.valid.T] = e[rows] * np.repeat(std, data.valid.sum(axis=0))
         found.append(whole)
     return found
+
+
+def _rows(experiments: Sequence[Signals]) -> list[slice]:
+    """Return for each experiment the slice of the residuals."""
+    edges = np.cumsum([0, *(np.count_nonzero(data.valid) for data in experiments)]).tolist()
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def without_free_responses(
+    e: Vector,
+    J: Matrix,
+    d: int,
+    experiments: Sequence[Signals],
+    columns: Sequence[slice],
+    free: Sequence[Vector],
+) -> Linearised:
+    """Return residuals, and the first d derivatives without the parts that free responses explain.
+
+    An experiment has the columns of J with its free responses, and their values.
+    """
+    rows = _rows(experiments)
+    bases = [orthonormal(J[own, part]) for own, part in zip(rows, columns, strict=True)]
+    return Linearised(
+        e=e,
+        Psi=np.vstack([basis.without(J[own, :d]) for basis, own in zip(bases, rows, strict=True)]),
+        size=np.linalg.norm(J[:, :d], axis=0),
+        spans=tuple(basis.Q for basis in bases),
+        free=tuple(free),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,8 +200,7 @@ class GreyBoxWithFriction:
 
     def linearise(self, z: Vector) -> tuple[Vector, Matrix]:
         """Return the residuals, and the derivatives of the output, at the coordinates z."""
-        e, J, _ = self._all(z, self.plain.names)
-        return e, J
+        return self._all(z, self.plain.names)
 
     def at(self, z: Vector, by: Sequence[str] | None = None) -> Linearised:
         """Return residuals and derivatives, with the free responses projected out.
@@ -189,18 +209,15 @@ class GreyBoxWithFriction:
         """
         names = self.plain.names if by is None else by
         own, first = len(self.plain.names) + 1, len(names) + 1
-        e, J, rows = self._all(z, names)
-        d = first - (by is not None)
-        blocks, spans, free = [], [], []
-        for (a, b), part, is_free in zip(rows, self._parts(z), self._offsets(), strict=True):
-            basis = orthonormal(J[a:b, first + part.start : first + part.stop])
-            blocks.append(basis.without(J[a:b, :d]))
-            spans.append(basis.Q)
-            x = z[own:][part]
-            free.append(x if is_free else np.append(x, 0.0))
-        size = np.linalg.norm(J[:, :d], axis=0)
-        return Linearised(
-            e=e, Psi=np.vstack(blocks), size=size, spans=tuple(spans), free=tuple(free)
+        e, J = self._all(z, names)
+        parts, offsets = self._parts(z), self._offsets()
+        free = [
+            z[own:][part] if is_free else np.append(z[own:][part], 0.0)
+            for part, is_free in zip(parts, offsets, strict=True)
+        ]
+        columns = [slice(first + part.start, first + part.stop) for part in parts]
+        return without_free_responses(
+            e, J, first - (by is not None), self.plain.experiments, columns, free
         )
 
     def _offsets(self) -> list[bool]:
@@ -214,8 +231,8 @@ class GreyBoxWithFriction:
         edges = np.cumsum([0, *(n + is_free for is_free in offsets)]).tolist()
         return [slice(a, b) for a, b in pairwise(edges)]
 
-    def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), derivatives for (`by`, T_c, x0, u0, …), and rows of each experiment."""
+    def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix]:
+        """Return e (M,), and derivatives with respect to (`by`, T_c, x0, u0, …)."""
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])
@@ -223,8 +240,7 @@ class GreyBoxWithFriction:
         model = physics.sampled(values, by, plain.experiments[0].equidistant())
         per_volt = physics.parameters(values).torque_per_volt
         V = float(z[own - 1]) / per_volt
-        residuals, blocks, rows = [], [], []
-        begin, n = 0, model.Phi.shape[0]
+        residuals, blocks, n = [], [], model.Phi.shape[0]
         for data, part in zip(plain.experiments, self._parts(z), strict=True):
             x = z[own:][part]
             known = data.valid[:, 0]
@@ -239,9 +255,7 @@ class GreyBoxWithFriction:
             J[:, first + part.start : first + part.stop] = by_free[:, : x.size]
             residuals.append((data.y[:, 0] - y)[known])
             blocks.append(J[known])
-            rows.append((begin, begin + residuals[-1].size))
-            begin += residuals[-1].size
-        return np.concatenate(residuals), np.vstack(blocks), rows
+        return np.concatenate(residuals), np.vstack(blocks)
 
 
 def simulation_errors(physics: Any, values: Mapping[str, float], data: Signals) -> Matrix:
@@ -255,4 +269,6 @@ def simulation_errors(physics: Any, values: Mapping[str, float], data: Signals) 
         return np.asarray(physics.errors(values, experiments))
     own = {name: value for name, value in values.items() if name != COULOMB}
     problem = GreyBox(physics=(physics,), names=tuple(own), experiments=experiments)
-    return np.vstack(problem.residuals(problem.at(problem.coordinates(own), ()).e))
+    return np.vstack(
+        by_experiment(problem.at(problem.coordinates(own), ()).e, experiments, problem.std)
+    )

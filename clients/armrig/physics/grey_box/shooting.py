@@ -26,10 +26,12 @@ from scipy.linalg import solve_triangular
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.numerics.least_squares import orthonormal
 from armrig.physics.grey_box.equations import Ode, Parameter
 from armrig.physics.grey_box.integration import Course, integrated, steps_and_error
-from armrig.physics.grey_box.least_squares_problem import Linearised, by_experiment
+from armrig.physics.grey_box.least_squares_problem import (
+    Linearised,
+    without_free_responses,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -434,17 +436,13 @@ class Shooting:
         """Return residuals, and derivatives without the parts that the initial states explain."""
         e, J = self.linearise(z)
         d, n = len(self.names), len(self.ode.states)
-        begin, blocks, spans, free = 0, [], [], []
-        for i, (data, x0) in enumerate(zip(self.experiments, self.initial(z), strict=True)):
-            rows = slice(begin, begin + int(np.count_nonzero(data.valid)))
-            begin = rows.stop
-            basis = orthonormal(J[rows, d + n * i : d + n * (i + 1)])
-            blocks.append(basis.without(J[rows, :d]))
-            spans.append(basis.Q)
-            free.append(np.append(x0, 0.0))
-        size = np.linalg.norm(J[:, :d], axis=0)
-        return Linearised(
-            e=e, Psi=np.vstack(blocks), size=size, spans=tuple(spans), free=tuple(free)
+        return without_free_responses(
+            e,
+            J,
+            d,
+            self.experiments,
+            [slice(d + n * i, d + n * (i + 1)) for i in range(len(self.experiments))],
+            [np.append(x0, 0.0) for x0 in self.initial(z)],
         )
 
     def starts(self, eta: Vector) -> list[Matrix]:
@@ -507,10 +505,6 @@ class Shooting:
             if settled:
                 break
         return starts
-
-    def residuals(self, e: Vector) -> list[Matrix]:
-        """Return the residuals (N, ny) of each experiment in units of y, NaN where y is missing."""
-        return by_experiment(e, self.experiments, self.std)
 
     def solver_error(self, z: Vector, allowed: Vector) -> tuple[int, Vector]:
         """Return enough steps and the solver's error of each output at the coordinates z.
