@@ -1,6 +1,10 @@
 from armrig_core.errors import ArmrigError as ArmrigError
 from armrig_core.errors import FileError as FileError
 from armrig_core.errors import InputError as InputError
+from armrig_core.rig.equations import Ode as Ode
+from armrig_core.rig.equations import Parameter as Parameter
+from armrig_core.rig.equations import friction as friction
+from armrig_core.rig.equations import saturation as saturation
 
 from armrig.data.dataset import Dataset as Dataset
 from armrig.data.dataset import Signals as Signals
@@ -53,10 +57,6 @@ from armrig.excitation.physical_experiment_design import (
 )
 from armrig.models.fit import Fit as Fit
 from armrig.models.model_file import load_fit as load_fit
-from armrig.physics.grey_box.equations import Ode as Ode
-from armrig.physics.grey_box.equations import Parameter as Parameter
-from armrig.physics.grey_box.equations import friction as friction
-from armrig.physics.grey_box.equations import saturation as saturation
 from armrig.physics.grey_box.estimate import greybox as greybox
 from armrig.physics.grey_box.fit import GreyFit as GreyFit
 from armrig.physics.grey_box.split_study import split_study as split_study

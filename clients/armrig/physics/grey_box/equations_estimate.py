@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.errors import InputError
+from armrig_core.rig.equations import Ode, Parameter
 from numpy.typing import ArrayLike
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
-from armrig.physics.grey_box.equations import Ode, Parameter
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.inference import Held, grey_fit
 from armrig.physics.grey_box.least_squares_problem import by_experiment

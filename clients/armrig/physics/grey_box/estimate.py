@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters, require_parameters
+from armrig_core.rig.equations import Ode
 from armrig_core.telemetry.channels import THETA_1
 from numpy.typing import NDArray
 
@@ -16,7 +17,6 @@ from armrig.data.columns import Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
-from armrig.physics.grey_box.equations import Ode
 from armrig.physics.grey_box.equations_estimate import estimated
 from armrig.physics.grey_box.fit import GreyFit, below_zero, scales
 from armrig.physics.grey_box.inference import Held, grey_fit

@@ -22,12 +22,12 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.rig.equations import Ode, Parameter
+from armrig_core.rig.integration import Course, integrated, steps_and_error
 from scipy.linalg import solve_triangular
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.physics.grey_box.equations import Ode, Parameter
-from armrig.physics.grey_box.integration import Course, integrated, steps_and_error
 from armrig.physics.grey_box.least_squares_problem import (
     Linearised,
     without_free_responses,

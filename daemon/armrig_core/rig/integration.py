@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+
 from armrig_core.errors import InputError
 
-from armrig.data.columns import Matrix, Vector
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 MAX_STEPS = 64
 """Largest number of Runge-Kutta steps in an interval."""
 STEP_TOLERANCE = 1e-3

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from armrig_core.errors import InputError, InputTypeError
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from armrig.data.columns import Matrix
-from armrig.physics.grey_box.integration import Course, enough_steps, integrated
+from armrig_core.errors import InputError, InputTypeError
+from armrig_core.rig.integration import Course, enough_steps, integrated
 
 Derivative = Callable[[Any, Any, Any, Any], Any]
 """Function f(t, x, u, p): x' of the states, or the output."""
@@ -139,7 +138,7 @@ class Ode:
         x0: ArrayLike | None = None,
         values: Mapping[str, float] | None = None,
         steps: int | None = None,
-    ) -> Matrix:
+    ) -> NDArray[np.float64]:
         """Return the outputs (N, ny) for an input that is held between samples.
 
         Parameters
