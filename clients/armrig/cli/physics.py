@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
-    from armrig.physics.integrators.accuracy import Recommendation, Sinusoid
+    from armrig.physics.integrators.accuracy import Recommendation, Sinusoid, Solution
     from armrig.physics.step_response import Characteristics
     from armrig.recordings.recording import Recording
 
@@ -459,66 +459,54 @@ def model(given: Given = None, *, out: Annotated[Output, shown("verbose", "plot"
     the handout's parameters, each change alone and, if there are several changes, all changes
     together.
     """
-    found = {name: _answer(p) for name, p in cases(given).items()}
+    compared = cases(given)
+    found = {name: armrig.characteristics(p) for name, p in compared.items()}
     out.show(
-        facts=lambda: {"models": {name: _model_facts(answer) for name, answer in found.items()}},
+        facts=lambda: {"models": {name: _model_facts(one) for name, one in found.items()}},
         say=lambda: _say_model(found, given, verbose=out.verbose),
-        figures=lambda: _model_figures({name: answer.parameters for name, answer in found.items()}),
+        figures=lambda: _model_figures(compared),
         say_next=lambda: say_next("model --set" if given else "model"),
     )
 
 
-def _say_model(found: dict[str, _Answer], given: list[str] | None, *, verbose: bool) -> None:
+def _say_model(
+    found: dict[str, Characteristics], given: list[str] | None, *, verbose: bool
+) -> None:
     last = [*found.values()][-1]
-    changed = changes(given)
+    simulated, changed = _simulated(last.parameters), changes(given)
     say(f"A and B with {changed or 'the parameters of the handout'}:")
     echo(f"{_state_space(last.parameters)}\n\n{_model_table(found)}\n")
     say(
         f"A step of 1 V, simulated{f' with {changed}' * bool(given)}: the speed begins to rise by "
-        f"{last.slope:.2f} rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the "
-        "chassis rests, so there is no back-EMF, and the spring has no tension: the torque "
-        "accelerates J_1."
+        f"{simulated['slope']:.2f} rad/s² and is {simulated['speed']:.4f} rad/s after "
+        f"{simulated['seconds']:g} s. At t = 0 the chassis rests, so there is no back-EMF, and the "
+        "spring has no tension: the torque accelerates J_1."
     )
     _say_later_rises(found, given)
     if verbose:
-        say(f"\n{last.predicted.explain()}")
+        say(f"\n{last.explain()}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Answer:
-    """Predictions for a set of parameters, and results of the simulated step."""
-
-    predicted: Characteristics
-    slope: float
-    """Slope of the simulated speed at t = 0, in rad/s²."""
-    speed: float
-    """Simulated speed at the end, in rad/s."""
-
-    @property
-    def parameters(self) -> ArmParameters:
-        return self.predicted.parameters
-
-
-def _answer(p: ArmParameters) -> _Answer:
+def _simulated(p: ArmParameters) -> dict[str, float]:
+    """Return the slope at t = 0 in rad/s², the last speed in rad/s and its time after a step."""
     import numpy as np
 
     from armrig.physics.step_response import step_response
 
     speed = step_response(p, np.linspace(0.0, _SECONDS, _STEPS + 1))
     slope = float(step_response(p, [0.0, _SLOPE_S])[-1]) / _SLOPE_S
-    return _Answer(predicted=armrig.characteristics(p), slope=slope, speed=float(speed[-1]))
+    return {"slope": slope, "speed": float(speed[-1]), "seconds": _SECONDS}
 
 
-def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
+def _say_later_rises(found: dict[str, Characteristics], given: list[str] | None) -> None:
     """Print the models whose speed crosses 63 % of its steady value only after the first rise."""
     import numpy as np
 
     from armrig.physics.step_response import step_response
 
-    for name, answer in found.items():
-        crossed = answer.predicted.rise_time
-        t = np.linspace(0.0, crossed if isfinite(crossed) else 0.0, 1001)
-        if np.diff(step_response(answer.parameters, t)).min() < 0:
+    for name, p in found.items():
+        t = np.linspace(0.0, p.rise_time if isfinite(p.rise_time) else 0.0, 1001)
+        if np.diff(step_response(p.parameters, t)).min() < 0:
             of = changes(given) if name in _TOGETHER else name
             rises = "the first rise of the speed ends below 63 %, a later rise crosses 63 %"
             say(f"63 % time of {of}: {rises}.")
@@ -536,14 +524,13 @@ def _state_space(p: ArmParameters) -> str:
     return "\n".join(lines)
 
 
-def _model_table(found: dict[str, _Answer]) -> str:
+def _model_table(found: dict[str, Characteristics]) -> str:
     """Return a table with a column for each model; five columns fit into 80 characters."""
     from armrig.physics.step_response import root_texts
 
     of_models = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
     of_models[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
-    for name, answer in found.items():
-        p = answer.predicted
+    for name, p in found.items():
         poles = root_texts(p.poles, 2)
         poles += [""] * (3 - len(poles))
         times = [f"{getattr(p, time):.4f}" for time in _TIMES]
@@ -552,10 +539,9 @@ def _model_table(found: dict[str, _Answer]) -> str:
     return columns([*zip(*of_models, strict=True)], gap=" ")
 
 
-def _model_facts(answer: _Answer) -> dict[str, Any]:
+def _model_facts(p: Characteristics) -> dict[str, Any]:
     from armrig_core.rig.arm import arm_matrices
 
-    p = answer.predicted
     A, B, _ = arm_matrices(p.parameters)
     return {
         "parameters": asdict(p.parameters),
@@ -564,7 +550,7 @@ def _model_facts(answer: _Answer) -> dict[str, Any]:
         "B": B,
         **fields_of(p, "steady_speed initial_slope rigid_slope poles zeros"),
         **{time: getattr(p, time) for time in _TIMES},
-        "simulated": {"slope": answer.slope, "speed": answer.speed, "seconds": _SECONDS},
+        "simulated": _simulated(p.parameters),
     }
 
 
@@ -618,28 +604,11 @@ def integrate(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Row:
-    """Result of one method at one step."""
-
-    method: str
-    h: float
-    limit: float
-    """Largest step for which the method is stable, in s."""
-    error: float
-    """Largest error of a state, relative to the largest value of this state; it may be infinite."""
-
-    @property
-    def stable(self) -> bool:
-        """True if the method is stable with this step."""
-        return self.h < self.limit
-
-
 def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
-) -> tuple[list[_Row], Recommendation | None]:
+) -> tuple[Sequence[Solution], Recommendation | None]:
     """Return the solutions of the methods, by default all, and the recommended steps if any."""
-    from armrig.physics.integrators.accuracy import all_methods
+    from armrig.physics.integrators.accuracy import Solution, all_methods
 
     names = all_methods(tuple(methods) or None)
     for h in steps:
@@ -648,7 +617,7 @@ def _solved(
         if steps:
             limits = {m: armrig.stability_limit(problem.A, m) for m in names}
             return [
-                _Row(method=m, h=h, limit=limits[m], error=problem.error(h, m))
+                Solution(method=m, h=h, limit=limits[m], error=problem.error(h, m))
                 for m in names
                 for h in steps
             ], None
@@ -656,8 +625,7 @@ def _solved(
         advice = armrig.recommend_step(
             problem.A, problem.B, tolerance=tolerance, methods=names, **given
         )
-    rows = sorted(advice.rows, key=lambda row: names.index(row.method))
-    return [_Row(**fields_of(row, "method h limit error")) for row in rows], advice
+    return sorted(advice.rows, key=lambda row: names.index(row.method)), advice
 
 
 def _check_step(h: float, problem: Sinusoid) -> None:
@@ -674,7 +642,7 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _solution_figures(
-    problem: Sinusoid, rows: Sequence[_Row], *, each_step: bool
+    problem: Sinusoid, rows: Sequence[Solution], *, each_step: bool
 ) -> dict[str, Draw]:
     """Return functions that draw all solutions; with `each_step`, a function for each step."""
     from armrig.physics.integrators.figures import plot_solution
@@ -688,7 +656,7 @@ def _solution_figures(
 
 
 def _say_solutions(
-    problem: Sinusoid, rows: Sequence[_Row], advice: Recommendation | None, *, verbose: bool
+    problem: Sinusoid, rows: Sequence[Solution], advice: Recommendation | None, *, verbose: bool
 ) -> None:
     if advice is not None:
         best = advice.rows[0]

@@ -158,8 +158,8 @@ def all_methods(methods: Sequence[str] | None) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Advice:
-    """Recommended step of one method."""
+class Solution:
+    """Error of one method with one step."""
 
     method: str
     """Name of the method, as for `integrate`."""
@@ -169,6 +169,17 @@ class Advice:
     """Largest absolutely stable step, in s."""
     error: float
     """Largest error of a state over the span with the step h, divided by its largest value."""
+
+    @property
+    def stable(self) -> bool:
+        """True if the method is stable with this step."""
+        return self.h < self.limit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Advice(Solution):
+    """Recommended step of one method."""
+
     verified: bool
     """True if the error was measured; False if it was estimated from the order of the method."""
     steps: int
