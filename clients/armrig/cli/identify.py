@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -37,7 +37,6 @@ from armrig.cli.printing import (
     tell_findings,
 )
 from armrig.cli.recorded_data import (
-    Channel,
     DataFile,
     SignalChoice,
     by_channel,
@@ -58,7 +57,7 @@ from armrig.cli.results import (
     Output,
     ShownFigure,
     check_output,
-    of_channel,
+    figures_by_channel,
     shown,
 )
 from armrig.cli.spinner import estimating, spinner
@@ -111,8 +110,7 @@ def sampling(
     in the transient. The command applies both rules, to a recorded step or to any other input.
     """
     data = signals.of_one(file)
-    integrates, taken = signals.choice(data)
-    integrator = signals.integrator if out.json else integrates  # the notes contain the reason
+    integrator, taken = signals.choice(data, named=not out.json)  # the notes contain the reason
     with spinner("estimating the response"):
         choice = armrig.sampling_time(data, integrator=integrator)
         steps = _steps(data, integrator) if choice.from_step else None
@@ -122,8 +120,6 @@ def sampling(
     analysis = {} if steps is None else {"step": steps}
 
     def say_sampling() -> None:
-        for line in taken:
-            say(line)
         if out.verbose:
             say_answer("\n".join(map(repr, [choice, *analysis.values()])))
         else:
@@ -142,6 +138,7 @@ def sampling(
     out.show(
         facts=lambda: source_facts(data) | _sampling_facts(choice) | _step_facts(steps),
         say=say_sampling,
+        taken=taken,
         figures=lambda: {name: a.plot for name, a in (analysis | {"sampling": choice}).items()},
         say_next=say_after,
         height=5.0,
@@ -192,18 +189,10 @@ def hints(
         if not isinstance(one, str):  # the hints judge the excitation for their own structure
             doubts[channel] = [d for d in doubts[channel] if d.about != "excitation"]
     known = {name: one for name, one in found.items() if not isinstance(one, str)}
-
-    def facts() -> dict[str, Any]:
-        each = {
-            channel: _hint_facts(one) | {"doubts": [d.text for d in doubts[channel]]}
-            for channel, one in found.items()
-        }
-        return source_facts(data) | facts_by_channel(each)
+    each = {name: (one, [d.text for d in doubts[name]]) for name, one in found.items()}
+    spectra = {"spectra": partial(data.plot, "spectrum")} if () in known else {}
 
     def say_hints() -> None:
-        if signals.shape == (1, 1):
-            for line in signals.choice(data, known[()].integrator)[1]:
-                say(line)
         for channel, one in found.items():
             say_channel(channel)
             text = f"not known: {one}" if isinstance(one, str) else repr(one)
@@ -223,9 +212,12 @@ def hints(
         say_next("hints", file=typed(file), options=options, validate=validate)
 
     out.show(
-        facts=facts,
+        facts=lambda: facts_by_channel(data, each, _hint_facts),
         say=say_hints,
-        figures=lambda: _hint_figures(known, data),
+        taken=signals.choice(data, known[()].integrator)[1] if () in known else (),
+        figures=lambda: figures_by_channel(
+            known, lambda one: {"impulse": one.response.plot, **spectra, "structure": one.plot}
+        ),
         say_next=say_after,
         height=5.0 if () in known else 4.0,
         columns=None if () in known else 2,
@@ -239,21 +231,11 @@ def _options(found: Sequence[StructureHints]) -> str:
     return options + " --integrator" * any(one.integrator for one in found)
 
 
-def _hint_figures(
-    found: Mapping[Channel, StructureHints], data: Dataset | Signals
-) -> dict[str, Draw]:
-    drawn: dict[str, Draw] = {}
-    for channel, one in found.items():
-        drawn |= of_channel("impulse", one.response.plot, channel)
-        if not channel:
-            drawn["spectra"] = partial(data.plot, "spectrum")
-        drawn |= of_channel("structure", one.plot, channel)
-    return drawn
-
-
-def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
+def _hint_facts(hints: tuple[StructureHints | str, list[str]]) -> dict[str, Any]:
+    """Return the hints about a channel, or the reason for missing hints, and the doubts."""
+    found, doubts = hints
     if isinstance(found, str):
-        return {"structure": None, "reasons": [found]}
+        return {"structure": None, "reasons": [found], "doubts": doubts}
     of = "integrator integrator_shown low_slope low_slope_std high_slope relative_degree "
     of += "resonances antiresonances nk_interval singular_values threshold"
     return {
@@ -262,6 +244,7 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
         "structures": [dict(s) for s in found.structures],
         **fields_of(found, of),
         "reasons": [*found.reasons],
+        "doubts": doubts,
     }
 
 
@@ -309,11 +292,8 @@ def identify(
     # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
     wanted = _for_outputs(wanted, data, integrator=given["integrator"])
-    taken: list[str] = []
-    integrator = signals.integrator
-    decides = signals.assume or searching.search
-    if decides and shape == (1, 1) and not (given["integrator"] or out.json):
-        integrator, taken = signals.choice(data)
+    decides = (signals.assume or searching.search) and not (given["integrator"] or out.json)
+    integrator, taken = signals.choice(data, named=bool(decides))
     fit, request, searched = _estimated(wanted, data, other, integrator)
     found = Found(
         fit=fit,
@@ -326,11 +306,11 @@ def identify(
         validate=validate,
         save=save,
         signals=signals,
-        taken=taken,
     )
     out.show(
         facts=found.facts,
         say=lambda: found.say(verbose=out.verbose),
+        taken=taken,
         figures=found.figures,
         say_next=found.say_next,
         write=None if save is None else lambda: found.fit.save(save),
@@ -392,15 +372,11 @@ class Found:
     save: Path | None
     """File of the model."""
     signals: SignalChoice
-    taken: list[str]
-    """Line that says how the output is taken."""
 
     def say(self, *, verbose: bool) -> None:
         """Print the answer, and the model."""
         from armrig.validation.answer import answer
 
-        for line in self.taken:
-            say(line)
         v = self.validation
         table, tests = (v.table, v.tests) if v is not None else (None, None)
         say_answer(answer(self.fit, table, tests, self.doubts))

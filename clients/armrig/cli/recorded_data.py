@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from math import ceil
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import typer
 from armrig_core.errors import InputError
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
 
+T = TypeVar("T")
 _NAMES = "@last or @NAME"
 
 
@@ -174,11 +175,6 @@ def require_arm(recording: Recording) -> None:
             "is for the arm's physical model; use `armrig identify`, or armrig.greybox in Python "
             "with your own model"
         )
-
-
-def chosen_outputs(recording: Recording, signal: Sequence[str] | None) -> list[str]:
-    """Return the outputs of a recording that a repeatable --signal names; by default the first."""
-    return recorded_outputs(recording, names("--signal", ",".join(signal or ())))
 
 
 def modelled_outputs(recording: Recording, model: Fit, chosen: Sequence[str]) -> list[str]:
@@ -370,13 +366,16 @@ class SignalChoice(DataOptions):
         return None if self.assume is None else self.assume == "integrating"
 
     def choice(
-        self, data: Dataset | Signals, integrates: bool | None = None
-    ) -> tuple[bool, list[str]]:
+        self, data: Dataset | Signals, integrates: bool | None = None, *, named: bool = True
+    ) -> tuple[bool | None, list[str]]:
         """Return whether the output is taken as integrating, and a line that names the choice.
 
         `integrates` is the choice of a command with a test of its own. For a recording, there is a
-        line only if --assume or the test of the data decided.
+        line only if --assume or the test of the data decided. With several signals, or if the
+        choice is not `named`, the command's test makes it unless --assume does.
         """
+        if not named or self.shape != (1, 1):
+            return self.integrator, []
         from armrig.data.treatment.integrating import integration
 
         given = self.integrator if integrates is None else integrates
@@ -563,12 +562,14 @@ def require_result(found: Collection[Any]) -> None:
         raise InputError(reasons[0])
 
 
-def facts_by_channel(each: Mapping[Channel, dict[str, Any]]) -> dict[str, Any]:
-    """Return the facts of a single channel, or a list with the names of each channel."""
-    if () in each:
-        return each[()]
-    named = [dict(zip(("input", "output"), c, strict=True)) | facts for c, facts in each.items()]
-    return {"channels": named}
+def facts_by_channel(
+    data: Dataset | Signals, found: Mapping[Channel, T], facts: Callable[[T], dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the data's source and the facts of a single channel, or a list with each channel."""
+    if () in found:
+        return source_facts(data) | facts(found[()])
+    named = [{"input": c[0], "output": c[1]} | facts(one) for c, one in found.items()]
+    return source_facts(data) | {"channels": named}
 
 
 def say_channel(channel: Channel) -> None:

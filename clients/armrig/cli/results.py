@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from math import ceil, lcm
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from armrig_core.errors import InputError
 
 from armrig.cli.options import Group, Json, Verbose, group, option
 from armrig.cli.printing import inform, print_json, tell
+from armrig.cli.printing import say as say_line
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
     from armrig.recordings.recording import Recording
 
+T = TypeVar("T")
 Draw = Callable[..., Any]
 """Function that draws into its argument `ax`."""
 _EACH = "*"  # placeholder for the subject in the names of files in a folder
@@ -163,17 +166,23 @@ def _drawn(
     return figure
 
 
-def of_channel(subject: str, draw: Draw, channel: Sequence[str]) -> dict[str, Draw]:
-    """Return a subject's name and function; the panels of a channel show the channel's name."""
-    name = " to ".join(channel)
+def figures_by_channel(
+    found: Mapping[tuple[str, ...], T], figures: Callable[[T], Mapping[str, Draw]]
+) -> dict[str, Draw]:
+    """Return the functions that draw each channel's result; panels show the channel's name."""
+    drawn: dict[str, Draw] = {}
+    for channel, one in found.items():
+        name = " to ".join(channel)
+        for subject, draw in figures(one).items():
+            key = "_".join([subject, *name.split()])
+            drawn[key] = partial(_named, name, draw) if channel else draw
+    return drawn
 
-    def drawing(*, ax: Axes) -> None:
-        draw(ax=ax)
-        backed = {"fc": "white", "lw": 0, "alpha": 0.7, "pad": 1}
-        at = ax.transAxes
-        ax.text(0.99, 0.95, name, transform=at, ha="right", va="top", bbox=backed)
 
-    return {"_".join([subject, *name.split()]): drawing if channel else draw}
+def _named(name: str, draw: Draw, *, ax: Axes) -> None:
+    draw(ax=ax)
+    backed = {"fc": "white", "lw": 0, "alpha": 0.7, "pad": 1}
+    ax.text(0.99, 0.95, name, transform=ax.transAxes, ha="right", va="top", bbox=backed)
 
 
 def check_output(
@@ -217,6 +226,7 @@ class Output:
         *,
         facts: Callable[[], Any],
         say: Callable[[], None],
+        taken: Sequence[str] = (),
         figures: Callable[[], Mapping[str, Draw]] = dict,
         say_next: Callable[[], None] | None = None,
         write: Callable[[], None] | None = None,
@@ -226,14 +236,17 @@ class Output:
     ) -> None:
         """Print a result as text or JSON, write its files, and print the next command.
 
-        `facts` returns the value for JSON, and `say` prints the text. `figures` returns the
-        functions that draw the diagrams, by name; each diagram has a width and a height in inches.
-        By default the figure has enough columns to fit on a screen. `write` writes other files.
-        `say_next` prints the next command after a text.
+        `facts` returns the value for JSON, and `say` prints the text after the lines `taken`, which
+        say how the data were taken. `figures` returns the functions that draw the diagrams, by
+        name; each diagram has a width and a height in inches. By default the figure has enough
+        columns to fit on a screen. `write` writes other files. `say_next` prints the next command
+        after a text.
         """
         if self.json:
             print_json(facts())
         else:
+            for line in taken:
+                say_line(line)
             say()
         if write is not None:
             write()

@@ -61,10 +61,17 @@ from armrig.cli.recorded_data import (
     recording_path,
     require_result,
     say_channel,
-    source_facts,
     spectral_beside,
 )
-from armrig.cli.results import HEIGHT, WIDTH, Draw, Shown, ShownFigure, check_output, of_channel
+from armrig.cli.results import (
+    HEIGHT,
+    WIDTH,
+    Draw,
+    Shown,
+    ShownFigure,
+    check_output,
+    figures_by_channel,
+)
 from armrig.cli.spinner import estimating, spinner
 from armrig.data.finding import OWN_DATA
 from armrig.numerics.quantities import listed
@@ -77,6 +84,8 @@ if TYPE_CHECKING:
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
     from armrig.validation.linearity import Linearity
+
+    _Tests = tuple[OpenLoop | str, Delay | str, Linearity | str]
 
 ModelFile = Annotated[Path, option("--model JSON", "Model file written by identify --save.")]
 _HORIZONS = (1, 10)
@@ -348,10 +357,7 @@ def check(
 
     require_level(level)
     data = signals.of(file)
-    integrator, taken = signals.integrator, list[str]()
-    if signals.shape == (1, 1):
-        integrates, taken = signals.choice(data)
-        integrator = integrator if out.json else integrates  # the remarks then contain the reason
+    integrator, taken = signals.choice(data, named=not out.json)  # the remarks contain the reason
     with spinner("testing") as progress:
         loops = by_channel(partial(armrig.open_loop, level=level), data)
         delays = by_channel(partial(armrig.delay, integrator=integrator, progress=progress), data)
@@ -362,20 +368,7 @@ def check(
     }
     tests = {name: (loop, delays[name], linears[name]) for name, loop in loops.items()}
 
-    def facts() -> dict[str, Any]:
-        each = {
-            channel: {
-                "open_loop": _loop_facts(loop),
-                "delay": _delay_facts(late),
-                "linearity": _linearity_facts(straight, _LINEARITY),
-            }
-            for channel, (loop, late, straight) in tests.items()
-        }
-        return source_facts(data) | facts_by_channel(each)
-
     def say_tests() -> None:
-        for line in taken:
-            say(line)
         for channel, found in tests.items():
             say_channel(channel)
             for (which, number), one in zip(_TESTS.items(), found, strict=True):
@@ -388,14 +381,11 @@ def check(
                 verdict = first.removeprefix("open loop: ")
                 say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
 
-    def figures() -> dict[str, Draw]:
-        drawn: dict[str, Draw] = {}
-        for channel, (loop, late, _) in tests.items():
-            if not isinstance(loop, str) and loop.sims is not None:
-                drawn |= of_channel("open_loop", loop.plot, channel)
-            if not isinstance(late, str):
-                drawn |= of_channel("delay", late.plot, channel)
-        return drawn
+    def figures(found: _Tests) -> dict[str, Draw]:
+        loop, late, _ = found
+        shows_loop = not isinstance(loop, str) and loop.sims is not None
+        drawn = {"open_loop": loop if shows_loop else "", "delay": late}
+        return {name: one.plot for name, one in drawn.items() if not isinstance(one, str)}
 
     def say_after() -> None:
         if not from_recording(data):
@@ -410,8 +400,14 @@ def check(
             inform(_CHASSIS)
             say_next("check")
 
-    columns = None if () in tests else 2
-    out.show(facts=facts, say=say_tests, figures=figures, say_next=say_after, columns=columns)
+    out.show(
+        facts=lambda: facts_by_channel(data, tests, _test_facts),
+        say=say_tests,
+        taken=taken,
+        figures=lambda: figures_by_channel(tests, figures),
+        say_next=say_after,
+        columns=None if () in tests else 2,
+    )
 
 
 def linearity(
@@ -424,12 +420,9 @@ def linearity(
     """Test whether the rig is linear; name a nonlinearity."""
     data = signals.of(file)
     found = by_channel(partial(armrig.linearity, level=level), data)
-    require_result([*found.values()])
-
-    def facts() -> dict[str, Any]:
-        names = "linear p level kind numbers rails gain_of levels gains remedy remarks"
-        each = {channel: _linearity_facts(one, names) for channel, one in found.items()}
-        return source_facts(data) | facts_by_channel(each)
+    require_result(found.values())
+    nonlinear = {name: one for name, one in found.items() if not getattr(one, "linear", True)}
+    names = "linear p level kind numbers rails gain_of levels gains remedy remarks"
 
     def say_test() -> None:
         for channel, one in found.items():
@@ -438,19 +431,18 @@ def linearity(
             remedy = "" if known or not one.remedy else f"\nRemedy: {one.remedy}."
             say_answer(one.explain() if out.verbose and not known else f"{one}{remedy}")
 
-    def figures() -> dict[str, Draw]:
-        drawn: dict[str, Draw] = {}
-        for channel, one in found.items():
-            if not (isinstance(one, str) or one.linear):
-                drawn |= of_channel("linearity", one.plot, channel)
-        return drawn
-
     out.show(
-        facts=facts,
+        facts=lambda: facts_by_channel(data, found, lambda one: _linearity_facts(one, names)),
         say=say_test,
-        figures=figures,
+        figures=lambda: figures_by_channel(nonlinear, lambda one: {"linearity": one.plot}),
         say_next=lambda: say_next("check other", file=typed(file), given=signals.options()),
     )
+
+
+def _test_facts(found: _Tests) -> dict[str, Any]:
+    loop, late, straight = found
+    facts = {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
+    return facts | {"linearity": _linearity_facts(straight, _LINEARITY)}
 
 
 def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
