@@ -18,7 +18,7 @@ from armrig_core.telemetry.channels import ALPHA, THETA_1, ChannelName
 import armrig
 from armrig import plots
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
-from armrig.cli.options import argument, chosen, option
+from armrig.cli.options import chosen, option
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, tell
 from armrig.cli.recorded_data import (
     File,
@@ -26,7 +26,6 @@ from armrig.cli.recorded_data import (
     SignalChoice,
     data_group,
     recorded_outputs,
-    recording_path,
     require_arm,
 )
 from armrig.cli.results import Draw, Output, Shown, shown
@@ -345,10 +344,7 @@ def _split_facts(study: SplitStudy) -> dict[str, Any]:
 
 def simulate(
     *,
-    file: Annotated[
-        Path | None,
-        argument("F", "Recording with the input of the simulation.", parser=recording_path),
-    ] = None,
+    file: File,
     model: list[Path] | None = chosen(
         None, "Additional model file to simulate; repeatable.", metavar="JSON"
     ),
@@ -358,21 +354,11 @@ def simulate(
 ) -> None:
     """Simulate the physical model and saved models (handout 3.4).
 
-    The input comes from a recording. Without a recording, the command shows the response of the
-    physical model to a step of 1 V (handout 2.2).
+    The input comes from the recording.
     """
-    physics = physics_beside(given)
-    if file is None:
-        for given_option in ["--model"] * bool(model) + part.given():
-            option = given_option.partition(" ")[0]
-            raise typer.BadParameter(
-                f"{option} needs a recording F: armrig simulate F simulates the response to its "
-                "input"
-            )
-        _simulate_step(cases(given), out)
-        return
     from armrig.cli import model_output
 
+    physics = physics_beside(given)
     data = part.recordings(file)[0].dataset()
     saved = map(armrig.load_fit, model or ())
     fits: list[Fit] = [fit if (fit.ny, fit.nu) == (1, 1) else fit[data.output] for fit in saved]
@@ -390,25 +376,6 @@ def simulate(
         say=lambda: model_output.print_comparison(table, where, verbose=out.verbose),
         figures=lambda: {"compare": draw},
         say_next=lambda: say_next("simulate F", file=typed(file), given=part.options(data)),
-    )
-
-
-def _simulate_step(compared: dict[str, ArmParameters], out: Output) -> None:
-    """Show the response of the last of some physical models to a step of 1 V."""
-    from armrig.physics.figures import plot_physical_step
-
-    found = armrig.characteristics([*compared.values()][-1])
-
-    def say_step() -> None:
-        say_answer(found.explain() if out.verbose else found.brief())
-        if not out.verbose:
-            say_more("the meaning of each number")
-
-    out.show(
-        facts=lambda: fields_of(found, "steady_speed initial_slope rigid_slope poles zeros"),
-        say=say_step,
-        figures=lambda: {"step": partial(plot_physical_step, compared)},
-        say_next=lambda: say_next("simulate"),
     )
 
 

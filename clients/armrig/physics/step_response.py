@@ -47,14 +47,6 @@ class Characteristics:
     slowest_time: float
     """1/|Re s| of the slowest pole except the integrator, in s."""
 
-    def brief(self) -> str:
-        """Return the numbers as text, in two lines."""
-        return (
-            f"Steady speed {self.steady_speed:.4f} rad/s per V; initial slope "
-            f"{self.initial_slope:.2f} rad/s² per V.\n"
-            f"Poles {_roots(self.poles)} 1/s; zeros {_roots(self.zeros)} 1/s."
-        )
-
     def explain(self) -> str:
         """Return a text that explains each number."""
         p = self.parameters

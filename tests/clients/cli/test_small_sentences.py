@@ -28,7 +28,7 @@ def test_a_parameter_wrong_by_a_factor_of_100_causes_a_warning(
     handout = getattr(ArmParameters(), name)
     given = f"{name}={handout * times:.6g}"
 
-    assert main(["simulate", "--set", given, "--from", "1"]) == 2
+    assert main(["simulate", "--set", given]) == 2
 
     doubt = f"--set {name}={float(given.partition('=')[2]):g}: this is {times:.2g} times the value"
     said = " ".join(capsys.readouterr().err.split())

@@ -13,10 +13,10 @@ BOLD, DIM = "\x1b[1m", "\x1b[2m"
 
 
 def _shown(*, terminal: bool, **environment: str) -> str:
-    """Return what `armrig simulate` prints on a terminal, or through a pipe."""
+    """Return what `armrig integrate` prints on a terminal, or through a pipe."""
     ours, theirs = pty.openpty() if terminal else os.pipe()
     given = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "TERM")} | environment
-    command = [sys.executable, "-m", "armrig", "simulate"]
+    command = [sys.executable, "-m", "armrig", "integrate", "--method", "heun"]
     try:
         subprocess.run(command, stdout=theirs, stderr=theirs, env=given, check=True)
         return os.read(ours, 10_000).decode()
@@ -28,7 +28,7 @@ def _shown(*, terminal: bool, **environment: str) -> str:
 def test_the_verdict_is_bold_and_a_note_is_dim() -> None:
     first, *_, note, after = _shown(terminal=True, TERM="xterm").splitlines()
 
-    assert first.startswith(f"{BOLD}Steady speed")
+    assert first.startswith(f"{BOLD}least work")
     assert note.startswith(f"{DIM}--verbose: ")
     assert after.startswith("next: ")
 
