@@ -108,11 +108,7 @@ def validate(
 
     The command simulates the model, predicts the output, and tests the residuals.
     """
-    from armrig.cli.model_output import (
-        error_facts,
-        lags_outside,
-        residual_facts,
-    )
+    from armrig.cli.model_output import error_facts, lags_outside, residual_facts
     from armrig.models.equation import input_and_output
     from armrig.plots.captions import signature
     from armrig.validation.answer import simulation, tests_sentence
@@ -514,23 +510,14 @@ def report(
     A report covers complete runs. Here --from is not a start time: it names a folder that --source
     wrote.
     """
-    files = files or []
+    files, outputs = files or [], ",".join(signal or ())
     if questions is not None:
         _write_questions(questions)
         if not json:
             _say_next_answers(questions)
         return
-    _check_options(
-        files,
-        handout,
-        {
-            "edited": edited,
-            "source": source,
-            "answers": answers,
-            "set": given,
-            "signal": ",".join(signal or ()),
-        },
-    )
+    of_handout = {"--answers": answers, "--set": given}
+    _check_options(files, outputs, handout, edited, source, of_handout)
     check_output(output, files, "-o", "a report is a PDF", ".pdf")
     if output.exists() and not force:
         raise InputError(f"-o {output}: exists; --force overwrites it, or give another name")
@@ -543,9 +530,8 @@ def report(
             problem["cases"] = cases(given) if given else None
             recordings, typeset = _handout_report(files, calibration, answers, **problem)
         else:
-            recordings, typeset = _study_report(
-                files, calibration, orders, names("--signal", ",".join(signal or ()))
-            )
+            of_study = names("--signal", outputs)
+            recordings, typeset = _study_report(files, calibration, orders, of_study)
         with spinner("typesetting"):
             typeset(output, source=source)
     print_result(
@@ -572,24 +558,28 @@ def _say_next_answers(path: Path) -> None:
         say_next("report --questions", questions=quote(str(path)))
 
 
-def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:
-    edited = given["edited"]
-    if edited and (
-        files or handout or any(given[x] for x in ("source", "answers", "set", "signal"))
-    ):
+def _check_options(
+    files: Sequence[Path],
+    outputs: str,
+    handout: bool,
+    edited: Path | None,
+    source: Path | None,
+    of_handout: dict[str, Any],
+) -> None:
+    """Refuse options that contradict each other."""
+    if edited and any([files, outputs, handout, source, *of_handout.values()]):
         raise typer.BadParameter(
             f"--from {edited}: give no recordings, and no option but -o and --force; the folder "
             f"contains all data of the report, the answers in {edited}/data.json"
         )
-    for name in ("answers", "set"):
-        if given[name] and not handout:
-            raise typer.BadParameter(f"--{name} applies to the handout's report: add --handout")
-    if given["signal"] and handout:
+    for name in [name for name, value in of_handout.items() if value and not handout]:
+        raise typer.BadParameter(f"{name} applies to the handout's report: add --handout")
+    if outputs and handout:
         raise typer.BadParameter(
-            f"--signal {given['signal']}: the handout's report models theta_1; leave out --handout "
-            "or --signal"
+            f"--signal {outputs}: the handout's report models theta_1; leave out --handout or "
+            "--signal"
         )
-    if not (files or handout or given["edited"]):
+    if not (files or handout or edited):
         raise typer.BadParameter(
             "give recordings to report on, such as those of `armrig collect blackbox "
             "--validation`; --handout needs none"
