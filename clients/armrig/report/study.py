@@ -249,21 +249,15 @@ def study(
     orders = chosen if of_arm or chosen != Orders() else _recommended(each[0])
     for one in each[0]:
         _require_sensible(one, orders.of(one.output))
-    tests: dict[str, ResidualTest] = {}
-    if isinstance(estimation, Signals) and isinstance(validation, Signals):
-        joint = _joint_fits(estimation, orders)
-        tests = {name: residuals(fit, validation) for name, fit in joint.items()}
+    whole, tests = _fits(estimation, orders, of_arm=of_arm), dict[str, ResidualTest]()
+    fits = [whole]
+    if several:
+        tests = {name: residuals(fit, validation) for name, fit in whole.items()}
         fits = [
-            {name: replace(fit[one.output], digest=one.digest) for name, fit in joint.items()}
+            {name: replace(fit[one.output], digest=one.digest) for name, fit in whole.items()}
             for one in each[0]
         ]
-    else:
-        made = _fits if of_arm else _fits_with_level
-        fits = [made(one, orders.of(one.output)) for one in each[0]]
-    shared: dict[str, Any] = {
-        "recordings": tuple(recordings),
-        "halves": len(excited) == 1,
-    }
+    shared: dict[str, Any] = {"recordings": tuple(recordings), "halves": len(excited) == 1}
     has_arm = of_arm and all(second_moves(r) for r in excited[:2])
     physics = [physical_model(ArmParameters(), one) if has_arm else None for one in each[0]]
     first, *others = (
@@ -294,42 +288,23 @@ def _require_sensible(data: Dataset, orders: Orders) -> None:
     )
 
 
-def _fits(data: Dataset, orders: Orders) -> dict[str, Fit]:
-    """Return the models of one output, by their names in the report."""
-    nb, nk = orders.nb, orders.nk
-    return {
-        "ARX": arx(data, na=orders.na, nb=nb, nk=nk),
-        "OE": oe(data, nb=nb, nf=orders.nf, nk=nk, integrator=orders.integrator),
-    }
-
-
-def _fits_with_level(data: Dataset, orders: Orders) -> dict[str, Fit]:
-    """Return the models of one output whose level at u = 0 need not be 0."""
-    how: dict[str, Any] = {"nb": orders.nb, "nk": orders.nk, "integrator": orders.integrator}
-    how["offset"] = not orders.integrator
-    return {
-        "ARMAX": armax(data, na=orders.na, nc=orders.na, **how),
-        "OE": oe(data, nf=orders.nf, **how),
-    }
-
-
-def _joint_fits(data: Signals, orders: Orders) -> dict[str, Fit]:
+def _fits(data: Dataset | Signals, orders: Orders, *, of_arm: bool) -> dict[str, Fit]:
     """Return the models of all outputs, by their names in the report."""
-    of_each = [orders.of(name) for name in data.outputs]
-    integrating = [n for n, own in zip(data.outputs, of_each, strict=True) if own.integrator]
-    nb, nk = [[own.nb] for own in of_each], orders.nk
-    return {
-        # A is diagonal: each output depends on its own past only, as in the model of one output.
-        "ARX": arx(data, na=np.diag([own.na for own in of_each]), nb=nb, nk=nk),
-        "OE": oe(
-            data,
-            nb=nb,
-            nf=orders.nf - bool(integrating),
-            nk=nk,
-            integrator=integrating,
-            shared="denominator",
-        ),
-    }
+    outputs = data.signals().outputs
+    each = [orders.of(name) for name in outputs]
+    first = each[0]
+    how: dict[str, Any] = {"nb": [[own.nb] for own in each], "nk": orders.nk}
+    if len(each) == 1 and not of_arm:  # the level of y at u = 0 need not be 0
+        how |= {"integrator": first.integrator, "offset": not first.integrator}
+        found = {"ARMAX": armax(data, na=first.na, nc=first.na, **how)}
+        return found | {"OE": oe(data, nf=first.nf, **how)}
+    # A is diagonal: each output depends on its own past only, as in the model of one output.
+    found = {"ARX": arx(data, na=np.diag([own.na for own in each]), **how)}
+    if len(each) == 1:
+        return found | {"OE": oe(data, nf=first.nf, integrator=first.integrator, **how)}
+    integrating = [name for name, own in zip(outputs, each, strict=True) if own.integrator]
+    nf = orders.nf - bool(integrating)
+    return found | {"OE": oe(data, nf=nf, integrator=integrating, shared="denominator", **how)}
 
 
 def assessed(

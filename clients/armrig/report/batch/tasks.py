@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import lru_cache
 from math import isfinite
 from pathlib import Path
@@ -16,6 +16,7 @@ from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.part_names import PART, part_number
 from armrig_core.telemetry.channels import THETA_1
 
+from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
@@ -153,20 +154,21 @@ Kind = str
 
 OF_THE_FILE: dict[str, Kind] = {"recording": "text", "bytes": "count", "modified_ns": "count"}
 """Columns that are known without opening the file. Their values change if the file changes."""
-OF_THE_RUN: dict[str, Kind] = {
-    "sha256": "text",
-    "rig": "text",
-    "device": "text",
-    "run_id": "text",
-    "experiment": "text",
-    "started": "text",
-    "Ts": "number",
-    "samples": "count",
-    "missing": "count",
-    "calibration_sha256": "text",
-    "recorded_by": "text",
-    "damage": "text",
+_OF_THE_RUN: dict[str, tuple[Kind, Callable[[Recording], Any]]] = {
+    "sha256": ("text", lambda r: r.sha256),
+    "rig": ("text", lambda r: r.manifest.rig),
+    "device": ("text", lambda r: str(r.manifest.device.get("uid", ""))),
+    "run_id": ("text", lambda r: r.manifest.run_id),
+    "experiment": ("text", lambda r: r.manifest.experiment),
+    "started": ("text", lambda r: r.manifest.started),
+    "Ts": ("number", lambda r: r.Ts),
+    "samples": ("count", lambda r: int(r.samples.size)),
+    "missing": ("count", lambda r: r.missing),
+    "calibration_sha256": ("text", lambda r: r.manifest.calibration_sha256),
+    "recorded_by": ("text", lambda r: f"armrig {r.manifest.armrig}"),
+    "damage": ("text", lambda r: r.damage),
 }
+OF_THE_RUN: dict[str, Kind] = {name: kind for name, (kind, _) in _OF_THE_RUN.items()}
 OF_THE_RESULT: dict[str, Kind] = {"problem": "text", "doubts": "texts"}
 """Columns of every task; `problem` is the reason for a missing result, or ""."""
 CHECKS = ("file", "samples", "envelope", "input", "timing", "configuration", "clock")
@@ -225,7 +227,8 @@ def row_of(task: Task, item: Item) -> Row:
             # A search may overflow in an intermediate step; its result reports a failure.
             warnings.simplefilter("ignore", RuntimeWarning)
             recording = load(item.path)
-            row |= _of_the_run(recording)
+            row |= {name: value(recording) for name, (_, value) in _OF_THE_RUN.items()}
+            row["doubts"] = [f.text for f in doubts(recording)]
             row |= _result(task, recording, item)
     except OSError as err:
         said = ": ".join(str(part) for part in (err.filename, err.strerror) if part)
@@ -245,42 +248,32 @@ def empty_row(task: Task, item: Item, problem: str = "") -> Row:
     return dict.fromkeys(columns_of(task)) | known | {"problem": problem, "doubts": []}
 
 
-def _of_the_run(r: Recording) -> Row:
-    m = r.manifest
-    return {
-        "sha256": r.sha256,
-        "rig": m.rig,
-        "device": str(m.device.get("uid", "")),
-        "run_id": m.run_id,
-        "experiment": m.experiment,
-        "started": m.started,
-        "Ts": r.Ts,
-        "samples": int(r.samples.size),
-        "missing": r.missing,
-        "calibration_sha256": m.calibration_sha256,
-        "recorded_by": f"armrig {m.armrig}",
-        "damage": r.damage,
-        "doubts": [f.text for f in doubts(r)],
-    }
-
-
 def _result(task: Task, recording: Recording, item: Item) -> Row:
     match task:
         case Identify():
-            return _identified(task, recording)
+            return _identified(task, *_data(task, recording, task.signal))
         case Validate():
-            return _validated(task, recording)
+            fit = _model(task.model)
+            # `compare` refuses the first channel if the recording has no output of the model.
+            output = fit.output if fit.output in recording.outputs else None
+            return _validated(fit, *_data(task, recording, output))
         case Verify():
             return _verified(recording)
         case Report():
             return _reported(task, recording, item)
 
 
-def _identified(task: Identify, recording: Recording) -> Row:
+def _data(
+    task: Identify | Validate, recording: Recording, output: str | None
+) -> tuple[Dataset, list[str]]:
+    """Return the data of an output, or of the first channel, and the doubts about the data."""
+    data, found = recording.dataset(output), (*doubts(recording), *doubts_of_estimation(recording))
+    return detrend(data) if task.detrend else data, [f.text for f in found]
+
+
+def _identified(task: Identify, data: Dataset, doubted: list[str]) -> Row:
     from armrig.models.model_writing import model_text
 
-    data = recording.dataset(task.signal)
-    data = detrend(data) if task.detrend else data
     task.check(data)
     fit = task.estimated(data)
     return _attributes(fit, "identify") | {
@@ -288,7 +281,7 @@ def _identified(task: Identify, recording: Recording) -> Row:
         "p_white": fit.whiteness,
         "parameters": fit.theta,
         "model": model_text(fit),
-        "doubts": [f.text for f in (*doubts(recording), *doubts_of_estimation(recording))],
+        "doubts": doubted,
     }
 
 
@@ -297,13 +290,10 @@ def _attributes(result: object, task: str) -> Row:
     return {name: getattr(result, name) for name in OF_THE_TASK[task] if hasattr(result, name)}
 
 
-def _validated(task: Validate, recording: Recording) -> Row:
+def _validated(fit: Fit, data: Dataset, doubted: list[str]) -> Row:
     from armrig.validation.comparison import compare
     from armrig.validation.residuals import residuals
 
-    fit = _model(task.model)
-    data = recording.dataset(_output(fit, recording))
-    data = detrend(data) if task.detrend else data
     tests = residuals(fit, data)
     return _attributes(compare(data, fit)[0], "validate") | {
         "model_of": fit.source,
@@ -311,7 +301,7 @@ def _validated(task: Validate, recording: Recording) -> Row:
         "p_white": tests.whiteness,
         "p_no_dynamics_missing": tests.missing_dynamics,
         "p_no_feedback": tests.feedback,
-        "doubts": [f.text for f in (*doubts(recording), *doubts_of_estimation(recording))],
+        "doubts": doubted,
     }
 
 
@@ -352,11 +342,6 @@ def _model(text: str) -> Fit:
     from armrig.models.model_file import fit_of
 
     return fit_of(text, "the model")
-
-
-def _output(fit: Fit, recording: Recording) -> str:
-    """Return the output of a model, or the first channel, which `compare` then refuses."""
-    return fit.output if fit.output in recording.outputs else recording.first
 
 
 def _in_a_line(text: str) -> str:
