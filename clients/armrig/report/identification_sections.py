@@ -7,8 +7,6 @@ from itertools import zip_longest
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
 from armrig.estimation.nonparametric.sampling_time import SamplingTime
 from armrig.models.equation import letters, typst_form
 from armrig.models.fit import Fit
@@ -32,7 +30,7 @@ from armrig.numerics.quantities import (
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy
 from armrig.report.handout_study import HandoutStudy
-from armrig.report.model_facts import without_arm
+from armrig.report.model_facts import deviations, fixed_roots, without_arm
 from armrig.report.recording_facts import linearity_sentences, without_turns
 from armrig.report.sections import Section, Table, figure
 from armrig.report.study import Study
@@ -136,6 +134,7 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
     halves = " (the second half of the recording)" if black.halves else ""
     nb, nf = (best.model.orders.get(name) for name in ("nb", "nf"))
     hints = study.hints
+    roots = "".join(f"{text} " for text in fixed_roots(black))
     other = ""
     if hints is not None and nf is not None and (nb, nf) != (hints.nb, hints.nf):
         other = (
@@ -150,10 +149,10 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
             f"{milliseconds(black.estimation.Ts)}: for these samples the angle and its past are "
             f"known.{other}",
             f"$ {', quad '.join([typst_form(best.model), *_polynomials(best.model)])} $",
-            f"The equation contains the delay $q^(-1)$ and white noise $e(t)$.{_fixed_root(black)} "
-            "The rms error is the error of the simulated angle on the validation data. p white and "
-            "p dynamics are the p values of two hypotheses: the residuals are white, and past "
-            "input does not explain the residuals. A value below 0.01 speaks against the model.",
+            f"The equation contains the delay $q^(-1)$ and white noise $e(t)$. {roots}The rms "
+            "error is the error of the simulated angle on the validation data. p white and p "
+            "dynamics are the p values of two hypotheses: the residuals are white, and past input "
+            "does not explain the residuals. A value below 0.01 speaks against the model.",
             *linearity_sentences(black.validation),
         ),
         tables=(_coefficients(black), _validation(black)),
@@ -162,17 +161,6 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
             f"Residuals of the {best.name} model on validation data: correlation "
             "with themselves (a) and with the input (b).",
         ),
-    )
-
-
-def _fixed_root(black: Study) -> str:
-    """Return a sentence on the models with a fixed integrator; "" if there are none."""
-    names = [m.name for m in black.estimated if m.model.integrator]
-    if not names:
-        return ""
-    return (
-        f" {listed(names)} {'has' if len(names) == 1 else 'have'} the factor $1 - q^(-1)$, the "
-        "integrator from speed to angle. Its root at 1 is fixed, not estimated."
     )
 
 
@@ -252,10 +240,13 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
         rows=tuple(rows),
     )
     are = "is closest" if len(closest) == 1 else "are equally close"
+    fitted = "Nothing in the physical model was fitted."
+    compared = black.reference is not None
+    difference = f"{deviations(black, black)} {fitted}" if compared else without_arm(black)
     return Section(
         paragraphs=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
-            f"{least}. {_difference(black)}",
+            f"{least}. {difference}",
             "The fit of the rate is $100 (1 - norm(v - w) slash norm(v - macron(v)))$ %, $v$ "
             "measured with mean $macron(v)$, $w$ simulated. This fit is below 0 % if a constant "
             "fits better. It is below 100 % even for the true system, since $v$ contains the "
@@ -275,17 +266,6 @@ def _figure(x: float, std: float, scale: float) -> str:
     if not isfinite(x):
         return "–"
     return minus(with_std(scale * x, scale * std if isfinite(std) else 0.0))
-
-
-def _difference(black: Study) -> str:
-    if black.best.deviation is None:
-        return without_arm(black)
-    median = percent(100 * float(np.median(black.best.deviation)))
-    return (
-        f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
-        f"{black.best.name} differs from that of the physical model by a median of {median}. "
-        "Nothing in the physical model was fitted."
-    )
 
 
 def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:

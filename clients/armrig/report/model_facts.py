@@ -74,14 +74,8 @@ def _coefficients(fit: Fit, reference: Fit | None) -> Iterator[tuple[str, ...]]:
 
 def structure(study: Study) -> str:
     """Return a text on the integrator, the initial state and the dead band in the models."""
-    fixed_roots = [
-        (one, m) for one in each_output(study) for m in one.estimated if m.model.integrator
-    ]
-    said = [
-        f"{one.symbol} integrates the voltage, so {m.model.integrating.upper()} of "
-        f"{_named(m, one, study)} has the factor 1 − q⁻¹ by construction."
-        for one, m in fixed_roots
-    ]
+    said = fixed_roots(study)
+    offset = " and the input offset" if said else ""
     if study.others:
         outputs = listed([one.symbol for one in each_output(study)])
         said.append(
@@ -90,7 +84,6 @@ def structure(study: Study) -> str:
             "coefficients of its own transfer function. In the ARX model each output depends on "
             "its own past only, and the covariance of the errors weights both outputs."
         )
-    offset = " and the input offset" if fixed_roots else ""
     are = "are" if offset else "is"
     said.append(
         f"The initial state{offset} of each experiment {are} estimated with the model."
@@ -98,6 +91,17 @@ def structure(study: Study) -> str:
         "missing." * study.of_arm
     )
     return " ".join(said)
+
+
+def fixed_roots(study: Study) -> list[str]:
+    """Return a sentence on each integrator that a model has by construction."""
+    return [
+        f"{one.symbol} integrates the voltage, so {m.model.integrating.upper()} of "
+        f"{_named(m, one, study)} has the factor 1 − q⁻¹ by construction."
+        for one in each_output(study)
+        for m in one.estimated
+        if m.model.integrator
+    ]
 
 
 def estimations(study: Study) -> list[str]:
@@ -145,11 +149,12 @@ def physics(study: Study) -> str:
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
-        f"{' '.join(_deviations(one, study) for one in each_output(study))} "
+        f"{' '.join(deviations(one, study) for one in each_output(study))} "
     )
 
 
-def _deviations(one: Study, study: Study) -> str:
+def deviations(one: Study, study: Study) -> str:
+    """Return a sentence on the deviations of one output's models, the best first."""
     span = f"{one.omega[0]:g} to {one.omega[-1]:.0f} rad/s"
     to = f"{f' to the {one.angle}' if study.others else ''} differs from the physical model"
     texts: list[str] = []

@@ -153,27 +153,21 @@ def _percentiles(spread: Spread) -> str:
 def data_text(study: Study) -> str:
     """Return a text on the sources of angles and voltage, and the percentages of missing angles."""
     said = ["The voltage is the applied voltage that the device reports."]
-    if not study.of_arm:
-        for one in each_output(study):
-            hidden = 100 * one.estimation.missing / one.estimation.N
-            said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {one.output}.")
-            said += linearity_sentences(one.validation)
-        return " ".join([*said, "The scales of the outputs are those of the rig's description."])
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
     for one in each_output(study):
         y = one.symbol
-        said.append(
-            f"{y} is unwrapped from the raw counts. {y} grows without limit, because the voltage "
-            "is never negative"
-            if one.integrates
-            else f"{y} is relative to the chassis"
-        )
-        said[-1] += ". No mean and no trend is removed from this angle." if steps <= cut else "."
+        if study.of_arm:
+            text = f"{y} is relative to the chassis."
+            if one.integrates:
+                text = f"{y} is unwrapped from the raw counts. {y} grows without limit, because "
+                text += "the voltage is never negative."
+            said.append(text + " No mean and no trend is removed from this angle." * (steps <= cut))
         hidden = 100 * one.estimation.missing / one.estimation.N
         said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {y}.")
         said += linearity_sentences(one.validation)
-    return " ".join([*said, _units(study)])
+    of_rig = "The scales of the outputs are those of the rig's description."
+    return " ".join([*said, _units(study) if study.of_arm else of_rig])
 
 
 def linearity_sentences(data: Dataset) -> list[str]:
