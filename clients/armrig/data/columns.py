@@ -21,6 +21,7 @@ Names = str | Sequence[str]
 
 MAX_SIZE = 1e30
 """Largest magnitude of a value: products of fourth powers of data must be finite."""
+_MAX_SHOWN = 12  # names in a message
 _MAX_INTERVAL_DEVIATION = 1e-3
 """Largest deviation of an interval of equidistant times, as a share of the mean interval."""
 
@@ -134,6 +135,23 @@ def courses_of(intersample: Names, n: int) -> tuple[Intersample, ...]:
 def as_tuple(names: Names) -> tuple[str, ...]:
     """Return one name or several names as a tuple."""
     return (names,) if isinstance(names, str) else tuple(names)
+
+
+def listed(names: Sequence[str], units: Sequence[str] = ()) -> str:
+    """Return names with their units as text; a long list is cut off."""
+    pairs = zip(names, units or [""] * len(names), strict=True)
+    texts = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
+    return ", ".join(texts[:_MAX_SHOWN]) + (", …" if len(texts) > _MAX_SHOWN else "")
+
+
+def index_of(what: str, name: str | None, names: tuple[str, ...]) -> int:
+    """Return the index of a channel; the name may be left out if there is one channel."""
+    if name is None and len(names) == 1:
+        return 0
+    if name not in names:
+        said = f"{what}={name!r}: there is no such {what}" if name else f"which {what}?"
+        raise InputError(f"{said}; there are {listed(names)}")
+    return names.index(name)
 
 
 def starts_of(starts: Sequence[int], N: int) -> tuple[int, ...]:

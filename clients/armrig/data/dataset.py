@@ -18,7 +18,9 @@ from armrig.data.columns import (
     as_tuple,
     columns,
     courses_of,
+    index_of,
     interval,
+    listed,
     names_of,
     plain,
     require_finite,
@@ -34,8 +36,6 @@ from armrig.numerics.checks import column
 from armrig.numerics.stretches import Mask
 
 T = TypeVar("T")
-
-_MAX_SHOWN = 12  # names in a message
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
@@ -237,7 +237,7 @@ class Signals(Experiments):
         >>> signals.outputs, signals.output("alpha")
         (('theta_1', 'alpha'), 1)
         """
-        return _index("output", name, self.outputs)
+        return index_of("output", name, self.outputs)
 
     def input(self, name: str | None = None) -> int:
         """Return the index of an input; the name may be left out if there is one input.
@@ -248,7 +248,7 @@ class Signals(Experiments):
         >>> signals.u[:, signals.input("u")].max().round(1)
         np.float64(4.5)
         """
-        return _index("input", name, self.inputs)
+        return index_of("input", name, self.inputs)
 
     def dataset(self, output: str | None = None, input: str | None = None) -> Dataset:
         """Return the view of one output and one input as a Dataset; the arrays are shared.
@@ -269,8 +269,8 @@ class Signals(Experiments):
         """
         if (output is None and self.ny > 1) or (input is None and self.nu > 1):
             raise InputError(
-                f"{self.ny} outputs ({_listed(self.outputs)}) and {self.nu} inputs "
-                f"({_listed(self.inputs)}): choose one of each with signals.dataset(output, input)"
+                f"{self.ny} outputs ({listed(self.outputs)}) and {self.nu} inputs "
+                f"({listed(self.inputs)}): choose one of each with signals.dataset(output, input)"
             )
         i, j = self.output(output), self.input(input)
         self.equidistant()
@@ -321,7 +321,7 @@ class Signals(Experiments):
 
     def __repr__(self) -> str:
         """Describe the data in one line."""
-        outputs, inputs = _listed(self.outputs, self.units), _listed(self.inputs, self.input_units)
+        outputs, inputs = listed(self.outputs, self.units), listed(self.inputs, self.input_units)
         return self._described(f"outputs {outputs}; inputs {inputs}", "values missing")
 
 
@@ -459,19 +459,3 @@ def view(signals: Signals) -> Dataset:
     data = object.__new__(Dataset)
     object.__setattr__(data, "_columns", signals)
     return data
-
-
-def _listed(names: Sequence[str], units: Sequence[str] = ()) -> str:
-    """Return names with their units as text; a long list is cut off."""
-    pairs = zip(names, units or [""] * len(names), strict=True)
-    texts = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
-    return ", ".join(texts[:_MAX_SHOWN]) + (", …" if len(texts) > _MAX_SHOWN else "")
-
-
-def _index(what: str, name: str | None, names: tuple[str, ...]) -> int:
-    if name is None and len(names) == 1:
-        return 0
-    if name not in names:
-        said = f"{what}={name!r}: there is no such {what}" if name else f"which {what}?"
-        raise InputError(f"{said}; there are {_listed(names)}")
-    return names.index(name)

@@ -10,6 +10,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
+from armrig.data.columns import index_of
 from armrig.models.continuous_time import (
     Quantities,
     continuous,
@@ -140,8 +141,8 @@ class Fit(Estimate):
             There is no such output or input, or the input does not affect the output.
         """
         output, input = channel if isinstance(channel, tuple) else (channel, None)
-        i = _index("output", output, self.outputs)
-        j = _index("input", input, self.inputs)
+        i = index_of("output", output, self.outputs)
+        j = index_of("input", input, self.inputs)
         if self.ny == self.nu == 1:
             return self
         form, J = self.form.channel(i, j)
@@ -690,12 +691,3 @@ class Fit(Estimate):
         from armrig.models.equation import described
 
         return described(self)
-
-
-def _index(what: str, name: str | None, names: tuple[str, ...]) -> int:
-    if name is None and len(names) == 1:
-        return 0
-    if name not in names:
-        said = f"{what} {name!r}: there is no such {what}" if name else f"which {what}?"
-        raise InputError(f"{said}; the model has {', '.join(names)}")
-    return names.index(name)

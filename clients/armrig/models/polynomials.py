@@ -18,7 +18,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from armrig.models.state_space import Complex, Matrix, StateSpace, Vector, frozen
+from armrig.models.state_space import Complex, Matrix, StateSpace, Vector, freeze
 
 Row = tuple[Vector, ...]
 
@@ -50,11 +50,7 @@ class Polynomials:
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
-        for name in "ABF":
-            rows = tuple(tuple(map(frozen, row)) for row in getattr(self, name))
-            object.__setattr__(self, name, rows)
-        for name in "CD":
-            object.__setattr__(self, name, tuple(map(frozen, getattr(self, name))))
+        freeze(self, ("A", "B", "C", "D", "F"))
 
     @classmethod
     def of_channel(

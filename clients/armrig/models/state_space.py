@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from armrig.data.columns import Matrix as Matrix
 from armrig.data.columns import Vector as Vector
@@ -71,15 +71,17 @@ class StateSpace:
         return np.asarray(x @ self.C.T + u @ self.D.T)
 
 
-def frozen(values: ArrayLike) -> Vector:
-    """Return a read-only copy of an array of numbers."""
+def frozen(values: Any) -> Any:
+    """Return a read-only copy of an array of numbers, or a tuple of such copies."""
+    if isinstance(values, tuple):
+        return tuple(map(frozen, values))
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
 
 
 def freeze(value: Any, names: tuple[str, ...]) -> None:
-    """Replace the fields `names` of a dataclass by read-only arrays of numbers."""
+    """Replace the fields `names` of a dataclass by read-only arrays, or tuples of arrays."""
     for name in names:
         object.__setattr__(value, name, frozen(getattr(value, name)))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.models.polynomials import Polynomials
-from armrig.models.state_space import Matrix, StateSpace, Vector, frozen
+from armrig.models.state_space import Matrix, StateSpace, Vector, freeze
 from armrig.numerics.exact_sampling import Hold, sampled
 
 _ONE = np.ones(1)
@@ -48,11 +48,7 @@ class TransferFunction:
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
-        for name in "ABF":
-            rows = tuple(tuple(map(frozen, row)) for row in getattr(self, name))
-            object.__setattr__(self, name, rows)
-        for name in "CD":
-            object.__setattr__(self, name, tuple(map(frozen, getattr(self, name))))
+        freeze(self, ("A", "B", "C", "D", "F"))
 
     @property
     def nk(self) -> tuple[tuple[int, ...], ...]:

@@ -192,9 +192,9 @@ def test_a_channel_has_the_signals_and_numbers_of_its_output_and_input() -> None
     assert [integrating[name, "u"].offset for name in "ab"] == [True, False]
     for channel, said in (
         (("b", "v"), "does not affect this output"),
-        (("c", "u"), "output 'c': there is no such output; the model has a, b"),
-        (("a", "x"), "input 'x': there is no such input; the model has u, v, w"),
-        ("a", r"which input\?; the model has u, v, w"),
+        (("c", "u"), "output='c': there is no such output; there are a, b"),
+        (("a", "x"), "input='x': there is no such input; there are u, v, w"),
+        ("a", r"which input\?; there are u, v, w"),
     ):
         with pytest.raises(InputError, match=said):
             fit[channel]  # type: ignore[index]
