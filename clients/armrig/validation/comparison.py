@@ -12,6 +12,7 @@ from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_data
+from armrig.data.columns import index_of
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
@@ -105,10 +106,7 @@ class ComparisonTable:
 
     def of(self, output: str) -> ComparisonTable:
         """Return the comparison of one output."""
-        if output not in self.outputs:
-            raise InputError(
-                f"output {output!r}: there is no such output; there are {', '.join(self.outputs)}"
-            )
+        index_of("output", output, self.outputs)
         return replace(self, rows=tuple(row for row in self.rows if row.output == output))
 
     @property

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
+from armrig.data.columns import index_of
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation, plural
@@ -213,16 +213,11 @@ class ResidualTest:
             There is no such output or input.
         """
         output, input = channel if isinstance(channel, tuple) else (channel, None)
-        if output not in self.outputs or input not in self.inputs:
-            raise InputError(
-                f"{channel!r} is no channel; give an output of {listed(self.outputs)} and an input "
-                f"of {listed(self.inputs)}"
-            )
-        i, j = self.outputs.index(output), self.inputs.index(input)
+        i, j = index_of("output", output, self.outputs), index_of("input", input, self.inputs)
         shape = len(self.outputs), len(self.inputs)
         return PairTest(
-            output=output,
-            input=input,
+            output=self.outputs[i],
+            input=self.inputs[j],
             lags=self.cross_lags,
             correlation=self.cross_correlation.reshape(*shape, -1)[i, j],
             std=self.cross_std.reshape(*shape, -1)[i, j],
