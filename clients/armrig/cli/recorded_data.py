@@ -398,7 +398,10 @@ class SignalChoice(DataOptions):
             raise typer.BadParameter(
                 f"--assume {self.assume} is for one output and one input: leave it out"
             )
-        data = self._table(file, model) if self._is_other(file) else self.recorded(file, model)
+        from armrig.recordings.files.recording_summary import is_recording
+
+        is_other = self.topic is not None or not is_recording(file)
+        data = self._table(file, model) if is_other else self.recorded(file, model)
         return self._treated(file, data, model)
 
     def of_one(self, file: Path) -> Dataset:
@@ -471,14 +474,15 @@ class SignalChoice(DataOptions):
                 return armrig.load_data(file, input=inputs[0], signal=outputs[0], **how)
             return armrig.load_signals(file, inputs=inputs, outputs=outputs, **how)
 
-    def _is_other(self, file: Path) -> bool:
-        """Return True if --topic or the content shows that the file is not a recording."""
-        from armrig.recordings.files.recording_summary import is_recording
+    def recordings(self, *files: Path) -> list[Recording]:
+        """Return the chosen part of recordings."""
+        return loaded(files, self.calibration, self.start, self.stop)
 
-        return self.topic is not None or not is_recording(file)
+    def recorded(self, file: Path, model: Fit | None) -> Dataset | Signals:
+        """Return the data of a recording; the default outputs are the model's.
 
-    def _recording(self, file: Path) -> Recording:
-        """Return a recording; refuse options that apply to other data."""
+        Options that apply to other data are refused.
+        """
         for typed in self.given("input", *READING):
             raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
         from armrig.recordings.usability import doubts_of_pair
@@ -486,15 +490,6 @@ class SignalChoice(DataOptions):
         [recording] = self.recordings(file)
         tell_findings(doubts_of_pair(self.read[0], recording) if self.read else ())
         self.read.append(recording)
-        return recording
-
-    def recordings(self, *files: Path) -> list[Recording]:
-        """Return the chosen part of recordings."""
-        return loaded(files, self.calibration, self.start, self.stop)
-
-    def recorded(self, file: Path, model: Fit | None) -> Dataset | Signals:
-        """Return the data of a recording; the default outputs are the model's."""
-        recording = self._recording(file)
         if model is None:
             outputs = recorded_outputs(recording, self.outputs)
         else:
