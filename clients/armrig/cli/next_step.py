@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
-from itertools import count, islice
+from itertools import chain, count
 from math import isfinite
+from operator import attrgetter
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -41,8 +42,8 @@ _MAX_NAME_LENGTH = 28
 """Largest number of letters of a name before the suffix `_AGAIN`; further letters are cut off."""
 _AGAIN = "-again"
 """Suffix of the name of a repeated step."""
-_MAX_SEARCHED = 100
-"""Largest number of recordings, newest first, that are searched for a kind of experiment."""
+_Pair = tuple["RecordingSummary", "RecordingSummary"]
+"""A recording for estimation and its recording for validation."""
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -121,16 +122,15 @@ def _goes_on(line: str) -> str:
     words = shlex.split(line)
     if words[1:] == ["lab"] and _rig_runs():
         return _goes_on(AFTER["lab"].format(rig=""))
-    if words[1] == "collect" and "--validation" in words:
+    if words[1] != "collect":
+        return line
+    if "--validation" in words:
         pair = recorded_pair(float(words[words.index("--Ts") + 1]))
         return AFTER["collect blackbox"].format(file=pair) if pair else line
-    if words[1] != "collect" or words[-2] != "--name":
+    if words[-2] != "--name":
         return line
-    from armrig.recordings.files.recording_names import matching
-
-    paths = own_recordings()
-    names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # prefer the repeated run
-    found = [s for name in names for s in matching(name, paths) if s.is_complete]
+    names, own = (f"{words[-1]}{_AGAIN}", words[-1]), own_recordings()  # prefer the repeated run
+    found = [s for name in names for s in own if name in s.names(validation=False)]
     if not found:
         return line
     if found[0].kind == "step" and (pair := recorded_pair()):
@@ -148,22 +148,50 @@ def _rig_runs() -> bool:
     return False
 
 
+def own_recordings() -> list[RecordingSummary]:
+    """Return the complete recordings in the recording folder; none if it cannot be read.
+
+    The newest recording is the first.
+    """
+    from armrig.recordings.files import recording_names as names
+    from armrig.recordings.files.catalogue import catalogue
+
+    with suppress(names.NoSuchRecordingError, OSError):
+        return [s for s in catalogue(names.recording_folder()).recordings if s.is_complete]
+    return []
+
+
+def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[_Pair]:
+    """Return estimation and validation recordings of equal sampling time and calibration.
+
+    The pair with the newest validation recording is the first. Without `kinds`, all are returned.
+    """
+    runs = {s.run_id: s for s in own}
+    found = [(runs[s.validation_of], s) for s in own if s.is_validation and s.validation_of in runs]
+    same = attrgetter("Ts", "calibration_sha256")
+    return [(a, b) for a, b in found if same(a) == same(b) and b.kind in (kinds or (b.kind,))]
+
+
 def recorded_pair(Ts: float | None = None) -> str:
     """Return the newest estimation recording with a validation recording; "" if none exists."""
-    pairs = map(_estimation, _complete(own_recordings(), "blackbox-validation"))
-    found = next((s for s in pairs if s and Ts in (None, s.Ts)), None)
-    return typed(found.path) if found else ""
+    found = (first for first, _ in _pairs(own_recordings(), "blackbox") if Ts in (None, first.Ts))
+    return next((typed(first.path) for first in found), "")
 
 
-def own_recordings() -> list[Path]:
-    """Return the paths in the recording folder, newest first; none if it cannot be read."""
-    from armrig.recordings.files import recording_names as names
-    from armrig.recordings.files.catalogue import newest_first
+def validation_beside(path: Path) -> str:
+    """Return the name of the validation recording of an estimation recording; "" if none exists."""
+    return _other_of_pair(path, 0)
 
-    try:
-        return newest_first(names.recording_folder())
-    except (names.NoSuchRecordingError, OSError):
-        return []
+
+def estimation_of(path: Path) -> str:
+    """Return the name of the estimation recording of a validation recording; "" if none exists."""
+    return _other_of_pair(path, 1)
+
+
+def _other_of_pair(path: Path, place: int) -> str:
+    pairs = _pairs(own_recordings())
+    found = (pair for pair in pairs if pair[place].path.absolute() == path.absolute())
+    return next((typed(pair[1 - place].path) for pair in found), "")
 
 
 def step_again(recording: Recording) -> str:
@@ -208,43 +236,10 @@ def typed(path: Path) -> str:
     return quote(str(path))
 
 
-def estimation_of(path: Path) -> str:
-    """Return the @name of the estimation recording of a validation recording; "" if unknown."""
-    name = typed(path)
-    if not name.startswith("@"):
-        return ""
-    from armrig.recordings.files.recording_summary import summary_of
-
-    if not (of := summary_of(path).validation_of):
-        return ""
-    found = _chosen(f"@{of}")  # without such a recording, the id is its name
-    return typed(found.path) if found else f"@{of}"
-
-
-def _chosen(text: str, folder: Path | None = None) -> RecordingSummary | None:
-    """Return the recording that a name means; None if the name is unknown or ambiguous."""
-    from armrig.recordings.files import recording_names as names
-
-    try:
-        return names.chosen(text, folder or names.recording_folder())
-    except names.NoSuchRecordingError:
-        return None
-
-
-def kind_of(path: Path) -> str:
-    """Return the kind of experiment of a recording; "" if the file cannot be read."""
-    from armrig.recordings.files.recording_summary import summary_of
-
-    try:
-        return summary_of(path).kind
-    except (DamageError, OSError):
-        return ""
-
-
 def free_name() -> str:
     """Return the first name of report.pdf, report-2.pdf … for which no file exists."""
-    free = (n for n in count(2) if not Path(f"report-{n}.pdf").exists())
-    return f"report-{next(free)}.pdf" if Path("report.pdf").exists() else "report.pdf"
+    names = chain(["report.pdf"], (f"report-{n}.pdf" for n in count(2)))
+    return next(name for name in names if not Path(name).exists())
 
 
 def for_the_report() -> str:
@@ -256,25 +251,24 @@ def for_the_report() -> str:
     If no recording of this kind has a name, it takes the newest one. The result is "" if there is
     no recording.
     """
-    paths = own_recordings()
-    parts = ("-validation", "greybox", "step")
-    every = {s.path: s for part in parts for s in _complete(paths, part)}
-    calibrations = dict.fromkeys(s.calibration_sha256 for s in every.values())
-    found = (_of_calibration(hash_, list(every.values())) for hash_ in calibrations)
+    own = own_recordings()
+    calibrations = dict.fromkeys(s.calibration_sha256 for s in own)
+    found = (_of_calibration(hash_, own) for hash_ in calibrations)
     return "".join(f" {typed(s.path)}" for s in max(found, key=len, default=[]))
 
 
-def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[RecordingSummary]:
+def _of_calibration(hash_: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary]:
     """Return the existing step, estimation, validation and chassis recordings of a calibration."""
-    known = [s for s in every if s.calibration_sha256 == hash_]
-    step = _newest(s for s in known if s.kind == "step")
+    known = [s for s in own if s.calibration_sha256 == hash_]
+    pair = sorted(_pairs(known, "blackbox"), key=lambda pair: not pair[1].name)[:1]
     # A daemon for the chassis alone reads the same calibration from a file, with another hash.
-    either = (_newest(s for s in of if s.kind == "greybox") for of in (known, every))
-    chassis = next(filter(None, either), None)
-    pairs = (s for s in known if s.kind == "blackbox" and s.is_validation)
-    validation = _newest(s for s in pairs if _estimation(s))
-    estimation = _estimation(validation) if validation else None
-    return [s for s in (step, estimation, validation, chassis) if s is not None]
+    chassis = _newest("greybox", known) or _newest("greybox", own)
+    return [*_newest("step", known), *chain(*pair), *chassis]
+
+
+def _newest(kind: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary]:
+    """Return the first recording of a kind that has a name, or the first, in a list; else []."""
+    return sorted((s for s in own if s.kind == kind), key=lambda s: not s.name)[:1]
 
 
 def answers_here() -> str:
@@ -284,43 +278,7 @@ def answers_here() -> str:
 
 def chassis() -> str:
     """Return the name of the newest complete recording of the chassis alone; "" if none exists."""
-    found = _newest(s for s in _complete(own_recordings(), "greybox") if s.kind == "greybox")
-    return typed(found.path) if found else ""
-
-
-def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:
-    """Yield the newest complete recordings whose file names contain `part`."""
-    from armrig.recordings.files.catalogue import summaries
-
-    found = islice((path for path in paths if part in path.name), _MAX_SEARCHED)
-    return (s for path in found for s in summaries([path]) if s.is_complete)
-
-
-def _newest(found: Iterator[RecordingSummary]) -> RecordingSummary | None:
-    """Return the first recording with a name, or the first recording if none has a name."""
-    first = None
-    for summary in found:
-        if summary.name:
-            return summary
-        first = first or summary
-    return first
-
-
-def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
-    """Return the complete estimation recording with equal sampling time and calibration."""
-    found = _chosen(f"@{validation.validation_of}", validation.folder)
-    if found is None:
-        return None
-    same = found.Ts == validation.Ts and found.calibration_sha256 == validation.calibration_sha256
-    return found if same and found.is_complete else None
-
-
-def validation_beside(path: Path) -> str:
-    """Return the name of the validation recording of an estimation recording; "" if none exists."""
-    from armrig.recordings.files.recording_names import VALIDATION
-
-    beside = f"{typed(path)}{VALIDATION}"
-    return beside if beside.startswith("@") and _chosen(beside) else ""
+    return "".join(typed(s.path) for s in _newest("greybox", own_recordings()))
 
 
 CHECK = ""
@@ -333,51 +291,51 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     """Print the next command, which acts on the findings, saves the model or validates it."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
-    fit, request, data, signals = found.fit, found.request, found.data, found.signals
-    tests = None if found.validation is None else found.validation.tests
+    fit, data, signals, columns = found.fit, found.data, found.signals, found.data.signals()
     one = (fit.ny, fit.nu) == (1, 1)
-    searched = found.search is not None
-    if one:
-        detrended = signals.detrend
-        options = options_after(fit, request, findings, searched=searched, detrended=detrended)
-    else:
-        about = {f.about for f in findings}
-        accepted = not (about & _REJECTED or (tests is not None and tests.rejects))
-        options = options_of(request)
-        if not (searched or accepted):
-            options = _better_options(request, data, about)
-    given, file = signals.options(), typed(found.file)
+    options, given, file = _options(found, findings), signals.options(), typed(found.file)
     if found.validate is not None:
         validation = typed(found.validate)
     else:
         validation = validation_beside(found.file) if signals.read else ""
+    output, input = (*signals.outputs, *columns.outputs)[0], (*signals.inputs, *columns.inputs)[0]
+    channel = signals.of_channel(output, input, data)
     values: dict[str, str | float] = {
         "file": file,
         "Ts": data.Ts or fit.Ts,
         "validation": validation,
+        "model": quote(str(found.save or "model.json")),
+        "options": options + given + (f" --validate {validation}" if validation else ""),
+        # `armrig check` has no option --offset.
+        "given": channel.options() + " --detrend" * (one and fit.offset and not signals.detrend),
     }
-    values["model"] = quote(str(found.save or "model.json"))
-    values["options"] = options + given + (f" --validate {validation}" if validation else "")
-    channel = signals
-    if not one:
-        columns = data.signals()
-        output = (*signals.outputs, *columns.outputs)[0]
-        channel = signals.of_channel(output, (*signals.inputs, *columns.inputs)[0], data)
     # The next step after the validation of one output is known for the arm's angle alone.
-    known = not one or fit.output in INTEGRATING_OUTPUTS
-    # `armrig check` has no option --offset.
-    checked = channel.options() + " --detrend" * (one and fit.offset and not signals.detrend)
+    known = signals.read and (not one or fit.output in INTEGRATING_OUTPUTS)
     if options == CHECK:
-        say_next("identify check", **values, given=checked)
-    elif found.save is None or options != options_of(request):
+        say_next("identify check", **values)
+    elif found.save is None or options != options_of(found.request):
         say_next("identify", **values)
-    elif found.validate is not None and tests is not None and signals.read and known:
+    elif found.validate is not None and found.validation is not None and known:
+        tests = found.validation.tests
         after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)
     elif validation:
         # `armrig validate` has no option --assume.
-        say_next("identify --save", **values, given=replace(signals, assume=None).options())
+        say_next("identify --save", **values | {"given": replace(signals, assume=None).options()})
     else:
-        say_next("identify alone" if signals.read else "identify check", **values, given=checked)
+        say_next("identify alone" if signals.read else "identify check", **values)
+
+
+def _options(found: Found, findings: Sequence[Finding]) -> str:
+    """Return the options of the next estimation; `CHECK` if the data must be tested first."""
+    fit, request, searched = found.fit, found.request, found.search is not None
+    if (fit.ny, fit.nu) == (1, 1):
+        detrended = found.signals.detrend
+        return options_after(fit, request, findings, searched=searched, detrended=detrended)
+    about = {f.about for f in findings}
+    rejected = found.validation is not None and found.validation.tests.rejects
+    if searched or not (rejected or about & _REJECTED):
+        return options_of(request)
+    return _better_options(request, found.data, about)
 
 
 def _better_options(request: Request, data: Dataset | Signals, about: Set[str]) -> str:

@@ -16,7 +16,7 @@ from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
 
 import armrig
-from armrig.cli.next_step import AFTER, kind_of, say_next, typed
+from armrig.cli.next_step import AFTER, say_next, typed
 from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen
 from armrig.cli.printing import (
     columns,
@@ -415,7 +415,7 @@ def plot(
         print_json(found.facts() | {"figure": written})
         return
     print_table(*found.rows())
-    after = f"plot {kind_of(file)}"
+    after = f"plot {recording.manifest.kind}"
     say_next(after if after in AFTER else "plot", file=typed(file))
 
 

@@ -280,17 +280,8 @@ def _experiment_name(experiment: str, name: str) -> str:
 
 def _check_name_is_free(name: str) -> None:
     """Refuse the name of a complete recording; otherwise the name would become ambiguous."""
-    from armrig.recordings.files.recording_names import matching
-
-    if not name:
-        return
-    paths = own_recordings()
-
-    def is_used(text: str) -> bool:
-        return any(s.is_complete for s in matching(text, paths))
-
-    if is_used(f"@{name}"):
-        free = next(f"{name}-{n}" for n in count(2) if not is_used(f"@{name}-{n}"))
+    if name and name in (used := {x for s in own_recordings() for x in s.names(validation=False)}):
+        free = next(free for n in count(2) if (free := f"{name}-{n}") not in used)
         msg = f"--name {name}: @{name} is already a complete recording; give another name, "
         raise InputError(f"{msg}such as --name {free}")
 

@@ -20,7 +20,6 @@ from armrig.cli.next_step import (
     chassis,
     for_the_report,
     free_name,
-    kind_of,
     opener,
     say_next,
     typed,
@@ -388,7 +387,7 @@ def check(
             say_next("check other", file=typed(file), given=signals.options())
         elif not signals.read[0].description.arm:
             say_next("check rig", file=typed(file))
-        elif kind_of(file) == "greybox":
+        elif signals.read[0].manifest.kind == "greybox":
             say_next("check greybox")
         elif recorded := chassis():
             say_next("check with chassis", chassis=recorded)
