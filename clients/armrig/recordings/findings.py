@@ -44,7 +44,8 @@ _MIN_SPEED_RAD_S = 0.05  # of a chassis that turns before the step
 
 
 def check_run(r: Recording) -> Iterator[Finding]:
-    """Check how the run ended, and that the file is complete."""
+    """Check how the run ended, the number of samples that arrived, and that the input changes."""
+    came, u = r.samples.size, r.u[np.isfinite(r.u)]
     if r.cut_off:
         text = f"the file is cut off: it contains {r.N * r.Ts:g} of {r.asked_s:g} s"
         yield warning("run", text)
@@ -53,11 +54,15 @@ def check_run(r: Recording) -> Iterator[Finding]:
     elif r.outcome is None or r.outcome.code != OutcomeCode.COMPLETE:
         why = r.outcome.outcome if r.outcome else "the file does not contain the reason"
         yield warning("run", f"the run ended early: {why}")
-
-
-def check_input(r: Recording) -> Iterator[Finding]:
-    """Check that the input changes."""
-    u = r.u[np.isfinite(r.u)]
+    if came < TOO_FEW:
+        yield unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")
+    elif not r.missing:
+        yield good("samples", f"all {r.N} samples arrived")
+    elif r.missing > MOST_MISSING * r.N:
+        text = f"{r.missing} of {r.N} samples are missing: `armrig info` and `armrig doctor` "
+        yield warning("samples", f"{text}show why")
+    else:
+        yield good("samples", f"{r.missing} of {r.N} samples are missing and marked missing")
     if not u.size or np.ptp(u) == 0:
         text = "the input never changes, so the data show no dynamics; use an input that switches"
         yield unusable("input", text)
@@ -65,71 +70,72 @@ def check_input(r: Recording) -> Iterator[Finding]:
         yield good("input", f"{u.min():.3g} to {u.max():.3g} V")
 
 
-def check_angle(r: Recording) -> Iterator[Finding]:
+def check_first(r: Recording) -> Finding:
     """Check the share of samples without the first channel, and the longest time without it."""
-    came, (first, *_) = r.samples.size, r.description.channels
+    came, (first, *_), seen = r.samples.size, r.description.channels, r.valid.any()
     name, body = first.name, first.body or "shaft"
+    about, lost = "output", "the value is outside the converter's range; look at `armrig watch`"
+    if first.turns:
+        about, lost = "angle", "the wiper is in the dead band; look at `armrig watch` while you "
+        lost += f"turn the {body} by hand"
+    if not seen:
+        return unusable(about, f"no sample of {came} shows {name}: a wire is broken, or {lost}")
     if not first.turns:
-        yield from _check_value(r)
-        return
-    if not r.valid.any():
-        text = f"no sample of {came} shows {name}: a wire is broken, or the wiper is in the "
-        text += "dead band; "
-        yield unusable("angle", text + f"look at `armrig watch` while you turn the {body} by hand")
-        return
+        if not r.hidden:
+            return good(about, f"{name} is inside the converter's range in all samples")
+        text = f"{name} was at an end of the converter's range in {r.hidden} of {came} samples"
+        return warning(about, f"{text}, which count as missing")
     share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
-    text = f"{name} is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
-    text += "after it)"
     if unseen > LONGEST_UNSEEN_S:
         text = f"{name} is hidden for {unseen:.1f} s without a break: the {body} was in the dead "
-        yield warning("angle", text + "band, or a wire is loose")
-    elif share > MOST_HIDDEN:
-        yield warning("angle", f"{text}: too many for a dead band; check the potentiometer")
-    else:
-        yield good("angle", text)
-
-
-def _check_value(r: Recording) -> Iterator[Finding]:
-    """Check that the first channel, which does not turn, is inside the converter's range."""
-    if not r.valid.any():
-        text = f"no sample of {r.samples.size} shows {r.first}: a wire is broken, or the value is "
-        yield unusable("output", f"{text}outside the converter's range; look at `armrig watch`")
-    elif r.hidden:
-        text = f"{r.first} was at an end of the converter's range in {r.hidden} of "
-        yield warning("output", f"{text}{r.samples.size} samples, which count as missing")
-    else:
-        yield good("output", f"{r.first} is inside the converter's range in all samples")
+        return warning(about, text + "band, or a wire is loose")
+    text = f"{name} is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
+    text += "after it)"
+    if share > MOST_HIDDEN:
+        return warning(about, f"{text}: too many for a dead band; check the potentiometer")
+    return good(about, text)
 
 
 def check_step(r: Recording) -> Iterator[Finding]:
     """Check that the dead band does not hide the rise of a step."""
-    hidden = hidden_step(r)
-    if hidden is None:
-        return
-    text = f"{r.first} is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} ms "
-    text += "after the step, on the rise: the 63 % time is inaccurate. Repeat with "
-    if np.isfinite(hidden.at_s):
-        text += f"`--at {hidden.at_s:g} --seconds {hidden.seconds:g}`, which steps away from the "
-        yield warning("step", f"{text}dead band")
-    else:
-        body = r.description.channels[0].body or "shaft"
-        yield warning("step", f"{text}the {body} turned by hand by a quarter turn")
+    if hidden := hidden_step(r):
+        text = f"{r.first} is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} "
+        text += "ms after the step, on the rise: the 63 % time is inaccurate. Repeat with "
+        if hidden.options:
+            text += f"`{hidden.options}`, which steps away from the dead band"
+        else:
+            body = r.description.channels[0].body or "shaft"
+            text += f"the {body} turned by hand by a quarter turn"
+        yield warning("step", text)
 
 
-def check_arm(r: Recording) -> Iterator[Finding]:
+def check_second(r: Recording) -> Iterator[Finding]:
     """Check that the second channel is not at an end of its track, or rests in a greybox run."""
-    if len(r.description.channels) < 2:
-        return
-    if r.manifest.kind == "greybox":
-        yield from _check_removed_arm(r)
-        return
-    clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
-    if clipped:
-        first, second = r.description.channels
-        text = f"{second.name} was at the end of its {'track' if second.body else 'range'} in "
-        text += f"{clipped} of {r.samples.size} samples. "
-        text += f"These samples count as missing in {second.name}; {first.name} is not affected"
-        yield warning("arm" if second.body else "output", text)
+    first, *others = r.description.channels
+    for second in others:
+        clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
+        if r.manifest.kind == "greybox":
+            yield _check_removed_arm(r, second.name)
+        elif clipped:
+            about, end = ("arm", "track") if second.body else ("output", "range")
+            text = f"{second.name} was at the end of its {end} in {clipped} of {r.samples.size} "
+            text += f"samples. These samples count as missing in {second.name}; "
+            yield warning(about, f"{text}{first.name} is not affected")
+
+
+def _check_removed_arm(r: Recording, name: str) -> Finding:
+    moved, rehearsed = second_moves(r), r.manifest.rehearsal
+    configured = rehearsed is not None and rehearsed.deflects
+    if moved and configured:
+        text = f"{name} moves, and the daemon's configuration has an arm: remove the rotating "
+        return unusable("arm", text + "part (handout, figure 6) and set [arm] removed = true")
+    if moved:
+        text = f"{name} moves, although the rotating part must be removed: remove the rotating part"
+        return warning("arm", text)
+    if configured:
+        text = f"{name} rests, but the daemon's configuration has an arm: set [arm] removed = "
+        return warning("arm", text + "true, or the rehearsal uses the model of another rig")
+    return good("arm", "the rotating part is removed")
 
 
 def second_moves(r: Recording) -> bool:
@@ -139,23 +145,6 @@ def second_moves(r: Recording) -> bool:
     name = r.description.channels[1].counts_field
     counts = r.samples[name][(r.samples["flags"] & Flag.ADC1_RAIL) == 0]
     return counts.size > 0 and int(np.ptp(counts)) > _MAX_REST_STEPS * converter_step(r)
-
-
-def _check_removed_arm(r: Recording) -> Iterator[Finding]:
-    moved, name = second_moves(r), r.description.channels[1].name
-    rehearsed = r.manifest.rehearsal
-    configured_on = rehearsed is not None and rehearsed.deflects
-    if moved and configured_on:
-        text = f"{name} moves, and the daemon's configuration has an arm: remove the rotating "
-        yield unusable("arm", text + "part (handout, figure 6) and set [arm] removed = true")
-    elif moved:
-        text = f"{name} moves, although the rotating part must be removed: remove the rotating part"
-        yield warning("arm", text)
-    elif configured_on:
-        text = f"{name} rests, but the daemon's configuration has an arm: set [arm] removed = "
-        yield warning("arm", text + "true, or the rehearsal uses the model of another rig")
-    else:
-        yield good("arm", "the rotating part is removed")
 
 
 def check_signal(first: Channel, signal: float, noise: float, step: float) -> Iterator[Finding]:
@@ -172,20 +161,6 @@ def check_signal(first: Channel, signal: float, noise: float, step: float) -> It
         yield warning("signal", f"{text}; use levels with a larger difference")
     else:
         yield good("signal", text)
-
-
-def check_samples(r: Recording) -> Iterator[Finding]:
-    """Check the number of samples that arrived."""
-    came = r.samples.size
-    if came < TOO_FEW:
-        yield unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")
-    elif not r.missing:
-        yield good("samples", f"all {r.N} samples arrived")
-    elif r.missing > MOST_MISSING * r.N:
-        text = f"{r.missing} of {r.N} samples are missing: `armrig info` and `armrig doctor` "
-        yield warning("samples", f"{text}show why")
-    else:
-        yield good("samples", f"{r.missing} of {r.N} samples are missing and marked missing")
 
 
 def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
@@ -235,6 +210,11 @@ class HiddenStep:
     """
     seconds: float
     """Recommended length of the next run in s; the time after the step stays the same."""
+
+    @property
+    def options(self) -> str:
+        """Options of `armrig collect step` for the next run; "" if the chassis rests."""
+        return "" if np.isnan(self.at_s) else f"--at {self.at_s:g} --seconds {self.seconds:g}"
 
 
 def hidden_step(r: Recording) -> HiddenStep | None:

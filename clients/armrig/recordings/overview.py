@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import tau
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from armrig_core.rig.channels import Channel
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from armrig.data.dataset import Dataset
+
+T = TypeVar("T")
 _MIN_INPUT_CHANGES = 20  # as many as the coefficients of u in the model that finds outliers
 
 _RATE_INTERVAL_S = 0.1
@@ -92,48 +96,30 @@ def overview(recording: Recording) -> Overview:
     The angle of a turning shaft is not searched for a drift: its slope is the response to the mean
     of u.
     """
-    channels = recording.description.channels
-    drifting = [channel.rate or channel.name for channel in channels]
-    outliers: dict[str, Vector] = {}
-    drifts: dict[str, Drift] = {}
-    reasons: dict[str, str] = {}
-    if len(channels) > 1 and not second_moves(recording):
-        second = channels[1]  # each step of a reading at rest looks like an outlier
-        held = f": the {second.body} was removed or held" if second.body else ""
-        reasons[second.name] = f"{second.name} is constant{held}"
-    known = np.isfinite(recording.u)
-    changes = int(np.count_nonzero(np.diff(recording.u[known])))
-    poor = changes < _MIN_INPUT_CHANGES
-    if poor:
-        reasons["outliers"] = (
-            f"u changes {plural(changes, 'time')}; with fewer than {_MIN_INPUT_CHANGES} changes a "
-            "model cannot distinguish an outlier from the swing after a change: look at the figure"
-        )
-        # In 13 of 40 emulated steps without a drift, the search found a positive drift of the rate.
-        reasons |= {
-            channel.rate: "u changes too rarely: the errors of the model would look like a drift"
-            for channel in channels
-            if channel.rate
-        }
-    searched = () if poor else tuple(recording.channels)
-    for output in (name for name in searched if name not in reasons):
-        try:
-            data = recording.dataset(output)
-            marked = data.valid & ~hampel(data).valid
-        except ValueError as err:
-            reasons[output] = str(err)
-        else:
-            outliers[output] = recording.t[known][marked]
-    for output in (name for name in drifting if name not in reasons):
-        try:
-            # No such signal integrates: springs hold an arm, and the back-EMF limits the rate. In a
-            # recording as short as the swing after a step, a test for an integrator is unreliable.
-            found = drift(recording.dataset(output), integrator=False)
-        except ValueError as err:
-            reasons.setdefault(output, str(err))
-        else:
-            several = len(found) > 1
-            drifts |= {f"{output} {i}" if several else output: d for i, d in enumerate(found, 1)}
+    known, channels = np.isfinite(recording.u), recording.description.channels
+    reasons = _reasons(recording)
+
+    def each(names: Iterable[str], search: Callable[[Dataset], T]) -> Iterator[tuple[str, T]]:
+        for name in names:
+            if name not in reasons:
+                try:
+                    yield name, search(recording.dataset(name))
+                except ValueError as err:
+                    reasons[name] = str(err)
+
+    searched = () if "outliers" in reasons else tuple(recording.channels)
+    outliers = {
+        name: recording.t[known][wrong]
+        for name, wrong in each(searched, lambda data: data.valid & ~hampel(data).valid)
+    }
+    # No such signal integrates: springs hold an arm, and the back-EMF limits the rate. In a
+    # recording as short as the swing after a step, a test for an integrator is unreliable.
+    drifting = (channel.rate or channel.name for channel in channels)
+    drifts = {
+        f"{name} {i}" if len(found) > 1 else name: line
+        for name, found in each(drifting, partial(drift, integrator=False))
+        for i, line in enumerate(found, 1)
+    }
     return Overview(
         recording=recording,
         outliers=MappingProxyType(outliers),
@@ -142,20 +128,34 @@ def overview(recording: Recording) -> Overview:
     )
 
 
+def _reasons(recording: Recording) -> dict[str, str]:
+    """Return the reasons why outputs cannot be searched, by output; "outliers" means all."""
+    channels, reasons = recording.description.channels, {}
+    if len(channels) > 1 and not second_moves(recording):
+        second = channels[1]  # each step of a reading at rest looks like an outlier
+        held = f": the {second.body} was removed or held" if second.body else ""
+        reasons[second.name] = f"{second.name} is constant{held}"
+    changes = int(np.count_nonzero(np.diff(recording.u[np.isfinite(recording.u)])))
+    if changes < _MIN_INPUT_CHANGES:
+        reasons["outliers"] = (
+            f"u changes {plural(changes, 'time')}; with fewer than {_MIN_INPUT_CHANGES} changes a "
+            "model cannot distinguish an outlier from the swing after a change: look at the figure"
+        )
+        # In 13 of 40 emulated steps without a drift, the search found a positive drift of the rate.
+        text = "u changes too rarely: the errors of the model would look like a drift"
+        reasons |= {channel.rate: text for channel in channels if channel.rate}
+    return reasons
+
+
 def _motion(rec: Recording, channel: Channel) -> str:
     """Return the range of a channel, or the turns and the speed of a turning shaft."""
     y, valid = rec.channel(channel.name)
     if not channel.turns:
         return f"{_range(y)} {channel.unit}"
     turned = np.ptp(y[valid]) / tau if valid.any() else 0.0
-    speed = f"{_range(_rate(rec, y))} rad/s over {_RATE_INTERVAL_S:g} s"
+    n = max(1, round(_RATE_INTERVAL_S / rec.Ts))
+    speed = f"{_range((y[n:] - y[:-n]) / (n * rec.Ts))} rad/s over {_RATE_INTERVAL_S:g} s"
     return f"the {channel.body or 'shaft'} turned {turned:.1f} times, at {speed}"
-
-
-def _rate(recording: Recording, angle: Vector) -> Vector:
-    """Return the rate of an angle over `_RATE_INTERVAL_S`, in rad/s; NaN without valid angles."""
-    n = max(1, round(_RATE_INTERVAL_S / recording.Ts))
-    return (angle[n:] - angle[:-n]) / (n * recording.Ts)
 
 
 def _range(x: Vector) -> str:

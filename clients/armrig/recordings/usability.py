@@ -132,15 +132,12 @@ def data_verdict(recording: Recording) -> DataVerdict:
     step = _step(recording)
     noise = max(_noise(seen), step / 12**0.5) if seen else float("nan")
     first = recording.description.channels[0]
-    deviation = _signal if first.turns else _deviation
-    signal = deviation(seen, noise) if seen else float("nan")
+    signal = _signal(seen, noise, lines=first.turns) if seen else float("nan")
     found = [
         *findings.check_run(recording),
-        *findings.check_samples(recording),
-        *findings.check_input(recording),
-        *findings.check_angle(recording),
+        findings.check_first(recording),
         *findings.check_step(recording),
-        *findings.check_arm(recording),
+        *findings.check_second(recording),
         *(findings.check_signal(first, signal, noise, step) if seen else ()),
         *(findings.check_timing(recording, seen, noise) if seen else ()),
         *findings.check_turns(recording),
@@ -165,13 +162,13 @@ def _step(r: Recording) -> float:
     return abs(per_count) * findings.converter_step(r)
 
 
-def _deviation(data: Dataset, noise: float) -> float:
-    """Return the standard deviation of y; subtract the noise's power."""
-    return float(np.sqrt(max(float(np.nanvar(data.y)) - noise**2, 0.0)))
+def _signal(data: Dataset, noise: float, *, lines: bool) -> float:
+    """Return the rms deviation of y from `lines`, one for each second, or from its mean.
 
-
-def _signal(data: Dataset, noise: float) -> float:
-    """Return the rms deviation of y from one line for each second; subtract the noise's power."""
+    The power of the noise is subtracted.
+    """
+    if not lines:
+        return float(np.sqrt(max(float(np.nanvar(data.y)) - noise**2, 0.0)))
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
@@ -199,13 +196,14 @@ def _noise(data: Dataset) -> float:
 
 def doubts(recording: Recording) -> Iterator[Finding]:
     """Yield the doubts about a recording: too few samples, or a reversed sensor or motor."""
-    name = recording.path.name
+    name, first = recording.path.name, recording.description.channels[0]
     if 0 < recording.samples.size < FEW:
         text = f"{name} has {recording.samples.size} samples: models from so few samples are poor; "
         yield warning("samples", f"{text}record {FEW} or more")
-    if _reversed(recording):
-        text = f"{name}: {recording.first} falls although the voltage is positive, so its "
-        text += "potentiometer "
+    angle = recording[first.name][np.isfinite(recording[first.name])]
+    # No voltage is negative.
+    if first.turns and angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD:
+        text = f"{name}: {first.name} falls although the voltage is positive, so its potentiometer "
         text += "or the motor's wires are reversed; run `armrig calibrate`"
         yield warning("direction", text)
 
@@ -215,9 +213,8 @@ def emulation(recordings: Sequence[Recording]) -> list[str]:
     names = [r.path.name for r in recordings if r.manifest.emulated]
     if not names:
         return []
-    if len(names) == len(recordings):
-        return ["The rig was emulated: these are not measurements of a real rig."]
-    return [f"The rig was emulated in {listed(names)}: these are not measurements of a real rig."]
+    where = "" if len(names) == len(recordings) else f" in {listed(names)}"
+    return [f"The rig was emulated{where}: these are not measurements of a real rig."]
 
 
 def ended_early(recording: Recording) -> bool:
@@ -241,13 +238,13 @@ def different_calibrations(recordings: Sequence[Recording]) -> Iterator[Finding]
     """Yield one finding with the groups of recordings if their calibrations differ."""
     of: dict[tuple[object, ...] | None, list[str]] = {}
     for r in recordings:
-        of.setdefault(_values(r), []).append(r.path.name)
-    if len(of) < 2:
-        return
-    groups = "; ".join(listed(names) for names in of.values())
-    text = f"The recordings were made with {len(of)} different calibrations ({groups}): their "
-    text += "angles and voltages cannot be compared. Read all recordings with one calibration, "
-    yield warning("calibrations", f"{text}`--calibration FILE`")
+        values = (*r.calibration.channels, r.calibration.driver) if r.calibration else None
+        of.setdefault(values, []).append(r.path.name)
+    if len(of) > 1:
+        groups = "; ".join(listed(names) for names in of.values())
+        text = f"The recordings were made with {len(of)} different calibrations ({groups}): their "
+        text += "angles and voltages cannot be compared. Read all recordings with one calibration, "
+        yield warning("calibrations", f"{text}`--calibration FILE`")
 
 
 def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -> Iterator[Finding]:
@@ -259,12 +256,11 @@ def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -
         text = "The recording has no calibration: the daemon computed its angles."
         yield warning("no calibration", text)
         return
-    made = calibration.made
+    made, uid = calibration.made, str(manifest.device.get("uid", ""))
     if made is None:
         text = "The rig was not calibrated: its angles use configured values that were never "
         yield warning("not calibrated", f"{text}measured (see `armrig calibrate`).")
         return
-    uid = str(manifest.device.get("uid", ""))
     if uid != made.device_uid:
         text = f"The calibration is of another device: it was made on {made.device_uid or 'none'}, "
         text += f"the recording was made on {uid or 'a device without an id'}."
@@ -272,10 +268,12 @@ def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -
     elif manifest.rig != made.rig:
         text = f"The calibration is of rig {made.rig}, and the recording is of rig {manifest.rig}."
         yield warning("rig", text)
-    age = _age(made.date, manifest.started)
-    if age is None:
+    try:
+        age = datetime.fromisoformat(manifest.started) - datetime.fromisoformat(made.date)
+    except (ValueError, TypeError):  # not a date, or only one of the two has an offset
         yield warning("age", "The age of the calibration is not known.")
-    elif age > timedelta(days=STALE_DAYS):
+        return
+    if age > timedelta(days=STALE_DAYS):
         text = f"The calibration was {age.days} days old, more than {STALE_DAYS} days: calibrate "
         yield warning("age", f"{text}the rig again.")
 
@@ -288,9 +286,14 @@ def calibration_date(calibration: Calibration | None) -> str:
 
 def doubts_of_estimation(recording: Recording) -> Iterator[Finding]:
     """Yield a finding if a recording excites too few frequencies for any model."""
-    if recording.manifest.kind in NO_MODEL:
-        text = "a model from it is poor; identify from a telegraph (`armrig collect blackbox`)"
-        yield _poorly_excited(recording, text)
+    way_out = "a model from it is poor; identify from a telegraph (`armrig collect blackbox`)"
+    yield from _poorly_excited(recording, way_out)
+
+
+def _poorly_excited(r: Recording, way_out: str) -> Iterator[Finding]:
+    if r.manifest.kind in NO_MODEL:
+        kind = f"{r.path.name} is a {r.manifest.kind}, which excites few frequencies"
+        yield warning("experiment", f"{kind}: {way_out}")
 
 
 def doubts_of_pair(
@@ -303,29 +306,33 @@ def doubts_of_pair(
 
     Raises InputError if the recordings have no output in common.
     """
-    a, b = first.manifest, other.manifest
-    name = other.path.name
-    if b.kind in NO_MODEL:
-        text = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
-        yield _poorly_excited(other, f"{text}--validation`)")
-    ours, theirs = ({(c.name, c.unit) for c in r.description.channels} for r in (first, other))
+    way_out = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
+    yield from _poorly_excited(other, f"{way_out}--validation`)")
+    pair = (first, other)
+    a, b = (r.path.name for r in pair)
+    ours, theirs = ({(c.name, c.unit) for c in r.description.channels} for r in pair)
     if not ours & theirs:
         raise InputError(
-            f"{first.path.name} is of a rig '{first.description.rig.name}', {name} of a rig "
+            f"{a} is of a rig '{first.description.rig.name}', {b} of a rig "
             f"'{other.description.rig.name}': no output has the same name and unit; choose "
             "recordings of one rig"
         )
+    rigs = [(r.manifest.rig, r.manifest.device.get("uid")) for r in pair]
+    body = first.description.channels[0].body or "first part"
+    alone = [r.manifest.kind == "greybox" for r in pair]
     if first.description.outputs != other.description.outputs:
-        text = f"{first.path.name} and {name} have different descriptions of their rig: "
+        text = f"{a} and {b} have different descriptions of their rig: "
         yield warning("rig", f"{text}outputs, units or conversions differ")
-    elif a.rig != b.rig or a.device.get("uid") != b.device.get("uid"):
-        text = f"{first.path.name} is of {_rig(first)}, {name} of {_rig(other)}: a model of one "
+    elif rigs[0] != rigs[1]:
+        of, of_other = (f"rig {rig}" + (f" (device {uid})" if uid else "") for rig, uid in rigs)
+        text = f"{a} is of {of}, {b} of {of_other}: a model of one "
         yield warning("rig", f"{text}rig does not describe another rig")
     else:
-        yield from different_calibrations([first, other])
-    if one_plant and _experiment(first) != _experiment(other):
-        text = f"{first.path.name} is of {_experiment(first)}, {name} of {_experiment(other)}: the "
-        yield warning("plant", f"{text}{_alone(first)} and the whole rig are two plants")
+        yield from different_calibrations(pair)
+    if one_plant and alone[0] != alone[1]:
+        of, of_other = (f"the {body} alone" if part else "the whole rig" for part in alone)
+        text = f"{a} is of {of}, {b} of {of_other}: the {body} alone and the "
+        yield warning("plant", f"{text}whole rig are two plants")
 
 
 def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[Finding]:
@@ -344,41 +351,3 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
     found = [f for f in found if f.about != "calibrations"]
     of_one_rig = all(f.about != "rig" for f in found)
     return [*found, *(different_calibrations(recordings) if of_one_rig else ())]
-
-
-def _poorly_excited(r: Recording, way_out: str) -> Finding:
-    kind = f"{r.path.name} is a {r.manifest.kind}, which excites few frequencies"
-    return warning("experiment", f"{kind}: {way_out}")
-
-
-def _reversed(r: Recording) -> bool:
-    """Return True if a turning shaft turns back, although no voltage is negative."""
-    angle = r[r.first]
-    angle = angle[np.isfinite(angle)]
-    turns = r.description.channels[0].turns
-    return turns and angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD
-
-
-def _rig(r: Recording) -> str:
-    uid = r.manifest.device.get("uid")
-    return f"rig {r.manifest.rig}" + (f" (device {uid})" if uid else "")
-
-
-def _experiment(r: Recording) -> str:
-    return f"the {_alone(r)}" if r.manifest.kind == "greybox" else "the whole rig"
-
-
-def _alone(r: Recording) -> str:
-    return f"{r.description.channels[0].body or 'first part'} alone"
-
-
-def _values(r: Recording) -> tuple[object, ...] | None:
-    c = r.calibration
-    return None if c is None else (*c.channels, c.driver)
-
-
-def _age(made: str, started: str) -> timedelta | None:
-    try:
-        return datetime.fromisoformat(started) - datetime.fromisoformat(made)
-    except (ValueError, TypeError):  # not a date, or only one of the two has an offset
-        return None

@@ -16,7 +16,7 @@ from armrig.numerics.quantities import NBSP
 from armrig.recordings.files.loading import load
 from armrig.recordings.findings import (
     HiddenStep,
-    check_angle,
+    check_first,
     check_run,
     check_signal,
     check_timing,
@@ -277,9 +277,9 @@ def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
     first = odd.description.channels[0]
     [jitter] = check_timing(odd, data, noise=1e-6)
     said = {
-        "asleep": check_angle(asleep),
-        "silent": check_angle(silent),
-        "poor": check_angle(poor),
+        "asleep": [check_first(asleep)],
+        "silent": [check_first(silent)],
+        "poor": [check_first(poor)],
         "three": check_turns(three),
         "four": check_turns(four),
         "damaged": check_run(damaged),
