@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -452,6 +452,27 @@ class Dataset(Experiments):
         """Describe the data in one line."""
         unit = f" [{self.unit}]" if self.unit else ""
         return self._described(f"output {self.output}{unit}", "missing")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfDataset:
+    """Sampling time, names and source of the data of a result."""
+
+    Ts: float
+    """Sampling time, in s."""
+    output: str
+    """Name of y."""
+    unit: str
+    """Unit of y."""
+    input_unit: str
+    """Unit of u."""
+    source: str
+    """Hash of the recording, or ""."""
+
+
+def labels(of: Any) -> dict[str, Any]:
+    """Return the fields of `OfDataset`, of data or of a result."""
+    return {field.name: getattr(of, field.name) for field in fields(OfDataset)}
 
 
 def view(signals: Signals) -> Dataset:

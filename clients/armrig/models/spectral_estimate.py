@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.dataset import OfDataset
 from armrig.data.treatment.integrating import rate_name
 from armrig.models.state_space import Complex, Vector
 from armrig.numerics.confidence_regions import HALF_WIDTH
@@ -38,11 +39,6 @@ COHERENT = 0.5
 explains."""
 
 
-def labels(of: Any) -> dict[str, Any]:
-    """Return Ts, the names and units of u and y, and the source, of data or of a result."""
-    return {name: getattr(of, name) for name in ("Ts", "output", "unit", "input_unit", "source")}
-
-
 def gain_unit(result: Any, *, rate: bool = False) -> str:
     """Return the unit of y, or of its rate, per unit of u."""
     unit = f"{result.unit}/s" if rate and result.unit else result.unit
@@ -50,7 +46,7 @@ def gain_unit(result: Any, *, rate: bool = False) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class SpectralEstimate:
+class SpectralEstimate(OfDataset):
     """Estimate of G(exp(i omega Ts)) at some frequencies, with standard deviations if known."""
 
     omega: Vector
@@ -79,16 +75,6 @@ class SpectralEstimate:
     """True if the response of the rate of y was estimated and then divided by 1 - q^-1."""
     N: int
     """Number of samples used."""
-    Ts: float
-    """Sampling time, in s."""
-    output: str
-    """Name of y."""
-    unit: str
-    """Unit of y."""
-    input_unit: str
-    """Unit of u."""
-    source: str
-    """Hash of the recording, or ""."""
     notes: tuple[str, ...] = ()
     """Notes on the reliability of the estimate."""
 

@@ -11,10 +11,9 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
-from armrig.models.spectral_estimate import labels
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.whiteness import autoregression, joined, two_sided
@@ -27,7 +26,7 @@ Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Correlation:
+class Correlation(OfDataset):
     """Impulse response by correlation analysis."""
 
     lags: NDArray[np.int_]
@@ -44,16 +43,6 @@ class Correlation:
     """True if y is the rate of an integrating output."""
     N: int
     """Number of samples used."""
-    Ts: float
-    """Sampling time, in s."""
-    output: str
-    """Name of y."""
-    unit: str
-    """Unit of y."""
-    input_unit: str
-    """Unit of u."""
-    source: str
-    """Hash of the recording, or ""."""
     notes: tuple[str, ...] = ()
     """Notes on the reliability of the estimate."""
 

@@ -13,11 +13,11 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, labels
 from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
-from armrig.models.spectral_estimate import SpectralEstimate, labels
+from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation
 from armrig.numerics.quantities import plural

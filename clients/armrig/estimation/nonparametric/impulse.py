@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.kernels import (
     KERNELS,
@@ -22,7 +22,7 @@ from armrig.estimation.nonparametric.kernels import (
     regression,
 )
 from armrig.models.responses import StepResponse
-from armrig.models.spectral_estimate import SpectralEstimate, labels
+from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score_in_blocks
 from armrig.numerics.least_squares import Basis, orthonormal
@@ -52,7 +52,7 @@ prior's scale."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class ImpulseResponse:
+class ImpulseResponse(OfDataset):
     """Coefficients g(k) of y(t) = sum of g(k) u(t - k), with their uncertainty."""
 
     lags: NDArray[np.int_]
@@ -75,16 +75,6 @@ class ImpulseResponse:
     """p value of the Ljung-Box test of whiteness of the residuals."""
     N: int
     """Number of samples used."""
-    Ts: float
-    """Sampling time, in s."""
-    output: str
-    """Name of y."""
-    unit: str
-    """Unit of y."""
-    input_unit: str
-    """Unit of u."""
-    source: str
-    """Hash of the recording, or ""."""
     warnings: tuple[str, ...]
     """Warnings about the reliability of the numbers."""
 

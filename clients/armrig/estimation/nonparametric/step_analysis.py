@@ -14,12 +14,11 @@ from armrig_core.telemetry.channels import ARM_OUTPUTS, RATES
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.step_answer import Answer, step_answer
-from armrig.models.spectral_estimate import labels
 from armrig.numerics.quantities import plural, times, with_std
 from armrig.numerics.step_times import area_above, lag_of_angle
 from armrig.numerics.stretches import Mask, constant, stretches
@@ -47,7 +46,7 @@ _MAX_OVERSHOOT_STD = 0.03  # with a larger std the overshoot may be noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class StepAnalysis:
+class StepAnalysis(OfDataset):
     """Response to a unit step, averaged over all steps of the data, with characteristic times."""
 
     t: Vector
@@ -92,16 +91,6 @@ class StepAnalysis:
     """True if y is the rate of an integrating output."""
     steps: int
     """Number of averaged steps."""
-    Ts: float
-    """Sampling time, in s."""
-    output: str
-    """Name of y."""
-    unit: str
-    """Unit of y."""
-    input_unit: str
-    """Unit of u."""
-    source: str
-    """Hash of the recording, or ""."""
     warnings: tuple[str, ...]
     """Warnings about the reliability of the numbers."""
 

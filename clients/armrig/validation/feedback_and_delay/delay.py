@@ -12,7 +12,7 @@ from armrig_core.telemetry.channels import SECOND_ORDER_OUTPUTS
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, labels
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
@@ -152,11 +152,6 @@ def delay(
         integrator=decided.integrates,
         na=tests.na,
         remarks=(*decided.notes, *([zero.remark] if zero and zero.remark else []), *remarks),
-        output=data.output,
-        Ts=data.Ts,
-        unit=data.unit,
-        input_unit=data.input_unit,
-        source=data.source,
         **asdict(read),
     )
 
@@ -233,7 +228,7 @@ def _quantisation(data: Dataset, response: ImpulseResponse, first: int) -> Quant
     b = 2 * float(rise[at]) / (change * ((at + 1) * data.Ts) ** 2)
     hidden = sqrt(2 * step / (b * change)) if step * b * change > 0 else None
     t_q = hidden if data.output in SECOND_ORDER_OUTPUTS else None
-    return Quantisation(quantum=step, largest_step=change, acceleration=b, t_q=t_q)
+    return Quantisation(quantum=step, largest_step=change, acceleration=b, t_q=t_q, **labels(data))
 
 
 def _hidden_by_steps(

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from armrig.data.dataset import OfDataset
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.quantities import p_relation, plural, times
 from armrig.validation.feedback_and_delay.lag_tests import LEVEL, SURPRISING, Before
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Quantisation:
+class Quantisation(OfDataset):
     """Quantisation of y, and the time for which quantisation hides the response to u."""
 
     quantum: float
@@ -64,16 +65,6 @@ class Delay(Quantisation):
     coefficients of `response` were tested instead."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
-    output: str
-    """Name of y."""
-    Ts: float
-    """Sampling time, in s."""
-    unit: str
-    """Unit of y."""
-    input_unit: str
-    """Unit of u."""
-    source: str
-    """Hash of the recording, or ""."""
 
     @property
     def level(self) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.numerics.quantities import p_relation, percent
 from armrig.validation.feedback_and_delay.by_channel import each_channel
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
@@ -27,7 +27,7 @@ _MAX_SHOWN_F = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class OpenLoop:
+class OpenLoop(OfDataset):
     """Result of the test for feedback from y to u."""
 
     feedback: bool | None
@@ -47,16 +47,6 @@ class OpenLoop:
     """Limits of the answer, or the reason why there is no answer."""
     few_levels: bool
     """True if u has at most 20 levels; then only a relay can carry the noise of y into u."""
-    output: str
-    """Name of y."""
-    unit: str
-    """Unit of y."""
-    input_unit: str
-    """Unit of u."""
-    Ts: float
-    """Sampling time, in s."""
-    source: str
-    """Hash of the recording, or ""."""
 
     @property
     def verdict(self) -> str:
@@ -203,11 +193,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
         exact=exact,
         few_levels=np.unique(data.u).size <= _MAX_FEW_LEVELS,
         remarks=remarks,
-        output=data.output,
-        unit=data.unit,
-        input_unit=data.input_unit,
-        Ts=data.Ts,
-        source=data.source,
+        **labels(data),
     )
 
 
