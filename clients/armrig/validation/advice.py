@@ -112,7 +112,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
         return Advice(of=f"{data.N} samples of {data.output}", findings=tuple(examine_data(data)))
     fit = data_or_fit
     each = {
-        name: Advice(of=f"{fit[name].label} of {name[0]}", findings=tuple(findings))
+        name: Advice(of=f"{fit[name].label} of {name[0]}", findings=findings)
         for name, findings in _examined_channels(fit)
     }
     if (fit.ny, fit.nu) == (1, 1):
@@ -122,8 +122,8 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     return ByChannel(results=each, refused={}, together=own)  # type: ignore[return-value]
 
 
-def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], Iterator[Finding]]]:
-    """Yield the names and the findings of each channel of a model: of each output and input.
+def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], tuple[Finding, ...]]]:
+    """Yield the names of each channel, the findings of the estimation, and the advice on it.
 
     A model in continuous time is examined as sampled.
     """
@@ -139,20 +139,13 @@ def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], Iterator[Fin
     for name, one in channels.items():
         superfluous = [p for p in pairs[name] if all(_cancels(p[0], of) for of in everywhere)]
         channel = replace(one, starts=fit.starts, findings=own)
-        yield name, examine_channel(channel, pairs[name], superfluous, structure)
+        found = [*_advised(channel, pairs[name], superfluous, structure)]
+        known = {f.about for f in own}
+        yield name, (*not_repeated(own, found), *(f for f in found if f.about not in known))
 
 
 def _cancels(pole: complex, pairs: list[_Pair]) -> bool:
     return any(abs(pole - other) < _SAME_POLE for other, *_ in pairs)
-
-
-def examine_channel(
-    fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], structure: str
-) -> Iterator[Finding]:
-    """Yield the findings of the estimation and the advice on a channel of a model."""
-    found, known = [*_advised(fit, pairs, superfluous, structure)], {f.about for f in fit.findings}
-    yield from not_repeated(fit.findings, found)
-    yield from (f for f in found if f.about not in known)
 
 
 def not_repeated(own: Iterable[Finding], advised: Iterable[Finding]) -> Iterator[Finding]:

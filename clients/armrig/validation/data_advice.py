@@ -38,6 +38,7 @@ poles."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_COMPARED = 50_000  # samples; more samples do not change a median difference of 10 %
 _MAX_MISSING_SHARE = 0.2
+_RICHER = "play a u that switches often (telegraph, PRBS)"
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1, in σ, of a pole that is not 1; σ may be too small
 
 
@@ -83,9 +84,11 @@ def _loop(data: Dataset) -> OpenLoop | None:
 def examine_data(data: Dataset) -> Iterator[Finding]:
     """Yield the findings about the data; a possible cause precedes its effects."""
     known = tested(data, None)
-    findings = [*examine_experiment(data, known), *_about_linearity(data, known)]
-    yield from findings
-    if all(f.level == "good" for f in findings):  # else a finding explains why ARX and OE differ
+    found = [*examine_experiment(data, known)]
+    for test in in_open_loop(data, known.loop):
+        found.append((good if test.linear else warning)("linearity", test.line))
+    yield from found
+    if all(f.level == "good" for f in found):  # else a finding explains why ARX and OE differ
         yield from _about_structures(data, known)
 
 
@@ -119,7 +122,9 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     yield _about_integrator(known.integration)
     yield from _about_rails(data)
     if data.missing:
-        yield _about_missing(data)
+        share = data.missing / data.N
+        text = f"{percent(100 * share)} of the samples: no estimator replaces them by a value"
+        yield (good if share < _MAX_MISSING_SHARE else warning)("missing", text)
     if not known.together:  # in closed loop a step of the set point makes y and u jump
         yield _about_outliers(data)
     if not known.integration.integrates and not known.integration.unstable:
@@ -127,7 +132,9 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
             remedy = OFFSET_OF_TRANSIENT if data.trends else NO_OPTION
             yield replace(level, text=f"{level.text}: {remedy}")
         yield from _about_drift(data)
-    yield from _about_history(data)
+    if data.output in INTEGRATING_OUTPUTS and LINE in codes_of(data.history):
+        text = "a line was removed from an output that integrates: it was the response to the mean "
+        yield warning("trend", text + "of u, not a drift; begin again from the recording")
     yield from _about_feedback(known)
     yield from _about_delay(known)
 
@@ -152,10 +159,8 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
     in_s, fit = fit.Ts == 0, fit.to_discrete() if fit.Ts == 0 else fit
     order, needed = excitation_order(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
     if order < needed and not constant_input(data):
-        text = f"u is exciting of order {order} only, and {needed} parameters of the model "
-        text += "describe the response to u: play a u that switches often (telegraph, PRBS), or "
-        text += "lower the orders"
-        yield warning("excitation", text)
+        many = f"{needed} parameters of the model describe the response to u"
+        yield warning("excitation", f"{poor_input(order, many)}, or lower the orders")
     yield from _about_rails(data)
     poles = fit.poles()
     apart = np.all(np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std))
@@ -175,15 +180,18 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
 
 def _about_input(data: Dataset) -> Finding:
     order = excitation_order(data)
-    needed = 2 * ORDER
-    if order >= needed:
+    if order >= 2 * ORDER:
         text = f"u is exciting of order {order} at least: enough for {order} parameters of B and F "
         return good("excitation", text + "(or B and A) together")
     if constant_input(data):
         return warning("excitation", CONSTANT_INPUT)
-    text = f"u is exciting of order {order} only, and a model of order {ORDER} has {needed} "
-    text += "parameters of B and F (or B and A): play a u that switches often (telegraph, PRBS)"
-    return warning("excitation", text)
+    many = f"a model of order {ORDER} has {2 * ORDER} parameters of B and F (or B and A)"
+    return warning("excitation", poor_input(order, many))
+
+
+def poor_input(order: int, parameters: str) -> str:
+    """Return a text about an input that does not determine so many parameters."""
+    return f"u is exciting of order {order} only, and {parameters}: {_RICHER}"
 
 
 def _about_rails(data: Dataset) -> Iterator[Finding]:
@@ -197,37 +205,28 @@ def _about_rails(data: Dataset) -> Iterator[Finding]:
 
 def _about_integrator(decided: Integration) -> Finding:
     if decided.unstable:
-        text = (
-            "y grows without u: a pole is outside the unit circle, and OE and BJ cannot model it; "
-        )
-        return warning("unstable", text + "take ARMAX or ARX, and predict", "check")
+        text = "y grows without u: a pole is outside the unit circle, and OE and BJ cannot model "
+        return warning("unstable", f"{text}it; take ARMAX or ARX, and predict", "check")
     if not decided.integrates:
-        text = (
-            "not shown, because a slow pole looks the same" if decided.undecided else "none is seen"
-        )
-        return good("integrator", text)
+        hidden = "not shown, because a slow pole looks the same"
+        return good("integrator", hidden if decided.undecided else "none is seen")
     text = decided.reason or "the output is an angle"
     text += ": fix its pole (OE with the option integrator), and remove no linear trend"
     text += "; --assume settling, if it settles" * bool(decided.reason)
     return good("integrator", text)
 
 
-def _about_missing(data: Dataset) -> Finding:
-    share = data.missing / data.N
-    text = f"{percent(100 * share)} of the samples: no estimator replaces them by a value"
-    return (good if share < _MAX_MISSING_SHARE else warning)("missing", text)
-
-
 def _about_outliers(data: Dataset) -> Finding:
     try:
-        cleaned = hampel(data)
+        wrong = np.flatnonzero(data.valid & ~hampel(data).valid)
     except ValueError as err:
         return good("outliers", f"not looked for: {err}")
-    found = cleaned.missing - data.missing
-    if not found:
+    if not wrong.size:
         return good("outliers", "none")
-    where = ", ".join(map(str, np.flatnonzero(data.valid & ~cleaned.valid)[:5]))
-    text = f"{plural(found, 'sample')} of {data.output} look wrong (first {where}), and a model "
+    where = ", ".join(map(str, wrong[:5]))
+    text = (
+        f"{plural(wrong.size, 'sample')} of {data.output} look wrong (first {where}), and a model "
+    )
     text += "follows them: mark them missing (hampel)"
     return warning("outliers", text, "outliers")
 
@@ -242,12 +241,6 @@ def _about_drift(data: Dataset) -> Iterator[Finding]:
         drifts = abs(line.z) > 2.58
         remedy = "; remove it, detrend(data, order=1)"
         yield warning(name, f"{line}{remedy}") if drifts else good(name, str(line))
-
-
-def _about_history(data: Dataset) -> Iterator[Finding]:
-    if data.output in INTEGRATING_OUTPUTS and LINE in codes_of(data.history):
-        text = "a line was removed from an output that integrates: it was the response to the mean "
-        yield warning("trend", text + "of u, not a drift; begin again from the recording")
 
 
 def _about_feedback(known: Tested) -> Iterator[Finding]:
@@ -271,9 +264,8 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
         text += ". An input that is not held between samples, or that is recorded later than "
         text += f"{loop.output}, looks the same"
     if loop.p_value >= CHANCE_LEVEL:
-        text += (
-            f". By chance one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
-        )
+        chance = f"one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
+        text += f". By chance {chance}"
     yield warning("feedback", text, "check")
 
 
@@ -282,18 +274,11 @@ def _about_delay(known: Tested) -> Iterator[Finding]:
     if isinstance(late, str):
         yield warning("delay", f"not found: {late}", "check")
     elif late.delay > 0:
-        late_by = times(late.delay * late.Ts).replace(" ", NBSP)
-        text = (
-            f"u acts first at lag {late.nk}, {plural(late.delay, 'sample')} ({late_by}) later than "
-        )
-        yield good("delay", text + f"without a delay: estimate with nk={late.nk}")
+        by = f"{plural(late.delay, 'sample')} ({times(late.delay * late.Ts).replace(' ', NBSP)})"
+        text = f"u acts first at lag {late.nk}, {by} later than without a delay: estimate with "
+        yield good("delay", f"{text}nk={late.nk}")
     else:
         yield good("delay", f"none is seen: estimate with nk={late.nk}")
-
-
-def _about_linearity(data: Dataset, known: Tested) -> Iterator[Finding]:
-    for found in in_open_loop(data, known.loop):
-        yield (good if found.linear else warning)("linearity", found.line)
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:

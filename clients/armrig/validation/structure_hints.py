@@ -27,6 +27,7 @@ from armrig.models.spectral_estimate import (
     phase_delay,
 )
 from armrig.numerics.quantities import listed, minus, plural, times
+from armrig.validation.data_advice import poor_input
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -419,9 +420,8 @@ def call_of_all(found: Mapping[Name, StructureHints]) -> str:
 
 def _findings(h: StructureHints) -> Iterator[Finding]:
     if h.excitation < (needed := h.nb + h.nf):
-        text = f"u is exciting of order {h.excitation} only and does not determine the {needed} "
-        text += "parameters of this structure: play a u that switches often (telegraph, PRBS)"
-        yield warning("excitation", text)
+        many = f"this structure has {needed} parameters"
+        yield warning("excitation", poor_input(h.excitation, many))
     yield _about_integrator(h)
     if h.resonances or h.antiresonances:
         what = "the rate" if h.integrator else "y"
@@ -462,14 +462,14 @@ def _about_integrator(h: StructureHints) -> Finding:
 
 
 def _about_delay(h: StructureHints) -> Finding:
+    low, high = h.nk_interval or (0, 0)
     if h.nk_interval is None:
-        return good("delay", "not shown (armrig.delay, `armrig check` say why)")
-    low, high = h.nk_interval
-    if low < high:
+        text = "not shown (armrig.delay, `armrig check` say why)"
+    elif low < high:
         text = f"nk between {low} and {high} (armrig.delay, `armrig check` test it)"
-        return good("delay", text)
-    if h.nk == 0:
+    elif h.nk == 0:
         text = "u acts at lag 0: a direct term, or feedback, which looks the same (nk = 0)"
-        return good("delay", text)
-    shown = f"an input delay of {plural(h.nk - 1, 'sample')}" if h.nk > 1 else "no input delay"
-    return good("delay", f"u acts at lag {h.nk}: {shown} (nk = {h.nk})")
+    else:
+        shown = f"an input delay of {plural(h.nk - 1, 'sample')}" if h.nk > 1 else "no input delay"
+        text = f"u acts at lag {h.nk}: {shown} (nk = {h.nk})"
+    return good("delay", text)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.data.finding import Finding
 from armrig.data.step import LINE, Step
 from armrig.data.treatment.integrating import Integration
 from armrig.models.characteristics import overlapping
@@ -47,6 +48,12 @@ def known_of(**fields: Any) -> OfData:
     decided = Integration(integrates=False)
     values: dict[str, Any] = {"integration": decided, "loop": None, "late": late(1)}
     return OfData(**(values | fields))
+
+
+def examined(data: Dataset, about: str) -> list[Finding]:
+    """Return the findings about a subject, of data that integrate and have feedback."""
+    known = known_of(integration=Integration(integrates=True), loop=loop(p_value=1e-4))
+    return [f for f in data_advice.examine_experiment(data, known) if f.about == about]
 
 
 def only(findings: Any) -> tuple[str, str, bool]:
@@ -122,7 +129,7 @@ def test_a_model_may_begin_at_each_lag_that_is_not_ruled_out(nk: int, doubted: b
 def test_a_fifth_of_the_samples_may_be_missing(missing: int, good: bool) -> None:
     data = Dataset(u=np.zeros(600), y=np.zeros(600), Ts=1.0, valid=np.arange(600) >= missing)
 
-    about, text, is_good = only([data_advice._about_missing(data)])
+    about, text, is_good = only(examined(data, "missing"))
 
     assert (about, is_good) == ("missing", good)
     assert text.startswith(f"{100 * missing / 600:.3g}".rstrip("0").rstrip(".")[:2])
@@ -134,7 +141,7 @@ def test_a_line_removed_from_an_angle_that_integrates_is_a_fault() -> None:
     line = (Step("removed a straight line", LINE),)
 
     found = [
-        [*data_advice._about_history(Dataset(output=name, history=history, **values))]
+        examined(Dataset(output=name, history=history, **values), "trend")
         for name, history in (("theta_1", line), ("alpha", line), ("theta_1", ()))
     ]
 
