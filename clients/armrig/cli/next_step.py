@@ -82,7 +82,6 @@ AFTER: Mapping[str, str] = {
     "validate several": "armrig simulate {file} --model {model}{part} -o simulate.png",
     "validate alone": "armrig check {file}{given}",
     "compare": "armrig check {file}{given}",
-    "simulate": "armrig lab",
     "simulate F": "armrig check {file}{given}",
     "check": "armrig lab --config chassis.toml",
     "check with chassis": "armrig greybox {chassis} -o chassis.png",
