@@ -16,6 +16,7 @@ from armrig_core.errors import InputError, InputTypeError
 from armrig.data.columns import Vector, sampling
 from armrig.data.step import took
 from armrig.numerics.checks import require_integers
+from armrig.plots.layout import figure_of, html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -297,19 +298,13 @@ class Experiments:
         >>> data.plot("spectrum").savefig("spectrum.png")
         """
         from armrig.data.figures import plot_data, plot_spectrum, plot_values
-        from armrig.plots.layout import figure_of
 
         kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
         if kind not in kinds:
             raise InputError(f"kind={kind!r} must be one of {', '.join(kinds)}")
         return figure_of(kinds[kind](self.signals(), ax=ax))
 
-    def _repr_html_(self) -> str:
-        """Return text and figure as HTML for a notebook."""
-        from armrig.plots.layout import html
-
-        shown: Any = self
-        return html(shown)
+    _repr_html_ = html
 
     def _described(self, channels: str, missing: str) -> str:
         """Return one line with the names of the channels, and with the word for missing values."""

@@ -23,7 +23,7 @@ from armrig.plots.layout import (
     bare_minor,
     decibel_ticks,
     decibels,
-    figure_of,
+    drawn_by,
     finish,
     hertz,
     panels,
@@ -32,7 +32,6 @@ from armrig.plots.layout import (
 if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 COHERENT = 0.5
 """Least coherence at which u counts as explaining y. The coherence is the share of y's power that u
@@ -113,9 +112,7 @@ class SpectralEstimate(OfDataset):
         known = np.isfinite(self.G)
         return control.frd(self.G[known], self.omega[known], self.Ts)
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of magnitude and phase with 95 % bands: `armrig.plots.plot_spectral`."""
-        return figure_of(plot_spectral(self, ax=ax))
+    plot = drawn_by("plot_spectral", "magnitude and phase with 95 % bands")
 
     def __repr__(self) -> str:
         """Return the estimate as a few lines of text."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from io import BytesIO
 from itertools import cycle
@@ -77,6 +77,18 @@ def figure_of(ax: Axes) -> Figure:
         letter(figure)
     show_once(figure)
     return figure
+
+
+def drawn_by(name: str, what: str) -> Callable[..., Figure]:
+    """Return the method `.plot()` of a result that the function `name` of `armrig.plots` draws."""
+
+    def plot(self: Any, *, ax: Axes | None = None) -> Figure:
+        from armrig import plots
+
+        return figure_of(getattr(plots, name)(self, ax=ax))
+
+    plot.__doc__ = f"Return a figure of {what}: see `armrig.plots.{name}`."
+    return plot
 
 
 def letter(figure: Figure) -> None:

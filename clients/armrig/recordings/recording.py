@@ -19,6 +19,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import took
 from armrig.data.treatment import difference
 from armrig.numerics.stretches import Mask
+from armrig.plots.layout import figure_of, html
 from armrig.recordings.daemon_reports import DeviceClock, Event, Gap, Note, Timing
 
 if TYPE_CHECKING:
@@ -338,15 +339,10 @@ class Recording:
         <Figure size ... with 2 Axes>
         """
         from armrig.data.figures import plot_data
-        from armrig.plots.layout import figure_of
 
         return figure_of(plot_data(self, ax=ax))
 
-    def _repr_html_(self) -> str:
-        """Return text and figure as HTML for a notebook."""
-        from armrig.plots.layout import html
-
-        return html(self)
+    _repr_html_ = html
 
     def __repr__(self) -> str:
         """Describe the recording in one line."""

@@ -22,6 +22,7 @@ from armrig.models.fit import Fit
 from armrig.models.prediction import findings_on_own_data
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
+from armrig.plots.layout import figure_of, html
 from armrig.validation.model_differences import explanation, table
 
 if TYPE_CHECKING:
@@ -139,16 +140,11 @@ class ComparisonTable:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of data, models and errors: see `armrig.plots.plot_compare`."""
-        from armrig.plots.layout import figure_of
         from armrig.validation.figures import plot_comparison
 
         return figure_of(plot_comparison(self.data, self.rows, ax=ax))
 
-    def _repr_html_(self) -> str:
-        """Return text and figure as HTML for a notebook."""
-        from armrig.plots.layout import html
-
-        return html(self)
+    _repr_html_ = html
 
     def __repr__(self) -> str:
         """Return a line for each model; a model of several outputs has a line for each output."""

@@ -14,6 +14,7 @@ from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
+from armrig.plots.layout import figure_of, html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -227,16 +228,11 @@ class ResidualTest:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the correlations: see `armrig.plots.plot_residuals`."""
-        from armrig.plots.layout import figure_of
         from armrig.validation.figures import plot_residual_test
 
         return figure_of(plot_residual_test(self, ax=ax))
 
-    def _repr_html_(self) -> str:
-        """Return text and figure as HTML for a notebook."""
-        from armrig.plots.layout import html
-
-        return html(self)
+    _repr_html_ = html
 
     def __repr__(self) -> str:
         """Return a text: the lines of the tests, then the warnings."""

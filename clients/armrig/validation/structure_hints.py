@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,16 +27,12 @@ from armrig.models.spectral_estimate import (
     phase_delay,
 )
 from armrig.numerics.quantities import listed, minus, plural, times
+from armrig.plots.layout import drawn_by
 from armrig.validation.data_advice import poor_input
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 SURE = 3.0  # standard deviations by which |G| at an extreme must differ from |G| at its bases
@@ -135,12 +131,7 @@ class StructureHints:
         letters = {"D": self.nk > 1, "I": self.integrator, "U": bool(self.resonances)}
         return f"P{n}{''.join(letter for letter, has in letters.items() if has)}"
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of |G| with slopes and extremes: see `armrig.plots.plot_structure`."""
-        from armrig.plots.layout import figure_of
-        from armrig.validation.figures import plot_structure
-
-        return figure_of(plot_structure(self, ax=ax))
+    plot = drawn_by("plot_structure", "|G| with slopes and extremes")
 
     @property
     def findings(self) -> tuple[Finding, ...]:

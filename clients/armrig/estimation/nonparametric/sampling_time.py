@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -23,10 +22,7 @@ from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.numerics.quantities import times, with_std
 from armrig.numerics.step_times import linear_crossing, rise_time
 from armrig.numerics.stretches import constant
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from armrig.plots.layout import drawn_by, html
 
 Vector = NDArray[np.float64]
 
@@ -98,18 +94,9 @@ class SamplingTime:
     notes: tuple[str, ...]
     """Notes about the recommendation; `doubts` are the first of these notes."""
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return the figure of step response and spectrum (`armrig.plots.plot_sampling_time`)."""
-        from armrig.estimation.figures import plot_sampling_time
-        from armrig.plots.layout import figure_of
+    plot = drawn_by("plot_sampling_time", "step response and spectrum")
 
-        return figure_of(plot_sampling_time(self, ax=ax))
-
-    def _repr_html_(self) -> str:
-        """Return text and figure as HTML for a notebook."""
-        from armrig.plots.layout import html
-
-        return html(self)
+    _repr_html_ = html
 
     def brief(self) -> str:
         """Return the recommendation, the result of each rule, and the doubts, as text."""

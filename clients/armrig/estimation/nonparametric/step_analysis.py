@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -22,10 +22,7 @@ from armrig.estimation.nonparametric.step_answer import Answer, step_answer
 from armrig.numerics.quantities import plural, times, with_std
 from armrig.numerics.step_times import area_above, lag_of_angle
 from armrig.numerics.stretches import Mask, constant, stretches
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from armrig.plots.layout import drawn_by
 
 Vector = NDArray[np.float64]
 
@@ -99,12 +96,7 @@ class StepAnalysis(OfDataset):
         """Bandwidth 1/tau, in rad/s (handout, 3.1.1)."""
         return 1 / self.tau
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return the figure of the step response, drawn by `armrig.plots.plot_step_analysis`."""
-        from armrig.estimation.figures import plot_step_analysis
-        from armrig.plots.layout import figure_of
-
-        return figure_of(plot_step_analysis(self, ax=ax))
+    plot = drawn_by("plot_step_analysis", "the step response")
 
     def __repr__(self) -> str:
         """Return the result as a few lines of text."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -17,11 +17,7 @@ from armrig.numerics.checks import require_integers, several
 from armrig.numerics.quantities import p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
+from armrig.plots.layout import drawn_by
 
 _DIFFERENCE_LEVEL = 0.01  # p value below which the parts differ
 _INTERVAL_OUTSIDE_SHARE = 0.05  # probability outside the confidence interval of `scatter`
@@ -180,12 +176,7 @@ class SplitStudy:
             "information that determines the additional initial states."
         ]
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the estimates with ±2 standard deviations and the law 1/sqrt(N)."""
-        from armrig.plots import plot_split
-        from armrig.plots.layout import figure_of
-
-        return figure_of(plot_split(self, ax=ax))
+    plot = drawn_by("plot_split", "the estimates with ±2 standard deviations and the law 1/sqrt(N)")
 
     def __repr__(self) -> str:
         """Return a table with a line for each part and a line for each split."""

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from armrig.data.dataset import OfDataset
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.quantities import p_relation, plural, times
+from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.lag_tests import LEVEL, SURPRISING, Before
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,12 +178,7 @@ class Delay(Quantisation):
             "coefficient is larger."
         )
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of impulse response and losses: see `armrig.plots.plot_delay`."""
-        from armrig.plots.layout import figure_of
-        from armrig.validation.feedback_and_delay.figures import plot_delay
-
-        return figure_of(plot_delay(self, ax=ax))
+    plot = drawn_by("plot_delay", "impulse response and losses")
 
     def __repr__(self) -> str:
         """Return the answer and the tests in a few lines."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -11,12 +10,9 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.numerics.quantities import p_relation, percent
+from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.by_channel import each_channel
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 CHANCE_LEVEL = 1e-3
 """Level of findings without a test by name, and least p value for which another recording is
@@ -111,12 +107,7 @@ class OpenLoop(OfDataset):
             )
         return lines
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the regression of y on u: see `armrig.plots.plot_open_loop`."""
-        from armrig.plots.layout import figure_of
-        from armrig.validation.feedback_and_delay.figures import plot_open_loop
-
-        return figure_of(plot_open_loop(self, ax=ax))
+    plot = drawn_by("plot_open_loop", "the regression of y on u")
 
     def __repr__(self) -> str:
         """Return the answer in a line, and the remarks."""
