@@ -299,7 +299,7 @@ def emulate(
         from armrig_core.process.open_files import require
 
         require("armrigd emulate", memory_mib=512, files=16)
-        from armrig_core.rig.description import described_at
+        from armrig_core.rig.description import path_of, read_description, shipped
 
         from armrig_daemon.emulator.device import Device
         from armrig_daemon.emulator.real_time import emulate as run_emulator
@@ -314,7 +314,7 @@ def emulate(
             chosen = EmulatorSettings() if config is None else load(config)
         given = {"seed": seed, "baud": baud}
         given = {key: value for key, value in given.items() if value is not None}
-        described = described_at(rig_file)
+        described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
         if described.arm_removed:
             given["arm_removed"] = True
         chosen = msgspec.structs.replace(chosen, **given)

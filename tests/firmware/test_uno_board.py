@@ -14,6 +14,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
 from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Status, Stop
 
+from tests.firmware.harness_orders import figures, read_eeprom, write_eeprom
 from tests.firmware.uno_host import BOOT_NS, HEX, MS, Host, broken, harness, powered
 from tests.tools import needs
 
@@ -65,15 +66,15 @@ def test_a_spoilt_byte_of_the_uid_changes_nothing() -> None:
     """The uid is stored twice, each copy with its check."""
     with powered() as host:
         uid = host.hello().uid
-        eeprom = host.uno.harness.read_eeprom(0, 1024)
+        eeprom = read_eeprom(host.uno.harness, 0, 1024)
         places = [i for i in range(1024) if eeprom[i : i + 8] == uid.to_bytes(8, "little")]
         assert len(places) == 2
 
         for at in (place + byte for place in places for byte in range(12)):
-            host.uno.harness.write_eeprom(at, bytes([eeprom[at] ^ 0x10]))
+            write_eeprom(host.uno.harness, at, bytes([eeprom[at] ^ 0x10]))
             restart(host)
             assert host.hello().uid == uid, at
-            host.uno.harness.write_eeprom(at, eeprom[at : at + 1])
+            write_eeprom(host.uno.harness, at, eeprom[at : at + 1])
 
 
 def test_hello_reports_the_crc_of_the_image() -> None:
@@ -114,9 +115,9 @@ def test_the_hardware_watchdog_resets_a_hung_board(fault: str, tmp_path: Path) -
         for _ in range(200):  # the host goes on
             host.drive(HALF, 1, host.now // MS)
 
-        figures = uno.harness.figures()
-        assert figures.boots >= 2
-        assert uno.ns(figures.last_high) <= DIES_MS * MS + PATIENCE_MS * MS
+        counts = figures(uno.harness)
+        assert counts.boots >= 2
+        assert uno.ns(counts.last_high) <= DIES_MS * MS + PATIENCE_MS * MS
         assert not uno.duties[-1].enabled
         # Bytes are lost where nobody takes them.
         assert {v.what for v in uno.violations} <= {Violation.RX_OVERRUN}

@@ -11,6 +11,15 @@ from armrig_protocol import messages as wire
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Cause, Flag, State
 
+from tests.firmware.harness_orders import (
+    eeprom_byte,
+    figures,
+    optiboot,
+    read_eeprom,
+    stand,
+    supply,
+    write_eeprom,
+)
 from tests.firmware.uno_host import (
     BOOT_NS,
     MS,
@@ -35,7 +44,7 @@ def test_a_silent_host_stops_the_motor_within_the_watchdog_and_1_ms(watchdog_ms:
 
         host.wait(watchdog_ms + 50)
 
-        low_ns = host.uno.ns(host.uno.harness.figures().last_high)
+        low_ns = host.uno.ns(figures(host.uno.harness).last_high)
         assert (watchdog_ms - 0.1) * MS <= low_ns - fed_ns <= (watchdog_ms + 1) * MS
         assert host.last(wire.Event).cause == Cause.WATCHDOG
         assert_low_outside_run(host)
@@ -51,7 +60,7 @@ def test_a_stop_acts_within_a_millisecond_of_its_last_byte(kind: type) -> None:
         arrived_ns = host.say(kind)
         host.wait(100)
 
-        assert host.uno.ns(host.uno.harness.figures().last_high) <= arrived_ns + MS
+        assert host.uno.ns(figures(host.uno.harness).last_high) <= arrived_ns + MS
         assert_low_outside_run(host)
 
 
@@ -73,7 +82,7 @@ def test_a_reset_in_run_stops_the_motor_at_once(boot_loader: bool) -> None:
         host.wait(BOOT_NS / MS)
         after = host.hello()
 
-        assert host.uno.ns(host.uno.harness.figures().last_high) <= reset_ns
+        assert host.uno.ns(figures(host.uno.harness).last_high) <= reset_ns
         assert after.state == State.IDLE
         assert after.reset == (0 if boot_loader else 2)
         assert after.boot_id != before.boot_id
@@ -87,7 +96,7 @@ def test_a_reset_in_run_stops_the_motor_at_once(boot_loader: bool) -> None:
 def test_the_cause_of_a_reset_is_read_from_optiboot(version: int, told: int) -> None:
     """In r2, from 4.6 on; r2 of an older loader is undefined."""
     with powered(boot_loader=True) as host:
-        host.uno.harness.optiboot(version, 10)
+        optiboot(host.uno.harness, version, 10)
 
         host.uno.reset(host.now)
         host.wait(BOOT_NS / MS + 1000)
@@ -119,12 +128,12 @@ def test_a_slow_eeprom_does_not_cause_a_reset() -> None:
     """On a first boot 32 bytes are written, which takes longer than the hardware's watchdog."""
     uno = switch_on(EmulatorSettings(), 0)
     try:
-        uno.harness.eeprom_byte(10_000)
+        eeprom_byte(uno.harness, 10_000)
         host = Host(uno)
         host.wait(700)
 
         assert host.hello().state == State.IDLE
-        assert uno.harness.figures().boots == 1
+        assert figures(uno.harness).boots == 1
     finally:
         uno.close()
 
@@ -135,11 +144,11 @@ def test_a_duty_of_0_disconnects_the_pin_without_a_spike() -> None:
         host.start()
         host.drive(HALF, 5)
         host.drive(0, 2, k=10)
-        edges = host.uno.harness.figures().edges
+        edges = figures(host.uno.harness).edges
 
         host.drive(0, 5, k=20)
 
-        assert host.uno.harness.figures().edges == edges
+        assert figures(host.uno.harness).edges == edges
         assert host.last(wire.Sample).u_k == 0
 
 
@@ -198,7 +207,7 @@ def test_a_supply_measurement_does_not_change_the_channel_of_a_reading(ts_us: in
         for i in range(20):
             host.wait(100)
             host.say(wire.Ping, i)
-            host.uno.harness.supply(4600)
+            supply(host.uno.harness, 4600)
         host.wait(10)
 
         taken = [s for s in host.of(wire.Sample) if s.flags & Flag.RUN]
@@ -213,7 +222,7 @@ def test_a_low_supply_causes_a_fault() -> None:
     with powered() as host:
         host.start()
         host.drive(HALF, 20)
-        host.uno.harness.supply(3900)
+        supply(host.uno.harness, 3900)
 
         for k in range(100, 400):
             host.drive(HALF, 1, k)
@@ -227,8 +236,8 @@ def test_boots_are_counted_in_a_ring_and_have_unique_numbers() -> None:
     with powered() as host:
         boots = [n.to_bytes(4, "little") for n in range(1, 61)]
         places = [boot + _check(boot) for boot in boots]
-        begin = host.uno.harness.read_eeprom(0, 1024).index(places[0])
-        host.uno.harness.write_eeprom(begin, b"".join(places))
+        begin = read_eeprom(host.uno.harness, 0, 1024).index(places[0])
+        write_eeprom(host.uno.harness, begin, b"".join(places))
         replies = [host.hello()]
         for _ in range(10):
             host.uno.reset(host.now)
@@ -238,7 +247,7 @@ def test_boots_are_counted_in_a_ring_and_have_unique_numbers() -> None:
         assert len({r.boot_id & 0xFFFF for r in replies}) == 11
         assert len({r.boot_id >> 16 for r in replies}) == 11
         assert len({r.uid for r in replies}) == 1
-        eeprom = host.uno.harness.read_eeprom(begin, 64 * 8)
+        eeprom = read_eeprom(host.uno.harness, begin, 64 * 8)
         counts = [int.from_bytes(eeprom[i : i + 4], "little") for i in range(0, 64 * 8, 8)]
         assert counts == [*range(65, 71), *range(7, 65)]
 
@@ -248,21 +257,21 @@ def test_a_count_torn_by_a_power_failure_is_not_reused() -> None:
         for _ in range(3):
             host.uno.reset(host.now)
             host.wait(BOOT_NS / MS)
-        eeprom = host.uno.harness.read_eeprom(0, 1024)
+        eeprom = read_eeprom(host.uno.harness, 0, 1024)
         newest = eeprom.index((4).to_bytes(4, "little"))
         told = {host.hello().boot_id & 0xFFFF}
         for torn in range(8):
-            host.uno.harness.write_eeprom(newest, eeprom[newest : newest + 8])
-            host.uno.harness.write_eeprom(newest + 8, b"\xff" * 8)
+            write_eeprom(host.uno.harness, newest, eeprom[newest : newest + 8])
+            write_eeprom(host.uno.harness, newest + 8, b"\xff" * 8)
             # As left by a boot that counts 5 and is cut off after `torn` bytes.
             whole = (5).to_bytes(4, "little") + _check((5).to_bytes(4, "little"))
-            host.uno.harness.write_eeprom(newest + 8, whole[:torn])
+            write_eeprom(host.uno.harness, newest + 8, whole[:torn])
             host.uno.reset(host.now)
             host.wait(BOOT_NS / MS)
             told_now = host.hello().boot_id & 0xFFFF
 
             assert told_now not in told
-            assert host.uno.harness.read_eeprom(newest + 8, 8) == whole
+            assert read_eeprom(host.uno.harness, newest + 8, 8) == whole
 
 
 def _check(data: bytes) -> bytes:
@@ -276,7 +285,7 @@ def test_the_hardware_watchdog_stops_the_motor_if_the_converter_stops() -> None:
         boot_id = host.hello().boot_id
         host.say(wire.Setpoints, host.last(wire.Sample).k + 3, 24, 0, (HALF,) * 24)
         host.wait(60)
-        host.uno.harness.stand()
+        stand(host.uno.harness)
         stood_ns = host.now
         driven = bool(high_from(host.uno, stood_ns - 1, stood_ns))
 
@@ -286,8 +295,8 @@ def test_the_hardware_watchdog_stops_the_motor_if_the_converter_stops() -> None:
         hello = host.hello()
 
         assert driven
-        assert host.uno.ns(host.uno.harness.figures().last_high) <= stood_ns + 320 * MS
-        assert host.uno.harness.figures().boots == 2
+        assert host.uno.ns(figures(host.uno.harness).last_high) <= stood_ns + 320 * MS
+        assert figures(host.uno.harness).boots == 2
         assert hello.boot_id != boot_id
         assert hello.reset == 8  # WDRF
         assert hello.state == State.IDLE

@@ -16,6 +16,7 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import SETPOINTS_PER_FRAME, Cause, Flag, Mode, State
 
 from tests.daemon.test_scheduled_in_virtual_time import telegraph
+from tests.firmware.harness_orders import figures
 from tests.firmware.test_uno_runs import (
     LATCH_NS,
     UnoBench,
@@ -70,7 +71,7 @@ def test_during_a_flood_every_sample_is_in_time_and_reports_the_pin(baud: int) -
         assert told == [0 if s.flags & Flag.UNDERRUN else applied_code(u[s.k], 10) for s in samples]
         assert not any(s.flags & Flag.UNDERRUN for s in samples[:240])
         assert _at_the_pin(host, holds) == [duty(code, 10) for code in told]
-        assert host.uno.harness.figures().boots == 1
+        assert figures(host.uno.harness).boots == 1
 
 
 def _at_the_pin(host: Host, holds: list[int]) -> list[int]:
@@ -153,8 +154,8 @@ def test_a_flood_does_not_delay_the_watchdog(
             host.wait(1)
         host.wait(10)
 
-        low_ns = host.uno.ns(host.uno.harness.figures().last_high)
+        low_ns = host.uno.ns(figures(host.uno.harness).last_high)
         assert 99.9 * MS <= low_ns - fed_ns <= 101 * MS
         assert host.last(wire.Event).cause == Cause.WATCHDOG
         assert host.uno.state is State.FAULT
-        assert host.uno.harness.figures().boots == 1
+        assert figures(host.uno.harness).boots == 1

@@ -18,6 +18,7 @@ from armrig_protocol.messages import Flag
 
 from tests.daemon.test_scheduled_in_virtual_time import telegraph
 from tests.daemon.virtual_bench import MS, Bench
+from tests.firmware.harness_orders import figures
 from tests.firmware.uno_host import PERIOD_NS, switch_on
 from tests.sampling import sampled
 from tests.tools import needs
@@ -134,9 +135,9 @@ def test_every_u_is_applied_at_its_k_and_at_the_pin(
     assert_complete(bench, volts)
     assert bench.uno.violations == []
     assert_on_the_pin(bench, volts, ts_us)
-    figures = bench.uno.harness.figures()
-    assert figures.boots == 1
-    assert figures.interrupts_off_max <= 16 * 16  # 16 us
+    counts = figures(bench.uno.harness)
+    assert counts.boots == 1
+    assert counts.interrupts_off_max <= 16 * 16  # 16 us
 
 
 def test_every_u_of_exchange_mode_is_applied_at_the_pin(bench: UnoBench) -> None:

@@ -163,7 +163,26 @@ def build() -> None:
         )
 
 
-class Watched(Watching, Device):
+class FrameByFrame(Device):
+    """A device that also advances frame by frame."""
+
+    def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Advance to `now_ns` or to the next frame, whichever is earlier; return the sent frames.
+
+        Repeated calls perform the same events as `advance` and return the same frames, one frame
+        per call.
+        """
+        if self._next_ns > now_ns:  # the usual case
+            return []
+        tx = self._tx
+        while self._next_ns <= now_ns:
+            self._step(self._next_ns)
+            if tx.sent:
+                return tx.pop_sent()
+        return []
+
+
+class Watched(Watching, FrameByFrame):
     """A device with the Python firmware."""
 
 

@@ -70,6 +70,8 @@ def _matrices(form: dict[str, Any]) -> tuple[Matrix, Matrix, Matrix, bool]:
 
 def _companions(form: dict[str, Any]) -> tuple[Matrix, Matrix, Matrix, bool]:
     """Return a companion matrix for each output, one below the other, on the diagonal."""
+    import numpy as np  # here, because a description without a saved model is read without numpy
+
     A: Matrix = []
     B: Matrix = []
     C: Matrix = []
@@ -77,7 +79,8 @@ def _companions(form: dict[str, Any]) -> tuple[Matrix, Matrix, Matrix, bool]:
     for i, row in enumerate(form["A"]):
         if any(any(a) for k, a in enumerate(row) if k != i):
             raise FileError("the outputs act on each other (A); identify oe or n4sid instead")
-        F, b = _product(row[i], form["F"][i][0]), [float(x) for x in form["B"][i][0]]
+        F = np.convolve(row[i], form["F"][i][0]).tolist()
+        b = [float(x) for x in form["B"][i][0]]
         n = max(len(F), len(b)) - 1
         blocks.append((F + [0.0] * (n + 1 - len(F)), b + [0.0] * (n + 1 - len(b)), n))
     total = sum(n for *_, n in blocks)
@@ -96,12 +99,3 @@ def _companions(form: dict[str, Any]) -> tuple[Matrix, Matrix, Matrix, bool]:
         C.append([float(k == first) for k in range(total)])
         first += n
     return A, B, C, any(b[0] for _, b, _ in blocks)
-
-
-def _product(a: Sequence[float], f: Sequence[float]) -> list[float]:
-    """Return the coefficients of a product of two polynomials."""
-    found = [0.0] * (len(a) + len(f) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(f):
-            found[i + j] += x * y
-    return found

@@ -77,18 +77,13 @@ def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
 
 
 def _is_older_than_last(state: State, m: DeviceSample) -> bool:
-    """Return whether a sample is older than the last sample, by the clock of the device."""
-    return bool(state.sampled_ns) and is_older(state.t_us, m.t_us)
+    """Return whether a sample precedes the last one by at most half a wrap of its clock."""
+    return bool(state.sampled_ns) and (m.t_us - state.t_us) & 0xFFFFFFFF > 0x7FFFFFFF
 
 
 def extended(last: int, raw: int) -> int:
     """Return the reading `raw` of a 32-bit clock without wraps; `last` is the previous result."""
     return last + ((raw - last) & 0xFFFFFFFF)
-
-
-def is_older(last: int, raw: int) -> bool:
-    """Return whether the reading `raw` of a 32-bit clock precedes `last` by at most half a wrap."""
-    return (raw - last) & 0xFFFFFFFF > 0x7FFFFFFF
 
 
 def converted(

@@ -10,9 +10,7 @@ from collections import deque
 from math import tau
 
 import numpy as np
-from armrig_core.rig.arm import Matrix
 from armrig_core.rig.description import COUNTS, Description, Output, require_model
-from armrig_core.rig.saved_model import System
 
 from armrig_daemon.emulator import plant
 
@@ -32,7 +30,7 @@ class DescribedRig:
         self._since_ns = 0  # since the last step of a model in discrete time
         self._offset = model.offset or [0.0] * len(self._outputs)
         self._noise = model.noise or [0.0] * len(self._outputs)
-        self._powers = [] if system.Ts else _powers(system)
+        self._powers = [] if system.Ts else plant.digit_powers(self._A, self._B)
         self._xu = np.zeros(len(system.A) + 1)  # the states and, last, the delayed input
         self._delay_ns = round(model.delay_s * 1e9)
         self._changes = deque([(0, 0.0)])  # inputs that are delayed, with their times
@@ -98,7 +96,3 @@ def _fraction(output: Output, y: float) -> float | None:
         counts = (y / output.per_count + output.zero_counts) % turn
         return counts / COUNTS if counts <= COUNTS else None
     return (y / output.per_count + output.zero_counts) / COUNTS
-
-
-def _powers(system: System) -> list[Matrix]:
-    return plant.digit_powers(np.array(system.A), np.array(system.B))

@@ -163,21 +163,6 @@ class Device:
         now_ns = min(limit_ns, self._next_ns)
         return now_ns, self.advance(now_ns)
 
-    def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Advance to `now_ns` or to the next frame, whichever is earlier; return the sent frames.
-
-        Repeated calls perform the same events as `advance` and return the same frames, one frame
-        per call.
-        """
-        if self._next_ns > now_ns:  # the usual case
-            return []
-        tx = self._tx
-        while self._next_ns <= now_ns:
-            self._step(self._next_ns)
-            if tx.sent:
-                return tx.pop_sent()
-        return []
-
     def _begin(self, now_ns: int, mcusr: int) -> None:
         last = self._boot_id
         while self._boot_id == 0 or not (self._boot_id ^ last) & U16:

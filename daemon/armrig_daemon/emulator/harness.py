@@ -19,7 +19,6 @@ CYCLES_PER_US: Final = 16
 _ORDER = Struct("<cQI")
 _RECORD = Struct("<BQI")
 _READING = Struct("<H")
-_FIGURES = Struct("<6Q")
 
 
 class Violation(IntEnum):
@@ -65,22 +64,6 @@ class Violated(NamedTuple):
     what: Violation
 
 
-class Figures(NamedTuple):
-    """Counts and times of the harness."""
-
-    last_high: int
-    """Cycle at which the PWM pin was last high."""
-    interrupts_off_max: int
-    """Longest time with interrupts off, in cycles."""
-    interrupts_off_pc: int
-    """Address in the program at which the longest time with interrupts off began."""
-    idle: int
-    """Number of cycles asleep."""
-    boots: int
-    edges: int
-    """Number of edges of the PWM pin."""
-
-
 Record = Duty | Left | Violated
 Convert = Callable[[int, int], int]
 """Function of a cycle and a channel that returns the channel's reading, 10 bits, at the cycle."""
@@ -123,7 +106,7 @@ class Harness:
 
         `convert` is called for each conversion. The caller must consume all records.
         """
-        self._order(b"A", cycle, until_frame)
+        self.order(b"A", cycle, until_frame)
         while True:
             kind, cycle, value = _RECORD.unpack(self._read(_RECORD.size))
             match chr(kind):
@@ -142,44 +125,11 @@ class Harness:
 
     def send(self, cycle: int, data: bytes) -> None:
         """Put bytes on the line to the device at `cycle`, or as soon as the line is free."""
-        self._order(b"I", cycle, len(data), data)
+        self.order(b"I", cycle, len(data), data)
 
     def reset(self, deaf_cycles: int = 0) -> None:
         """Reset the board; for `deaf_cycles`, a boot loader runs, which clears MCUSR."""
-        self._order(b"R", 0, deaf_cycles)
-
-    def optiboot(self, version: int, r2: int) -> None:
-        """Put a boot loader of `version`, such as 0x0803, into flash.
-
-        The boot loader leaves the value `r2` in register r2.
-        """
-        self._order(b"O", r2, version)
-
-    def supply(self, millivolts: int) -> None:
-        """Set the supply voltage, in mV."""
-        self._order(b"V", 0, millivolts)
-
-    def stand(self, *, is_to: bool = True) -> None:
-        """Stop the converter, or let it continue."""
-        self._order(b"S", 0, is_to)
-
-    def eeprom_byte(self, us: int) -> None:
-        """Set the time to write a byte of the EEPROM, in µs."""
-        self._order(b"B", 0, us)
-
-    def read_eeprom(self, start: int, n: int) -> bytes:
-        """Return n bytes of the EEPROM."""
-        self._order(b"E", start, n)
-        return self._data()
-
-    def write_eeprom(self, start: int, data: bytes) -> None:
-        """Change bytes of the EEPROM."""
-        self._order(b"W", start, len(data), data)
-
-    def figures(self) -> Figures:
-        """Return the counts so far."""
-        self._order(b"F", 0, 0)
-        return Figures._make(_FIGURES.unpack(self._data()))
+        self.order(b"R", 0, deaf_cycles)
 
     def close(self) -> None:
         """End the harness."""
@@ -195,7 +145,8 @@ class Harness:
             raise OperationError("the harness has no input")
         return self._process.stdin
 
-    def _order(self, order: bytes, cycle: int, n: int, data: bytes = b"") -> None:
+    def order(self, order: bytes, cycle: int, n: int, data: bytes = b"") -> None:
+        """Send an order of firmware_protocol/simavr/README.md."""
         try:
             self._in.write(_ORDER.pack(order, cycle, n) + data)
             self._in.flush()
@@ -211,6 +162,7 @@ class Harness:
             raise OperationError(f"the harness ended with exit code {self._process.wait()}")
         return data
 
-    def _data(self) -> bytes:
+    def data(self) -> bytes:
+        """Return the answer to an order."""
         _, _, n = _RECORD.unpack(self._read(_RECORD.size))
         return self._read(n)

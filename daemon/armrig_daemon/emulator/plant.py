@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import copysign, isfinite
+from math import copysign
 from typing import Final
 
 import numpy as np
@@ -69,15 +69,8 @@ def build(
     alpha stays 0 and the chassis turns alone. `coulomb_nm` is the Coulomb friction T_c in Nm, and
     `stiffening` the cubic part k_3 of the spring in Nm/rad³; 0 disables the effect. `substep_ns` is
     the step of the Strang splitting, in ns; it has no effect without friction and stiffening.
-
-    Raises ValueError if `coulomb_nm` or `stiffening` is negative or not finite, or the step is not
-    positive.
+    `EmulatorSettings` checks the ranges.
     """
-    for name, value in (("coulomb_nm", coulomb_nm), ("stiffening", stiffening)):
-        if not isfinite(value) or value < 0:
-            raise InputError(f"{name}={value!r} must be finite and >= 0")
-    if substep_ns < 1:
-        raise InputError(f"substep_ns={substep_ns} must be at least 1")
     free, locked = _tables(arm, arm_removed)
     return Plant(
         free=free,

@@ -264,7 +264,8 @@ class Service:
                     sample = _decoded(record)
                     self._rig.note_sample(sample)
                     if self._runs.includes_sample(sample.k):
-                        batch.append(_outgoing(sample, record))
+                        times = sample.t_host_ns, sample.t_sched_ns
+                        batch.append(Outgoing("sample", *times, sample.k, record))
                 case RunStarted():
                     self._begin_run(record)
                 case RunEnded():
@@ -455,7 +456,3 @@ def _decoded(data: bytes) -> Sample:
     if sample is None:
         raise RuntimeError("the loop sent a sample of another layout")
     return sample
-
-
-def _outgoing(sample: Sample, data: bytes) -> Outgoing:
-    return Outgoing("sample", sample.t_host_ns, sample.t_sched_ns, sample.k, data)

@@ -30,6 +30,7 @@ from tests.daemon.emulator.emulated_host import (
     events,
     only,
 )
+from tests.simulator.watched import FrameByFrame
 
 SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500}
 SESSION: list[tuple[int, bytes | wire.Message]] = [
@@ -47,7 +48,7 @@ SESSION: list[tuple[int, bytes | wire.Message]] = [
 
 def test_the_device_sends_the_same_frames_one_by_one_as_all_at_once() -> None:
     sent = bytes_of(QUIET, SESSION)
-    at_once, apart = Device(QUIET, 0), Device(QUIET, 0)
+    at_once, apart = Device(QUIET, 0), FrameByFrame(QUIET, 0)
     one: list[tuple[int, bytes]] = []
     other: list[tuple[int, bytes]] = []
 
