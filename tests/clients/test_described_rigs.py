@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from armrig.excitation import telegraph
 from armrig.recordings.usability import doubts_of_pair
 from armrig_core.commands.commands import Run
 from armrig_core.errors import InputError
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import Description, shipped
 from armrig_daemon.config import Config, Timing
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
@@ -126,11 +127,24 @@ def test_the_page_shows_only_rigs_with_outputs_of_the_arm() -> None:
     assert not not_drawn(shipped("chassis"))
 
 
-def test_recordings_without_a_common_output_are_not_compared(
+def test_recordings_of_different_descriptions_are_not_compared(
     rc: list[Path], heater: list[Path]
 ) -> None:
+    first, other = armrig.load(heater[0]), armrig.load(heater[1])
     with pytest.raises(InputError, match=r"rig 'rc', .* of a rig 'heater': no output has the same"):
-        list(doubts_of_pair(armrig.load(rc[0]), armrig.load(heater[0])))
+        list(doubts_of_pair(armrig.load(rc[0]), first))
+    for old, new, why in (
+        (b"per_count = 0.0076", b"per_count = 0.0075", r"T1 per_count = 0\.0076 and 0\.0075"),
+        (b'"degC"', b'"K"', "T1 unit = 'degC' and 'K'"),
+        (b"per_volt = 20.0", b"per_volt = 10.0", r"input per_volt = 20\.0 and 10\.0"),
+    ):
+        text = other.description.text.replace(old, new, 1)
+        with pytest.raises(InputError, match=f"their descriptions give {why}; choose recordings"):
+            list(
+                doubts_of_pair(first, dataclasses.replace(other, description=Description.of(text)))
+            )
+    warmer = Description.of(other.description.text.replace(b"high = 70.0", b"high = 80.0"))
+    assert not list(doubts_of_pair(first, dataclasses.replace(other, description=warmer)))
 
 
 def test_the_advice_to_turn_the_rig_is_for_the_arm() -> None:

@@ -12,6 +12,7 @@ from armrig_core.commands.codes import OutcomeCode
 from armrig_core.errors import InputError
 from armrig_core.recording_file.manifest import Manifest
 from armrig_core.rig.calibration import Calibration
+from armrig_core.rig.description import Description
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding, warning
@@ -304,26 +305,21 @@ def doubts_of_pair(
     If `one_plant` is False, one recording may be of a part alone and the other recording of the
     whole rig.
 
-    Raises InputError if the recordings have no output in common.
+    Raises InputError if the recordings have no output in common, or describe a signal differently.
     """
     way_out = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
     yield from _poorly_excited(other, f"{way_out}--validation`)")
     pair = (first, other)
     a, b = (r.path.name for r in pair)
-    ours, theirs = ({(c.name, c.unit) for c in r.description.channels} for r in pair)
-    if not ours & theirs:
+    if difference := _different_descriptions(first.description, other.description):
         raise InputError(
             f"{a} is of a rig '{first.description.rig.name}', {b} of a rig "
-            f"'{other.description.rig.name}': no output has the same name and unit; choose "
-            "recordings of one rig"
+            f"'{other.description.rig.name}': {difference}; choose recordings of one description"
         )
     rigs = [(r.manifest.rig, r.manifest.device.get("uid")) for r in pair]
     body = first.description.channels[0].body or "first part"
     alone = [r.manifest.kind == "greybox" for r in pair]
-    if first.description.outputs != other.description.outputs:
-        text = f"{a} and {b} have different descriptions of their rig: "
-        yield warning("rig", f"{text}outputs, units or conversions differ")
-    elif rigs[0] != rigs[1]:
+    if rigs[0] != rigs[1]:
         of, of_other = (f"rig {rig}" + (f" (device {uid})" if uid else "") for rig, uid in rigs)
         text = f"{a} is of {of}, {b} of {of_other}: a model of one "
         yield warning("rig", f"{text}rig does not describe another rig")
@@ -333,6 +329,27 @@ def doubts_of_pair(
         of, of_other = (f"the {body} alone" if part else "the whole rig" for part in alone)
         text = f"{a} is of {of}, {b} of {of_other}: the {body} alone and the "
         yield warning("plant", f"{text}whole rig are two plants")
+
+
+def _different_descriptions(ours: Description, theirs: Description) -> str:
+    """Return why signals of the same name are not the same quantity; "" for equal signals.
+
+    A description may have limits, a model or an output that the other description does not have.
+    """
+    common = [name for name in ours.outputs if name in theirs.outputs]
+    if not common:
+        return "no output has the same name"
+    keys = ["name", "unit", "per_volt", "turning", "rate"]
+    if not (ours.is_calibrated or theirs.is_calibrated):  # a calibration converts the arm's
+        keys += ["zero_counts", "per_count"]
+    signals: list[tuple[str, object, object]] = [("input", ours.input, theirs.input)]
+    signals += [(name, ours.outputs[name], theirs.outputs[name]) for name in common]
+    for name, our, their in signals:
+        for key in keys:
+            values = getattr(our, key, None), getattr(their, key, None)
+            if values[0] != values[1]:
+                return f"their descriptions give {name} {key} = {values[0]!r} and {values[1]!r}"
+    return ""
 
 
 def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[Finding]:
