@@ -47,6 +47,7 @@ from armrig_daemon.service.host.host_facts import HostFacts, check_directory, of
 from armrig_daemon.service.played_input import checked, one_a_line
 
 _BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed
+_BYTES_PER_SECOND = 4000  # of the core's inputs and its reports, which do not depend on Ts
 _BASE_BYTES = 1 << 20  # size of a recording without samples
 
 
@@ -148,7 +149,7 @@ class Runs:
         if not self.is_idle:
             busy = "an experiment is running: stop it first, or wait for its end"
             raise CommandRefusedError(refused(RefusalCode.RUNNING, busy))
-        no_room = check_directory(self._directory, _BYTES_PER_SAMPLE * len(request.u) + _BASE_BYTES)
+        no_room = check_directory(self._directory, _most_bytes(len(request.u), Ts) + _BASE_BYTES)
         if no_room:
             raise CommandRefusedError(no_room)
         u = checked(request.u, self._config.limits)
@@ -362,10 +363,15 @@ class Runs:
         )
 
 
+def _most_bytes(samples: int, Ts: float) -> int:
+    """Return the largest size of a recording beyond its base, in B."""
+    return round(samples * (_BYTES_PER_SAMPLE + _BYTES_PER_SECOND * Ts))
+
+
 def part_limits(config: RecordingConfig, samples: int, Ts: float) -> PartLimits | None:
     """Return the limits of the parts of a run; None if one file may contain the whole run."""
     longest_s, largest = config.part_minutes * 60 or inf, config.part_mb * 1e6 or inf
-    size = samples * _BYTES_PER_SAMPLE
+    size = _most_bytes(samples, Ts)
     most = samples if samples * Ts <= longest_s else max(1, round(longest_s / Ts))
     if most == samples and size <= largest:
         return None

@@ -149,11 +149,11 @@ def test_an_unrequested_run_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
     assert not runs.includes_sample(FIRST)
 
 
-@pytest.mark.parametrize(("samples", "fits"), [(9_757, True), (9_758, False)])
+@pytest.mark.parametrize(("samples", "fits"), [(8_130, True), (8_131, False)])
 def test_a_recording_that_would_fill_the_disk_is_not_begun(
     runs: Runs, monkeypatch: pytest.MonkeyPatch, samples: int, fits: bool
 ) -> None:
-    """200 B a sample and 1 MiB."""
+    """200 B a sample, 4000 B a second and 1 MiB."""
     monkeypatch.setattr(
         "armrig_core.recording_file.recording_part.os.statvfs", lambda _: NEARLY_FULL
     )
