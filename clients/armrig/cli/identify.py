@@ -45,6 +45,7 @@ from armrig.cli.recorded_data import (
     facts_by_channel,
     from_arm,
     from_recording,
+    has_level,
     recording_path,
     require_result,
     say_channel,
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
 _MAX_SHOWN_MODELS = 5  # models of a search without --verbose
 _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
 _MAX_TS_S, _LEAST_S, _LEAST_SAMPLES = 1.0, 30.0, 600  # of the experiment that `next:` names
+_LEAST_TRANSIENTS = 10  # of the experiment of a slow rig
 _NK = "1; estimated with --search of one input and one output"
 
 
@@ -130,8 +132,7 @@ def sampling(
         if signals.read and (again := step_again(signals.read[0])):
             say_next("step hidden", again=again)
         elif from_recording(data):
-            Ts = min(choice.Ts, _MAX_TS_S)  # a slow rig is sampled faster, for longer
-            say_next("sampling", Ts=Ts, seconds=max(_LEAST_S, _LEAST_SAMPLES * Ts))
+            say_next("sampling", **_experiment(choice))
         else:
             say_next("sampling other", file=typed(file), given=signals.options())
 
@@ -143,6 +144,18 @@ def sampling(
         say_next=say_after,
         height=5.0,
     )
+
+
+def _experiment(choice: SamplingTime) -> dict[str, str | float]:
+    """Return sampling time, length and switching of the experiment that the line `next:` names."""
+    from armrig.estimation.nonparametric.sampling_time import nearest_125
+
+    Ts = min(choice.Ts, _MAX_TS_S)
+    seconds, switching = max(_LEAST_S, _LEAST_SAMPLES * Ts), ""
+    if Ts < choice.Ts:  # a slow rig is sampled faster, for longer, and its input is held for tau
+        seconds = max(seconds, nearest_125(_LEAST_TRANSIENTS * choice.settling))
+        switching = f" --a {nearest_125(Ts / choice.tau):g}"
+    return {"Ts": Ts, "seconds": seconds, "switching": switching}
 
 
 def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
@@ -208,7 +221,7 @@ def hints(
             return
         validation = validation_beside(file) if from_recording(data) else ""
         validate = f" --validate {validation}" if validation else ""
-        options = f"{_options([*known.values()])}{given}"
+        options = f"{_options([*known.values()], level=has_level(data))}{given}"
         say_next("hints", file=typed(file), options=options, validate=validate)
 
     out.show(
@@ -224,11 +237,13 @@ def hints(
     )
 
 
-def _options(found: Sequence[StructureHints]) -> str:
-    """Return the options of `armrig identify` that the hints of all channels suggest."""
+def _options(found: Sequence[StructureHints], *, level: bool) -> str:
+    """Return the options of `armrig identify` for hints, and for outputs with a level."""
     nb, nf = max(one.nb for one in found), max(one.nf for one in found)
-    options = f"--structure oe --nb {nb} --nf {nf} --nk {min(one.nk for one in found)}"
-    return options + " --integrator" * any(one.integrator for one in found)
+    shown = [one for one in found if one.nk_interval] or found  # without unknown delays
+    options = f"--structure oe --nb {nb} --nf {nf} --nk {min(one.nk for one in shown)}"
+    integrates = any(one.integrator for one in found)
+    return options + " --integrator" * integrates + " --offset" * (level and not integrates)
 
 
 def _hint_facts(hints: tuple[StructureHints | str, list[str]]) -> dict[str, Any]:

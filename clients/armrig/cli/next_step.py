@@ -21,10 +21,9 @@ from msgspec import structs
 
 from armrig.cli.recorded_data import (
     SignalChoice,
-    far_from_zero,
     from_arm,
     from_recording,
-    measured,
+    has_level,
 )
 from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import STRUCTURES
@@ -64,7 +63,7 @@ AFTER: Mapping[str, str] = {
     "record": "armrig info {file}",
     "collect step": "armrig sampling {file} -o sampling.png",
     "step hidden": "armrig collect step{again}",
-    "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds {seconds:g} --validation",
+    "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds {seconds:g}{switching} --validation",
     "sampling other": "armrig hints {file}{given} -o hints.png",
     "collect blackbox": "armrig plot {file}",
     "collect greybox": "armrig greybox {file} -o chassis.png",
@@ -341,12 +340,12 @@ def _better_options(request: Request, data: Dataset | Signals, about: Set[str]) 
     """Return the options of the next estimation of several signals after coloured residuals."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
-    columns = data.signals()
     if not from_arm(data):
-        outputs = [y for _, y in measured(columns)]
-        if far_from_zero([*outputs, *columns.u.T]):  # without the means the orders may fit
-            return f"{options_of(request)} --detrend"
-    elif not INTEGRATING_OUTPUTS.isdisjoint(columns.outputs) and not request.integrator:
+        may_offset = "offset" in STRUCTURES[request.structure].takes
+        if has_level(data) and not request.offset:  # with the level the orders may fit
+            levelled = structs.replace(request, offset=may_offset)
+            return options_of(levelled) + " --detrend" * (not may_offset)
+    elif not INTEGRATING_OUTPUTS.isdisjoint(data.signals().outputs) and not request.integrator:
         return "--structure oe --integrator"
     return CHECK if "feedback" in about else "--search"
 

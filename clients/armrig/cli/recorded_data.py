@@ -267,6 +267,13 @@ def far_from_zero(every: Sequence[Vector]) -> bool:
     return any(abs(x.mean()) > 2 * x.std() for x in every)
 
 
+def has_level(data: Dataset | Signals) -> bool:
+    """Return True if a signal has a level far from 0, which is no angle of the arm."""
+    columns = data.signals()
+    every = [*(y for _, y in measured(columns)), *columns.u.T]
+    return not from_arm(data) and far_from_zero(every)
+
+
 def tell_of_reading(
     file: Path, data: Dataset | Signals, columns: Sequence[str], missing: str
 ) -> None:
@@ -451,14 +458,16 @@ class SignalChoice(DataOptions):
         if isinstance(data, armrig.Dataset):
             for finding in swapped(data):
                 tell(f"{file}: {finding.text} (--input, --signal)")
-        if not (self.detrend or self.offset or _without_means(model) or _with_level(model)):
-            inputs_read = list(zip(columns.inputs, columns.u.T, strict=True))
-            may_offset = self.offset is not None
-            hint_at_means(measured(columns), inputs_read, may_offset=may_offset)
+        self._hint_at_means(columns, model)
         data = between(data, self.start, self.stop)
         for name, y in measured(data.signals()):
             check_varies(file, name, y)
         return data
+
+    def _hint_at_means(self, data: Signals, model: Fit | None) -> None:
+        if not (self.detrend or self.offset or _without_means(model) or _with_level(model)):
+            inputs = list(zip(data.inputs, data.u.T, strict=True))
+            hint_at_means(measured(data), inputs, may_offset=self.offset is not None)
 
     def _read(
         self, file: Path, inputs: tuple[str, ...], outputs: tuple[str, ...]
@@ -494,7 +503,10 @@ class SignalChoice(DataOptions):
             outputs = recorded_outputs(recording, self.outputs)
         else:
             outputs = modelled_outputs(recording, model, self.outputs)
-        return recording.dataset(outputs[0]) if len(outputs) == 1 else recording.signals(outputs)
+        data = recording.dataset(outputs[0]) if len(outputs) == 1 else recording.signals(outputs)
+        if self.offset is not None and has_level(data):
+            self._hint_at_means(data.signals(), model)
+        return data
 
 
 def data_group(*, without: str = "", several: bool = True) -> Group:

@@ -113,7 +113,7 @@ def _data(source: str, outputs: tuple[str, ...], mean: float = 0.0) -> Signals:
     [
         ("", ("theta_1", "alpha"), 0.0, "residuals", "--structure oe --integrator"),
         ("", ("alpha", "velocity"), 9.0, "residuals", "--search"),
-        ("csv:12", ("y", "z"), 9.0, "residuals feedback", f"{OPTIONS} --detrend"),
+        ("csv:12", ("y", "z"), 9.0, "residuals feedback", f"{OPTIONS} --offset"),
         ("csv:12", ("y", "z"), 0.0, "residuals", "--search"),
         ("csv:12", ("y", "z"), 0.0, "residuals feedback", CHECK),
     ],

@@ -32,6 +32,7 @@ VALUES: dict[str, Any] = {
     "validate": " --validate F2.mcap",
     "Ts": 0.005,
     "seconds": 30.0,
+    "switching": " --a 0.005",
     "part": " --from 1",
     "rig": " --rig 2",
     "given": " --signal theta_1",
