@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite, tau
 from pathlib import Path
 from types import MappingProxyType
@@ -25,8 +26,15 @@ from armrig_core.process.toml_file import convert, toml_tables
 from armrig_core.recording_file.recording_directory import SYSTEM, directory_of, installed, of_rig
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import tables_of
-from armrig_core.rig.channels import Channel, Conversion
-from armrig_core.rig.description import Description, read_description, shipped
+from armrig_core.rig.channels import Channel
+from armrig_core.rig.description import (
+    Description,
+    Output,
+    Turns,
+    check_turns,
+    read_description,
+    shipped,
+)
 from armrig_core.rig.volts import U_MAX_V, code_of
 from armrig_core.telemetry.topics import check_own_id
 from armrig_protocol.messages import (
@@ -140,17 +148,14 @@ class Limits(Table, frozen=True, kw_only=True):
     """Highest motor voltage that a command may contain, in V."""
     slew_v: Volts = 0.0
     """Largest change of the voltage from sample to sample, in V; 0 is no limit."""
-    revolutions: Annotated[float, Meta(ge=0, le=655)] = 0.0
+    revolutions: Turns = 0.0
     """Largest rotation of the chassis in one run, in turns, in steps of 0.01; 0 is no limit."""
     alpha_rad: Annotated[float, Meta(ge=0, le=100)] = 0.0
-    """Largest deflection of the arm in the rehearsal of a run, in rad; 0 is no limit."""
+    """Largest deflection of the arm in a run and its rehearsal, in rad; 0 is no limit."""
 
     def __post_init__(self) -> None:
         """Refuse an empty range of voltages, and turns with more than two decimals."""
-        if round(self.revolutions * 100, 6) % 1:
-            raise InputError(
-                f"revolutions = {self.revolutions} must be a whole number of hundredths"
-            )
+        check_turns("revolutions", self.revolutions)
         if self.u_min_v > self.u_max_v:
             raise InputError(f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}")
 
@@ -298,29 +303,41 @@ class Config(Table, frozen=True, kw_only=True):
         is outside the limits.
         """
         # Imported here: the emulator and the command line read configurations without numpy.
-        from armrig_core.commands.rehearsal import rehearse, rehearse_outputs
+        from armrig_core.commands.rehearsal import rehearse_outputs
 
         if description.model is None:
             return None
-        if not description.arm:
-            return rehearse_outputs(u, Ts, description)
-        return rehearse(
+        return rehearse_outputs(
             u,
             Ts,
-            parameters=self.arm.parameters(),
-            arm_removed=self.arm.removed,
-            theta_1_rad=start_rad,
-            revolutions=self.limits.revolutions,
-            alpha_rad=self.limits.alpha_rad,
+            self.limited(description),
+            parameters=self.arm.parameters() if description.arm else None,
+            arm_removed=self.arm.removed or description.arm_removed,
+            start_rad=start_rad,
         )
+
+    def limited(self, description: Description) -> Description:
+        """Return the description with the limits of `[limits]`, which narrow those of its outputs.
+
+        Raises InputError if the rig has no output with such a limit.
+        """
+        limits, outputs = self.limits, dict(description.outputs)
+        first, *others = outputs
+        if limits.revolutions:
+            _require_limit("revolutions", description, fits=outputs[first].turning)
+            turns = min(filter(None, (limits.revolutions, outputs[first].turns)))
+            outputs[first] = msgspec.structs.replace(outputs[first], turns=turns)
+        if limits.alpha_rad and not (self.arm.removed or description.arm_removed):
+            _require_limit("alpha_rad", description, fits=description.is_calibrated)
+            (second,), most = others, limits.alpha_rad
+            low, high = max(outputs[second].low, -most), min(outputs[second].high, most)
+            outputs[second] = msgspec.structs.replace(outputs[second], low=low, high=high)
+        return replace(description, outputs=outputs)
 
     def rules(self, description: Description | None = None) -> Rules:
         """Return the limits and constants that the core needs; default: the arm's description."""
-        limits = self.limits
-        if description is None or description.is_calibrated:
-            described: tuple[Conversion, Conversion] | UnsetType = UNSET
-        else:
-            described = description.conversions
+        limits, rig = self.limits, self.limited(description or shipped("arm"))
+        read = {channel.name: rig.outputs[channel.name] for channel in self.channels(rig)}
         return Rules(
             code_min=code_of(limits.u_min_v),
             code_max=code_of(limits.u_max_v),
@@ -330,17 +347,25 @@ class Config(Table, frozen=True, kw_only=True):
             watchdog_ms=self.device.watchdog_ms,
             baud=self.device.baud,
             stop_after=self.timing.stop_after,
-            turns=round(limits.revolutions * 100),
+            turns=round(next(iter(read.values())).turns * 100),
             rail_ticks=self.device.rail_ticks,
             oversampling=self.device.oversampling,
             calibration=msgspec.structs.replace(self.calibration, made=None),
-            described=described,
-            limits=UNSET if description is None else output_limits(description),
+            described=UNSET if rig.is_calibrated else rig.conversions,
+            limits=output_limits(read),
         )
 
 
-def output_limits(description: Description) -> tuple[OutputLimit, ...] | UnsetType:
-    """Return the limits of the rig's measured outputs, as the core needs them."""
+def _require_limit(key: str, description: Description, *, fits: bool) -> None:
+    if not fits:
+        raise InputError(
+            f"limits.{key} is for the arm: give rig {description.rig.name} limits by low, high or "
+            "turns of its outputs in its description"
+        )
+
+
+def output_limits(outputs: Mapping[str, Output]) -> tuple[OutputLimit, ...] | UnsetType:
+    """Return the limits of a rig's measured outputs, as the core needs them."""
     limits = tuple(
         OutputLimit(
             channel,
@@ -351,7 +376,7 @@ def output_limits(description: Description) -> tuple[OutputLimit, ...] | UnsetTy
             output.samples,
             round((output.blind_s or 0.0) * 1e9),
         )
-        for channel, (name, output) in enumerate(description.outputs.items())
+        for channel, (name, output) in enumerate(outputs.items())
         if output.limited
     )
     return limits or UNSET
@@ -409,7 +434,7 @@ def load(
         check(config.ts_us, config.device.baud, oversampling=config.device.oversampling)
     except ValueError as err:
         raise InputError(f"[timing] {err}") from err
-    if error := too_slow(output_limits(description_of(config)) or (), config.ts_us):
+    if error := too_slow(config.rules(description_of(config)).limits or (), config.ts_us):
         raise InputError(f"[rig] file: {error}")
     return config
 

@@ -92,13 +92,13 @@ def test_a_run_is_refused_exactly_at_the_limit() -> None:
     at = int(np.argmax(_played(u, 0.01, 1)[:, 0] >= pi * 2))  # the first whole turn
 
     rehearse(u, 0.01, revolutions=turns * 1.0001)
-    with pytest.raises(InputError, match=r"reached at u\[999\].* raise limits.revolutions"):
+    with pytest.raises(InputError, match=r"reached at u\[999\].* change the limit \(\[limits\]"):
         rehearse(u, 0.01, revolutions=turns)
     with pytest.raises(InputError) as refusal:
         rehearse(u, 0.01, revolutions=1.0)
 
     text = str(refusal.value)
-    assert f"turns the chassis by up to {turns:.3g} turns: limits.revolutions = 1" in text
+    assert f"turns theta_1 by up to {turns:.3g} turns: theta_1.turns = 1 is" in text
     assert f"reached at u[{at}], {at * 0.01:.3g} s; shorten the input" in text
 
 
@@ -108,10 +108,10 @@ def test_a_refusal_names_the_first_time_of_an_excessive_deflection() -> None:
     most = rehearse(u, 0.01).alpha_rad
 
     rehearse(u, 0.01, alpha_rad=most * 1.001)
-    with pytest.raises(InputError, match=r"deflects the arm by up to .* rad") as refusal:
+    with pytest.raises(InputError, match=r"takes alpha from -.* to .* rad: alpha") as refusal:
         rehearse(u, 0.01, alpha_rad=most / 100)
 
-    assert "limits.alpha_rad" in str(refusal.value)
+    assert "alpha.low = -" in str(refusal.value)
     assert "reached at u[100], 1 s" in str(refusal.value)
 
 

@@ -29,8 +29,8 @@ def test_a_run_predicted_to_exceed_a_limit_is_refused(bench: Bench) -> None:
         recording = armrig.load(rig.run(u[:80], accepted=answers.append))
 
     assert untouched == {0.0}
-    assert f"turns the chassis by up to {turns:.3g} turns" in str(refusal.value)
-    assert "limits.revolutions = 1.5 is reached at u[" in str(refusal.value)
+    assert f"turns theta_1 by up to {turns:.3g} turns" in str(refusal.value)
+    assert "theta_1.turns = 1.5 is reached at u[" in str(refusal.value)
     (found,) = (answer.rehearsal for answer in answers)
     assert found is not None
     assert found.revolutions == rehearse(u[:80], 0.02).revolutions

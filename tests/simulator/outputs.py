@@ -52,16 +52,21 @@ def draw_outputs(rng: Random, ts_us: int) -> tuple[Output, ...]:
     )
 
 
-def described(outputs: tuple[Output, ...]) -> Description:
-    """Return the description of a rig with these outputs, as its file gives it."""
+def described(outputs: tuple[Output, ...], turns: int) -> Description:
+    """Return the description of a rig with these outputs, as its file gives it.
+
+    With `turns`, in hundredths of a turn, the first output turns.
+    """
     lines = ['[rig]\nname = "drawn"']
+    turning = f"turning = true\nturns = {turns / 100}\n" if turns else ""  # of the first
     for name, o in zip(NAMES, outputs, strict=False):
         ends = sorted((end - o.zero) * o.per_count for end in (o.low, o.high))
         blind = f"blind_s = {o.blind_ns / 1e9}\n" if o.blind_ns else ""
         lines.append(
-            f'[outputs.{name}]\nunit = "mm"\nzero_counts = {o.zero}\nper_count = {o.per_count}\n'
-            f"low = {ends[0]}\nhigh = {ends[1]}\nsamples = {o.samples}\n{blind}"
+            f'[outputs.{name}]\nunit = "rad"\nzero_counts = {o.zero}\nper_count = {o.per_count}\n'
+            f"{turning}low = {ends[0]}\nhigh = {ends[1]}\nsamples = {o.samples}\n{blind}"
         )
+        turning = ""
     return Description.of("\n".join(lines).encode())
 
 

@@ -590,17 +590,18 @@ class Rig:
 
 
 def _rules(options: Options) -> Rules:
-    description = described(options.outputs) if options.outputs else None
+    description = described(options.outputs, options.turns) if options.outputs else None
+    turns = options.turns / 100 if description is None else description.outputs["y"].turns
     return Rules(
         described=UNSET if description is None else description.conversions,
-        limits=UNSET if description is None else output_limits(description),
+        limits=UNSET if description is None else output_limits(description.outputs),
         code_min=options.u_min,
         code_max=options.u_max,
         slew=options.slew,
         ts_us=options.ts_us,
         watchdog_ms=options.watchdog_ms,
         baud=500_000,
-        turns=options.turns,
+        turns=round(turns * 100),
         rail_ticks=options.rail_ticks,
         calibration=Calibration(),
         service_ns=options.service_ns,

@@ -1,9 +1,9 @@
-"""Rehearsal of a run: simulation of its input on the arm's model, and check of the limits."""
+"""Rehearsal of a run: simulation of its input on the rig's model, and check of the limits."""
 
 from __future__ import annotations
 
-from math import ceil, sqrt, tau
-from typing import TYPE_CHECKING
+from math import ceil, inf, sqrt, tau
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,17 @@ MOST_POINTS = 20_000_000
 """Largest number of points in time of one rehearsal; they take half a second to compute."""
 _BLOCK_SAMPLES = 64  # samples that one matrix product advances
 _STEP_PHASE_RAD = 0.2  # phase of the oscillation between points: 0.5 % error at a peak
+_MAX_STEPS = 1000  # points in one sampling interval
+
+
+class _Limits(NamedTuple):
+    """Limits of an output."""
+
+    unit: str = "rad"
+    low: float = -inf
+    high: float = inf
+    turns: float = 0.0
+    """Rotation from the start, in turns, that is not allowed; 0 sets no limit."""
 
 
 def rehearse(
@@ -59,8 +70,8 @@ def rehearse(
     Raises
     ------
     InputError
-        A limit is reached or exceeded. During the run, the device enters FAULT as soon as
-        `revolutions` is reached; the device does not check alpha.
+        The rotation reaches its limit, or the deflection exceeds its limit. During the run, the
+        device stops as soon as `revolutions` is reached, and the daemon if alpha exceeds its limit.
 
     Examples
     --------
@@ -72,37 +83,26 @@ def rehearse(
     >>> armrig.rehearse(u, 0.01, revolutions=3)
     Traceback (most recent call last):
         ...
-    armrig_core.errors.InputError: the rehearsal turns the chassis by up to 3.47 turns: ...
+    armrig_core.errors.InputError: the rehearsal turns theta_1 by up to 3.47 turns: ...
     """
-    volts = np.asarray(u, dtype=np.float64)
-    Phi, Gamma, m = _steps(parameters, arm_removed, Ts, volts.size)
-    whole = np.linalg.matrix_power(_augmented(Phi, Gamma), m)
-    x = _states(whole[:4, :4], whole[:4, 4], volts)
-    # Largest rotation and deflection in each sampling interval, without the start of the interval.
-    peaks = np.abs(x[1:, :2])
-    point = np.eye(5)
-    for _ in range(m - 1):
-        point = _augmented(Phi, Gamma) @ point
-        between = x[:-1] @ point[:2, :4].T
-        between += np.outer(volts, point[:2, 4])
-        np.maximum(peaks, np.abs(between), out=peaks)
-    turns = peaks[:, 0] / tau
-    _check("revolutions", turns, revolutions, "turns the chassis by", "turns", Ts)
-    text = "deflects the arm by"
-    _check("alpha_rad", peaks[:, 1], alpha_rad, text, "rad", Ts)
-    turned = float(x[-1, 0])
-    return Rehearsal(
-        revolutions=float(turns.max()),
-        alpha_rad=float(peaks[:, 1].max()),
-        turned_rad=turned,
-        theta_1_rad=None if theta_1_rad is None else theta_1_rad + turned,
-    )
+    most = alpha_rad or inf
+    limits = {"theta_1": _Limits(turns=revolutions), "alpha": _Limits(low=-most, high=most)}
+    return _of_arm(u, Ts, parameters, limits, theta_1_rad, arm_removed=arm_removed)
 
 
-def rehearse_outputs(u: ArrayLike, Ts: float, described: Description) -> Rehearsal:
-    """Return the response of a described rig with matrices to `u`, from its values at u = 0.
+def rehearse_outputs(
+    u: ArrayLike,
+    Ts: float,
+    described: Description,
+    *,
+    parameters: ArmParameters | None = None,
+    arm_removed: bool = False,
+    start_rad: float | None = None,
+) -> Rehearsal:
+    """Return the response of a described rig to `u`, from its values at u = 0.
 
-    The values at the samples are exact; a dead time is rounded to whole samples.
+    The states at the samples are exact; a dead time is rounded to whole samples. The last three
+    arguments are those of `rehearse`, and belong to a rig whose model is that of the arm.
 
     Raises
     ------
@@ -110,79 +110,129 @@ def rehearse_outputs(u: ArrayLike, Ts: float, described: Description) -> Rehears
         An output leaves its limits, or the model in a file has another sampling time.
     """
     # Imported here: a reader of a stored rehearsal does not need scipy.
-    from armrig_core.rig.arm import zero_order_hold
     from armrig_core.rig.description import require_model
 
+    limits = {
+        name: _Limits(o.unit, o.low, o.high, o.turns) for name, o in described.outputs.items()
+    }
+    if described.arm:
+        return _of_arm(u, Ts, parameters, limits, start_rad, arm_removed=arm_removed)
     model, system = require_model(described)
-    Phi, Gamma = np.array(system.A), np.array(system.B)
-    if system.Ts is None:
-        Phi, Gamma = zero_order_hold(Phi, Gamma, Ts)
-    elif abs(system.Ts - Ts) > 1e-9:
+    if system.Ts is not None and abs(system.Ts - Ts) > 1e-9:
         raise InputError(
             f"Ts = {Ts:g} s: the model in {model.file} has Ts = {system.Ts:g} s; record with this "
             "sampling time, or identify a model from a recording at yours"
         )
     volts = np.asarray(u, dtype=np.float64)
     late = min(round(model.delay_s / Ts), volts.size)
-    x = _states(Phi, Gamma[:, 0], np.concatenate([np.zeros(late), volts[: volts.size - late]]))
-    y = x @ np.array(system.C).T + (model.offset or [0.0] * len(described.outputs))
-    for i, (name, output) in enumerate(described.outputs.items()):
-        outside = ~((y[:, i] >= output.low) & (y[:, i] <= output.high))
-        if outside.any():
-            k = int(np.argmax(outside))
-            end = "high" if y[k, i] > output.high else "low"
-            raise InputError(
-                f"the rehearsal takes {name} from {y[:, i].min():.3g} to {y[:, i].max():.3g} "
-                f"{output.unit}: {name}.{end} = {getattr(output, end):g} is passed after "
-                f"{k * Ts:.3g} s; shorten the input or change its voltages"
-            )
-    ranges = {
-        name: (float(y[:, i].min()), float(y[:, i].max()), output.unit)
-        for i, (name, output) in enumerate(described.outputs.items())
-    }
-    return Rehearsal(outputs=ranges)
+    delayed = np.concatenate([np.zeros(late), volts[: volts.size - late]])
+    A, B, C = (np.array(matrix) for matrix in system[:3])
+    poles = np.linalg.eigvals(A)
+    swing = None if system.Ts else float(np.abs(poles[np.abs(poles.imag) > 0]).max(initial=0.0))
+    ends = _extremes(A, B, C, delayed, Ts, swing)
+    rest = np.array(model.offset or [0.0] * len(limits))
+    lowest, highest = _checked(limits, ends, rest, Ts)
+    ranges = zip(limits.items(), lowest.tolist(), highest.tolist(), strict=True)
+    return Rehearsal(outputs={name: (low, high, o.unit) for (name, o), low, high in ranges})
 
 
-def _check(key: str, values: _Array, limit: float, does: str, unit: str, Ts: float) -> None:
-    """Refuse the input if any of `values`, one for each sample of u, reaches the limit."""
-    reached = values >= limit
-    if not limit or not reached.any():
-        return
-    i = int(np.argmax(reached))
-    raise InputError(
-        f"the rehearsal {does} up to {values.max():.3g} {unit}: limits.{key} = {limit:g} is "
-        f"reached at u[{i}], {i * Ts:.3g} s; shorten the input or lower its voltages, "
-        f"or raise limits.{key}"
+def _of_arm(
+    u: ArrayLike,
+    Ts: float,
+    parameters: ArmParameters | None,
+    limits: dict[str, _Limits],
+    start_rad: float | None,
+    *,
+    arm_removed: bool,
+) -> Rehearsal:
+    """Return the response of the arm, or of the chassis alone; `limits` are of both outputs."""
+    # Imported here: a reader of a stored rehearsal does not need scipy.
+    from armrig_core.rig.arm import ArmParameters, arm_matrices, chassis_matrices
+
+    p = parameters or ArmParameters()
+    A, B, C = chassis_matrices(p) if arm_removed else arm_matrices(p)
+    swing = 0.0 if arm_removed else sqrt(p.K_lin / p.J_1 + p.K_lin / p.J_2)  # undamped
+    ends = _extremes(A, B, C, np.asarray(u, dtype=np.float64), Ts, swing)
+    lowest, highest = _checked(limits, ends, np.zeros(len(C)), Ts)
+    largest, turned = np.abs(np.maximum(highest, -lowest)), float(ends[2][0])
+    return Rehearsal(
+        revolutions=float(largest[0]) / tau,
+        alpha_rad=0.0 if arm_removed else float(largest[1]),
+        turned_rad=turned,
+        theta_1_rad=None if start_rad is None else start_rad + turned,
     )
 
 
-def _steps(
-    parameters: ArmParameters | None, arm_removed: bool, Ts: float, N: int
-) -> tuple[_Array, _Array, int]:
-    """Return Phi (4, 4) and Gamma (4, 1) of one step, and the number of steps in one Ts."""
-    # Imported here: a reader of a stored rehearsal does not need scipy.
-    from armrig_core.rig.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
+def _checked(
+    limits: dict[str, _Limits], ends: tuple[_Array, _Array, _Array], rest: _Array, Ts: float
+) -> tuple[_Array, _Array]:
+    """Return the lowest and the highest value of each output; refuse values outside the limits.
 
-    p = parameters or ArmParameters()
-    swing = 0.0 if arm_removed else sqrt(p.K_lin / p.J_1 + p.K_lin / p.J_2)  # undamped, rad/s
-    m = max(1, min(ceil(Ts * swing / _STEP_PHASE_RAD), MOST_POINTS // N))
-    A, B, _ = arm_matrices(p)
-    if arm_removed:
-        A, B = np.zeros_like(A), np.zeros_like(B)
-        A[np.ix_([0, 2], [0, 2])], B[[0, 2]], _ = chassis_matrices(p)
-    Phi, Gamma = zero_order_hold(A, B, Ts / m)
-    return Phi, Gamma, m
+    `ends` are changes from the outputs at u = 0, which are `rest`.
+    """
+    for i, ((name, limit), at_rest) in enumerate(zip(limits.items(), rest, strict=False)):
+        fall, rise = ends[0][:, i], ends[1][:, i]
+        outside = ~((at_rest + fall >= limit.low) & (at_rest + rise <= limit.high))  # also a NaN
+        turned = (np.maximum(rise, -fall) / tau >= limit.turns) & (limit.turns > 0)
+        if not (outside | turned).any():
+            continue
+        k = int(np.argmax(outside | turned))
+        if turned[k]:
+            most = max(rise.max(), -fall.min()) / tau
+            key, does = "turns", f"turns {name} by up to {most:.3g} turns"
+        else:
+            key = "high" if at_rest + rise[k] > limit.high else "low"
+            low, high = at_rest + min(0.0, fall.min()), at_rest + max(0.0, rise.max())
+            does = f"takes {name} from {low:.3g} to {high:.3g} {limit.unit}"
+        raise InputError(
+            f"the rehearsal {does}: {name}.{key} = {getattr(limit, key):g} is reached at u[{k}], "
+            f"{k * Ts:.3g} s; shorten the input or change its voltages, or change the limit "
+            "([limits], or the rig's description)"
+        )
+    lowest, highest = ends[0].min(axis=0), ends[1].max(axis=0)
+    return rest + np.minimum(0.0, lowest), rest + np.maximum(0.0, highest)
+
+
+def _extremes(
+    A: _Array, B: _Array, C: _Array, u: _Array, Ts: float, swing: float | None
+) -> tuple[_Array, _Array, _Array]:
+    """Return the lowest and the highest y = C x of each interval without its start, and the last y.
+
+    The state x is 0 at first. `swing` is the frequency of the fastest oscillation, in rad/s; with
+    None, A and B are those of one interval.
+    """
+    from armrig_core.rig.arm import zero_order_hold
+
+    n, m = len(A), 1
+    if swing is None:
+        step = _augmented(A, B)
+    else:
+        m = max(1, min(ceil(Ts * swing / _STEP_PHASE_RAD), MOST_POINTS // u.size, _MAX_STEPS))
+        step = _augmented(*zero_order_hold(A, B, Ts / m))
+    whole = np.linalg.matrix_power(step, m)
+    x = _states(whole[:n, :n], whole[:n, n], u)
+    lowest = x[1:] @ C.T
+    highest, last = lowest.copy(), lowest[-1].copy()
+    point = np.eye(n + 1)
+    for _ in range(m - 1):
+        point = step @ point
+        between = x[:-1] @ (C @ point[:n, :n]).T
+        between += np.outer(u, C @ point[:n, n])
+        np.minimum(lowest, between, out=lowest)
+        np.maximum(highest, between, out=highest)
+    return lowest, highest, last
 
 
 def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
     """Return the matrix that maps (x, u) to (x, u) of the next step, with u held."""
-    both = np.eye(5)
-    both[:4, :4], both[:4, 4:] = Phi, Gamma
+    n = len(Phi)
+    both = np.eye(n + 1)
+    both[:n, :n], both[:n, n:] = Phi, Gamma
     return both
 
 
 def _states(Phi: _Array, Gamma: _Array, u: _Array) -> _Array:
-    """Return x (N + 1, 4) of x[k+1] = Phi x[k] + Gamma u[k] from x[0] = 0, block by block."""
+    """Return x (N + 1, n) of x[k+1] = Phi x[k] + Gamma u[k] from x[0] = 0, block by block."""
     # Within a block, the responses to its first state and to its input are products with powers of
     # Phi. Only the first state of each block is computed recursively.
     n, N = Phi.shape[0], u.size

@@ -43,6 +43,8 @@ _ROUNDING = 1e-9  # of the real part of a pole at 0, in 1/s
 _SHIPPED = Path(__file__).parents[1] / "rigs"
 _TABLES = ("rig", "input", "outputs", "model")
 T = TypeVar("T", bound=msgspec.Struct)
+Turns = Annotated[float, Meta(ge=0, le=655)]
+"""Rotation in turns, which the device has in hundredths of a turn."""
 
 
 def _check_name(key: str, name: str) -> None:
@@ -58,6 +60,12 @@ def _check_text(key: str, text: str) -> None:
         raise InputError(
             f"{key} = '{printable(text[:_MAX_TEXT])}': at most {_MAX_TEXT} printable characters"
         )
+
+
+def check_turns(key: str, turns: float) -> None:
+    """Refuse a rotation that is not a whole number of hundredths of a turn."""
+    if round(turns * 100, 6) % 1:
+        raise InputError(f"{key} = {turns} must be a whole number of hundredths")
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -120,6 +128,8 @@ class Output(_Table, frozen=True, kw_only=True):
     """Number of consecutive samples outside the limits that stop a run."""
     blind_s: Annotated[float, Meta(gt=0, le=3600)] | None = None
     """Time without a valid sample that stops a run, in s; without this key there is no limit."""
+    turns: Turns = 0.0
+    """Largest rotation in one run, in turns, in steps of 0.01; 0 is no limit."""
 
     def __post_init__(self) -> None:
         """Refuse a conversion or a limit that no reading can have."""
@@ -133,6 +143,9 @@ class Output(_Table, frozen=True, kw_only=True):
             _check_name("rate", self.rate)
         if self.turning and self.unit != "rad":
             raise InputError(f"turning = true needs unit = 'rad', not '{self.unit}'")
+        check_turns("turns", self.turns)
+        if self.turns and not self.turning:
+            raise InputError(f"turns = {self.turns:g} needs turning = true; give low and high")
         if not self.low < self.high:  # NaN fails this, too
             raise InputError(f"low = {self.low!r} must be below high = {self.high!r}")
         ends = sorted((self.value(0), self.value(COUNTS - 1)))
@@ -150,11 +163,12 @@ class Output(_Table, frozen=True, kw_only=True):
     @property
     def limits(self) -> str:
         """Return the limits as text; empty without any."""
+        turns = f"after {self.turns:g} turns" if self.turns else ""
         parts = [f"above {self.high:g} {self.unit}"] if isfinite(self.high) else []
         parts += [f"below {self.low:g} {self.unit}"] if isfinite(self.low) else []
         ends = f"{' or '.join(parts)} in {self.samples} samples in a row" if parts else ""
         blind = f"blind for {self.blind_s:g} s" if self.blind_s else ""
-        return ", or ".join(text for text in (ends, blind) if text)
+        return ", or ".join(text for text in (turns, ends, blind) if text)
 
     def value(self, counts: float) -> float:
         """Return the value of a reading in counts, in the output's unit."""
@@ -203,7 +217,8 @@ class Model(_Table, frozen=True, kw_only=True):
         for name in ("A", "B", "C"):
             if not all(isfinite(x) for row in getattr(self, name) for x in row):
                 raise InputError(f"{name} has a number that is not finite")
-        if not self.unstable and (pole := _rightmost(self.A)) > _ROUNDING:
+        pole = max(_poles(self.A), key=lambda pole: pole.real).real
+        if pole > _ROUNDING and not self.unstable:
             raise InputError(
                 f"A has a pole with real part {pole:.3g} 1/s: the rig is unstable; correct A, or "
                 "set unstable = true"
@@ -243,7 +258,7 @@ class Description:
             kind = "turns through a dead band" if output.turning else "a value"
             rate = f"; its rate is {output.rate}" if output.rate else ""
             text = f"{low:.4g} to {high:.4g} {output.unit}, {kind}{rate}"
-            stop = f"; a run stops {output.limits}" if output.limited else ""
+            stop = f"; a run stops {output.limits}" if output.limits else ""
             rows.append((name, text + stop))
         model = "none: no emulation, and no rehearsal before a run"
         if self.model is not None:
@@ -340,6 +355,8 @@ class Description:
                 f"{clash}: this field of a sample, made of name and unit, would exist twice; "
                 "rename the output"
             )
+        if counted := next((name for name, o in [*self.outputs.items()][1:] if o.turns), ""):
+            raise InputError(f"{counted}: turns: the device counts those of the first output only")
         if self.model is not None:
             _check_outputs(self.model, self.outputs)
 
@@ -361,11 +378,6 @@ def path_of(file: Path) -> Path:
     return found if len(file.parts) == 1 and found.is_file() and not file.is_file() else file
 
 
-def described_at(file: Path | None) -> Description:
-    """Return the description in a file, or the arm's for None."""
-    return shipped("arm") if file is None else read_description(path_of(file))
-
-
 def require_model(description: Description) -> tuple[Model, System]:
     """Return the matrices of a rig; raise InputError if it has none."""
     if description.model is None or description.system is None:
@@ -383,7 +395,8 @@ def read_description(path: Path) -> Description:
         if described.model is None or not described.model.file:
             return described
         system = saved_system(path.parent / described.model.file, tuple(described.outputs))
-        if not described.model.unstable and (radius := _radius(system.A)) > 1 + _ROUNDING:
+        radius = max(map(abs, _poles(system.A)))
+        if radius > 1 + _ROUNDING and not described.model.unstable:
             raise InputError(
                 f"model.file: a pole of modulus {radius:.4g}: the model is unstable; identify it "
                 "again, or set unstable = true"
@@ -436,16 +449,9 @@ def _check_outputs(model: Model, outputs: dict[str, Output]) -> None:
             )
 
 
-def _radius(A: Matrix) -> float:
-    """Return the largest modulus of the eigenvalues of A."""
-    import numpy as np
-
-    return float(np.abs(np.linalg.eigvals(np.array(A))).max())
-
-
-def _rightmost(A: Matrix) -> float:
-    """Return the largest real part of the eigenvalues of A."""
+def _poles(A: Matrix) -> list[complex]:
+    """Return the eigenvalues of A."""
     # Imported here: a description without matrices is read without numpy.
     import numpy as np
 
-    return float(np.linalg.eigvals(np.array(A)).real.max())
+    return [complex(pole) for pole in np.linalg.eigvals(np.array(A))]

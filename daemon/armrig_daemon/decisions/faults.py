@@ -5,7 +5,6 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
-from armrig_core.rig.calibration import BODY
 from armrig_protocol.messages import Cause
 
 
@@ -68,8 +67,8 @@ REMEDIES: dict[Id, str] = {
     Id.SERVICE: "start armrigd again; its earlier output may say why it froze",
     Id.LEASE: "let the client send a command at least every 0.1 s or 5 Ts, whichever is longer",
     Id.LIMITS: "keep the input within [limits] of the configuration",
-    Id.OUTPUT: "bring the output back into the limits of the rig's description; an input that is "
-    "smaller or shorter may keep it there",
+    Id.OUTPUT: "bring the output back into its limits ([limits], or the rig's description); a "
+    "smaller or shorter input may keep it there",
     Id.BLIND: "check the wires of this sensor, and that its reading is not at an end of its range",
     Id.RESET: "check the supply and the cable of the rig",
     Id.DEVICE: "stay within the limit in this message; if this host was late, close other programs "
@@ -88,7 +87,7 @@ OF_DEVICE: dict[int, str] = {
     Cause.RANGE: "a voltage was outside its limits",
     Cause.SLEW: "the voltage changed by more than limits.slew_v in a sample",
     Cause.ADC_RAIL: "a potentiometer was at a rail for device.rail_ticks samples",
-    Cause.REV_LIMIT: f"the {BODY} reached limits.revolutions",
+    Cause.REV_LIMIT: "the shaft reached limits.revolutions, or turns of its description",
     Cause.UNDERRUN: "its queue of setpoints ran dry",
     Cause.VCC_LOW: "its supply is too low",
     Cause.INTERNAL: "an internal check of its firmware failed",

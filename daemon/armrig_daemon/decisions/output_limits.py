@@ -37,18 +37,17 @@ def _watched(
     """Return what is known of an output after a sample that was requested at `t_ns`."""
     if isnan(value):
         return before or OutputWatch(0, t_ns, value)  # the blind time begins with the first sample
-    if not _is_above(limit, value) and not _is_below(limit, value):
+    if not _side(limit, value):
         return OutputWatch(0, t_ns, value)
     count = before.outside if before else 0
     return OutputWatch(min(count + 1, limit.samples), t_ns, value)
 
 
-def _is_above(limit: OutputLimit, value: float) -> bool:
-    return limit.high is not None and value > limit.high
-
-
-def _is_below(limit: OutputLimit, value: float) -> bool:
-    return limit.low is not None and value < limit.low
+def _side(limit: OutputLimit, value: float) -> str:
+    """Return on which side of its limits a value is; "" inside."""
+    if limit.high is not None and value > limit.high:
+        return "above"
+    return "below" if limit.low is not None and value < limit.low else ""
 
 
 def outside(
@@ -57,8 +56,8 @@ def outside(
     """Return the fault if an output was outside its limits in too many samples, or None."""
     for limit, known in zip(limits, watch or (), strict=False):
         if known.outside >= limit.samples:
-            is_above = _is_above(limit, known.value)
-            side, end = ("above", limit.high) if is_above else ("below", limit.low)
+            side = _side(limit, known.value)
+            end = limit.high if side == "above" else limit.low
             cause = f"{limit.name} = {known.value:.6g} {limit.unit} is {side} {end:g} {limit.unit}"
             return Fault(Id.OUTPUT, cause, output=limit.name, value=known.value)
     return None

@@ -10,7 +10,7 @@ import pytest
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.volts import code_of
-from armrig_daemon.config import Config, Timing, load
+from armrig_daemon.config import ArmSettings, Config, Limits, Timing, load
 from armrig_daemon.decisions.output_limits import blind, observe
 from armrig_daemon.decisions.state import OutputLimit, Phase, Rules
 from armrig_daemon.pipe import Log, Reset, Run, RunEnded, Set
@@ -116,7 +116,7 @@ def test_a_fault_of_an_output_is_latched_and_prevents_arming_until_it_is_back() 
     assert not bench.ask(Reset).error
     refused = bench.arm()
     assert (refused.code, refused.parameters) == (RefusalCode.READINGS, {"output": "T1"})
-    assert "smaller or shorter" in refused.error
+    assert "smaller or shorter input" in refused.error
 
     _read(bench, 50_000, 40_000)  # the limits belong to the range
     bench.run_for(50)
@@ -212,6 +212,41 @@ def test_the_rules_of_a_described_rig_reach_the_process_of_the_loop() -> None:
         rules = Config().rules(rig)
 
         assert msgspec.json.decode(msgspec.json.encode(rules), type=Rules) == rules
+
+
+def test_limits_of_the_configuration_are_limits_of_the_arms_channels() -> None:
+    config = Config(limits=Limits(revolutions=2.5, alpha_rad=0.8))
+    alpha = OutputLimit(1, "alpha", "rad", -0.8, 0.8, 2, 0)
+
+    assert (config.rules().limits, config.rules().turns) == ((alpha,), 250)
+    narrower = shipped("arm").text.replace(b"turning", b"turns = 1.5\nturning")
+    narrower = narrower.replace(b'"arm"\n\n', b'"arm"\nhigh = 0.5\n\n')
+    rules = config.rules(Description.of(narrower))
+    assert (rules.turns, rules.limits) == (150, (replace(alpha, high=0.5),))
+    alone = replace(config, arm=ArmSettings(removed=True)).rules()
+    for rules in (alone, config.rules(shipped("chassis"))):
+        assert (rules.limits, rules.turns) == (UNSET, 250)
+    for key in ("revolutions", "alpha_rad"):
+        with pytest.raises(
+            ValueError, match=f"limits.{key} is for the arm: give rig two limits by"
+        ):
+            Config(limits=Limits(**{key: 1.0})).rules(TWO)
+
+
+@pytest.mark.parametrize("way", ["exchange", "scheduled"])
+def test_a_deflection_above_its_limit_stops_the_arm(way: str) -> None:
+    bench = Bench(Config(limits=Limits(alpha_rad=0.8)))
+    _read(bench, 30_000, 32_768)
+    bench.run_for(50)
+    assert not bench.arm().error
+    _driven(bench, way)
+
+    _read(bench, 30_000, 32_768 - 8_600)
+
+    assert _until_rest(bench) <= 24
+    fault = bench.loop.state.fault
+    assert fault is not None
+    assert fault.cause == "alpha = -0.806192 rad is below -0.8 rad"
 
 
 def test_a_description_without_limits_gives_the_core_none() -> None:

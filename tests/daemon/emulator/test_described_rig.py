@@ -66,7 +66,7 @@ def test_the_rehearsal_agrees_with_the_emulator() -> None:
 def test_a_run_that_would_leave_a_limit_is_refused_with_output_value_and_time() -> None:
     limited = Description.of(RC.text.replace(b'unit = "V"', b'unit = "V"\nhigh = 4.0', 1))
 
-    with pytest.raises(InputError, match=r"takes y from 0 to 5 V: y\.high = 4 is passed after"):
+    with pytest.raises(InputError, match=r"takes y from 0 to 5 V: y\.high = 4 is reached at u\["):
         rehearse_outputs([5.0] * 100, 0.01, limited)
     rehearse_outputs([3.9] * 100, 0.01, limited)
 

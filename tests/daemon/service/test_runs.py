@@ -25,8 +25,8 @@ def _runs(directory: Path, config: Config) -> Runs:
 @pytest.mark.parametrize(
     ("limits", "complaint"),
     [
-        (Limits(revolutions=0.1), "limits.revolutions = 0.1 is reached at u"),
-        (Limits(alpha_rad=0.01), r"limits.alpha_rad = 0.01 is reached at u\[10\]"),
+        (Limits(revolutions=0.1), r"theta_1\.turns = 0.1 is reached at u\["),
+        (Limits(alpha_rad=0.01), r"alpha\.low = -0.01 is reached at u\[10\]"),
         (Limits(u_max_v=3.0), r"u\[10\]=4 V is outside 0 … 3 V"),
         (Limits(slew_v=1.0), r"u\[10\] steps by 4 V: at most 1 V"),
     ],
