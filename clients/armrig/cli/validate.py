@@ -133,7 +133,7 @@ def validate(
         say_answer(f"{first}\n{tests_sentence(tests)}.")
         for found in in_open_loop(data):
             if not found.linear:
-                say(f"Linearity of {found.input} to {found.output}: NONLINEAR: {found.line}.")
+                say(f"Linearity of {found.input} to {found.output}: {found.line}.")
         _say_predictions(simulated, predicted)
         counts = [str(q.N) for q in fit.quality]
         known = [str(n) for n in data.signals().valid.sum(axis=0)]
@@ -371,7 +371,7 @@ def check(
                 if isinstance(one, str):
                     say(f"{where}: not known: {one}")
                     continue
-                brief = one.brief() if number else f"{'NONLINEAR: ' * (not one.linear)}{one.line}"
+                brief = one.brief() if number else one.line
                 first, *more = (one.explain() if out.verbose else brief).splitlines()
                 verdict = first.removeprefix("open loop: ")
                 say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
@@ -422,9 +422,7 @@ def linearity(
     def say_test() -> None:
         for channel, one in found.items():
             say_channel(channel)
-            known = isinstance(one, str)
-            remedy = "" if known or not one.remedy else f"\nRemedy: {one.remedy}."
-            say_answer(one.explain() if out.verbose and not known else f"{one}{remedy}")
+            say_answer(one.explain() if out.verbose and not isinstance(one, str) else str(one))
 
     out.show(
         facts=lambda: facts_by_channel(data, found, lambda one: _linearity_facts(one, names)),

@@ -85,7 +85,7 @@ def examine_data(data: Dataset) -> Iterator[Finding]:
     """Yield the findings about the data; a possible cause precedes its effects."""
     known = tested(data, None)
     found = [*examine_experiment(data, known)]
-    for test in in_open_loop(data, known.loop):
+    for test in in_open_loop(data):
         found.append((good if test.linear else warning)("linearity", test.line))
     yield from found
     if all(f.level == "good" for f in found):  # else a finding explains why ARX and OE differ

@@ -366,12 +366,12 @@ def plot_linearity(found: Linearity, *, ax: Axes | None = None) -> Axes:
     """Show the static gain against the level of the input or the output that determines it."""
     ax = axes(ax)
     if found.linear:
-        ax.text(0.5, 0.5, found.verdict, transform=ax.transAxes, ha="center")
+        ax.text(0.5, 0.5, found.reason, transform=ax.transAxes, ha="center")
         return ax
     ax.plot(found.levels, found.gains, "o-", color=COLOURS[0], ms=3.5)
     u, y = (found.units[name] or "–" for name in (found.input, found.output))
     ax.set_xlabel(f"{found.gain_of} [{found.units[found.gain_of] or '–'}]")
     ax.set_ylabel(f"static gain [{y}/{u}]")
     finish(ax)
-    legend(ax, found.verdict)
+    legend(ax, found.reason)
     return ax

@@ -22,12 +22,7 @@ from armrig.numerics.quantities import p_relation, percent, three_digits
 from armrig.numerics.regressors import LongArx, long_arx
 from armrig.numerics.whiteness import effects_p_value
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
-from armrig.validation.feedback_and_delay.open_loop import (
-    CHANCE_LEVEL,
-    OpenLoop,
-    open_loop,
-    require_level,
-)
+from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, open_loop, require_level
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,11 +112,6 @@ class Linearity:
         return _KINDS[self.kind][1]
 
     @property
-    def verdict(self) -> str:
-        """Answer in a few words, with the numbers of the kind."""
-        return f"{'linear' if self.linear else 'NONLINEAR'}: {self.reason}"
-
-    @property
     def reason(self) -> str:
         """The kind with its numbers, in a few words."""
         x = {name: three_digits(value) for name, value in self.numbers.items()}
@@ -134,18 +124,14 @@ class Linearity:
 
     @property
     def line(self) -> str:
-        """Reason, p value and remedy in a line."""
+        """Verdict, reason, p value and remedy in a line."""
         remedy = f"; {self.remedy}" if self.remedy else ""
-        return f"{self.reason} (p {p_relation(self.p)}){remedy}"
+        return f"{'NONLINEAR: ' * bool(remedy)}{self.reason} (p {p_relation(self.p)}){remedy}"
 
     def explain(self) -> str:
-        """Return the answer, its reason, the remedy and the limits of the answer."""
+        """Return the answer, the tested hypothesis, and the limits of the answer."""
         null = f"Hypothesis: effects that are not linear in {self.input} do not explain the errors"
-        lines = [f"{self.reason if self.linear else self.verdict}."]
-        lines += [f"{null} of a long linear model; p {p_relation(self.p)}."]
-        if self.remedy:
-            lines += [f"So one linear model cannot describe the data: {self.remedy}."]
-        return "\n".join([*lines, *(f"Note: {remark}." for remark in self.remarks)])
+        return f"{self!r}\n{null} of a long linear model. Level: {100 * self.level:g} %."
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the gain by level: see `armrig.plots.plot_linearity`."""
@@ -156,8 +142,7 @@ class Linearity:
 
     def __repr__(self) -> str:
         """Return the answer in a line, and the remarks."""
-        said = f"{self.verdict} (p {p_relation(self.p)}, level {100 * self.level:g} %)"
-        return "\n".join([said, *(f"  note: {remark}" for remark in self.remarks)])
+        return "\n".join([self.line, *(f"  note: {remark}" for remark in self.remarks)])
 
 
 @takes_data
@@ -209,31 +194,31 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     'dead zone'
     """
     require_level(level)
-    signals = data.signals()
-    return _tested(signals, level=level, input=signals.inputs[0])
+    return _tested(data.signals(), level=level)
 
 
-@each_channel(lambda data, output, input: (data.channels([output]), {"input": input}))
-def _tested(
-    data: Signals, *, level: float, input: str, loop: OpenLoop | None = None
-) -> Linearity | ByChannel[Linearity]:
-    """Test one output with one input; `loop` is the test for feedback of a single channel."""
-    one, together, closed, direct = data.dataset(data.outputs[0], input), False, False, False
+@each_channel(
+    lambda data, y, u: (data.channels([y], sorted(data.inputs, key=lambda name: name != u)), {})
+)
+def _tested(data: Signals, *, level: float) -> Linearity | ByChannel[Linearity]:
+    """Test one output with the first input."""
+    (y,), u, together, closed, direct = data.outputs, data.inputs[0], False, False, False
+    one = data.dataset(y, u)
     with suppress(InputError):
-        loop = loop or open_loop(one)
+        loop = open_loop(one)
         together, direct = loop.p_value < CHANCE_LEVEL, loop.may_be_direct_term
         closed = together and not loop.few_levels
     # In closed loop, u(t) contains e(t).
-    model = _long_model(data, input, first=int(closed and not direct))
+    model = _long_model(data, first=int(closed and not direct))
     at, rails = rails_of(one.y) if one.valid.any() else (one.valid, [])
     p = _p_value(model)
     found = _kind(model) if rails or p < level else {}
     if rails:
         numbers = {"at": rails[-1], "share": float(np.mean(at[one.valid]))}
         found |= {"kind": "saturation", "numbers": numbers}
-    remarks = [_TWO_LEVELS.format(input)] if np.unique(model.u).size <= 2 else []
+    remarks = [_TWO_LEVELS.format(u)] if np.unique(model.u).size <= 2 else []
     if closed and direct:
-        remarks.append(f"if a controller computed {input} from {one.output}, p is not valid")
+        remarks.append(f"if a controller computed {u} from {y}, p is not valid")
     return Linearity(
         p=p,
         level=level,
@@ -241,20 +226,16 @@ def _tested(
         rails=tuple(rails),
         remarks=tuple(remarks),
         closed=together,
-        output=one.output,
-        input=input,
-        units={input: one.input_unit, one.output: one.unit},
+        output=y,
+        input=u,
+        units={u: one.input_unit, y: one.unit},
     )
 
 
-def in_open_loop(data: Dataset | Signals, loop: OpenLoop | None = None) -> list[Linearity]:
-    """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result.
-
-    `loop` is the test for feedback, if it is known.
-    """
-    signals = data.signals()
+def in_open_loop(data: Dataset | Signals) -> list[Linearity]:
+    """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result."""
     try:
-        found = _tested(signals, level=CHANCE_LEVEL, input=signals.inputs[0], loop=loop)
+        found = linearity(data, CHANCE_LEVEL)
     except InputError:
         return []
     each = [found] if isinstance(found, Linearity) else found.results.values()
@@ -268,12 +249,11 @@ class _LongModel:
     arx: LongArx
     A: Array
     B: Array  # of the tested input
-    j: int  # index of the tested input
     u: Array  # tested input
     x: Array  # course of y that u causes
     y: Array  # measured output; 0 where it is missing
-    means: tuple[float, float]  # of u and of y
-    names: tuple[str, str]  # of u and of y
+    means: Mapping[str, float]  # of u, x and y
+    names: Mapping[str, str]
 
     def effects(self, P: Array, *signals: Array) -> Array:
         """Return signals that are filtered by A or B, (N, k)."""
@@ -282,13 +262,13 @@ class _LongModel:
     def fitted(self, P: Array, *signals: Array) -> tuple[float, float, float, Array]:
         """Return BIC, A(1) and B(1) of the model with effects, and the effects' coefficients."""
         bic, A, B, c = self.arx.extended(self.y, self.effects(P, *signals))
-        return bic, float(np.sum(A)), float(np.sum(B[self.j])), c
+        return bic, float(np.sum(A)), float(np.sum(B[0])), c
 
 
-def _long_model(data: Signals, input: str, first: int) -> _LongModel:
+def _long_model(data: Signals, first: int) -> _LongModel:
     """Return the long model with lags `first` … p of u; p depends on the number of samples."""
-    j, nu, N = data.inputs.index(input), data.nu, int(np.count_nonzero(data.valid))
-    if all(np.ptp(part.u[:, j]) == 0 for part in data.experiments()):
+    nu, N = data.nu, int(np.count_nonzero(data.valid))
+    if all(np.ptp(part.u[:, 0]) == 0 for part in data.experiments()):
         raise InputError(CONSTANT_INPUT)
     affordable = min(N // _ROWS_PER_PARAMETER, _MAX_SIZE // max(N, 1)) // (1 + nu)
     p = max(_MIN_LAGS, min(affordable, _MAX_LAGS))
@@ -296,12 +276,12 @@ def _long_model(data: Signals, input: str, first: int) -> _LongModel:
     if p < 2:
         needed = 4 * _MIN_ROWS_PER_PARAMETER * (1 + nu)
         raise InputError(f"the test of linearity needs at least {needed} samples, got {N}")
-    means = data.u.mean(axis=0), np.nanmean(data.y)
-    parts = [(part.u - means[0], part.y[:, 0] - means[1]) for part in data.experiments()]
+    mean, y_0 = data.u.mean(axis=0), float(np.nanmean(data.y))
+    parts = [(part.u - mean, part.y[:, 0] - y_0) for part in data.experiments()]
     arx = long_arx(parts, p, first)
     if np.count_nonzero(arx.rows) < 2 * (p + nu * (p + 1 - first)):
         raise InputError(f"too few samples of {data.outputs[0]} have {p} known predecessors")
-    y = np.concatenate([of_part for _, of_part in parts])
+    y = data.y[:, 0] - y_0
     A, B = arx.polynomials(y)
     x = np.concatenate([continued(A, B, *part) for part in parts])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -309,16 +289,16 @@ def _long_model(data: Signals, input: str, first: int) -> _LongModel:
     if not left < _MAX_LEFT * np.var(y[arx.rows]):
         x = np.nan_to_num(y)
         x[arx.rows] -= arx.errors(y)
+    (output,), input = data.outputs, data.inputs[0]
     return _LongModel(
         arx=arx,
         A=A,
-        B=B[j],
-        j=j,
-        u=data.u[:, j] - means[0][j],
+        B=B[0],
+        u=data.u[:, 0] - mean[0],
         x=x,
         y=np.nan_to_num(y),
-        means=(float(means[0][j]), float(means[1])),
-        names=(input, data.outputs[0]),
+        means={"u": float(mean[0]), "x": y_0, "y": y_0},
+        names={"u": input, "x": output, "y": output},
     )
 
 
@@ -356,57 +336,47 @@ def _gains(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
         if name == "u" and np.unique(model.u).size <= 2:
             continue
         signal = model.u if name == "u" else model.x
-        at, mean = np.quantile(signal[model.arx.rows], _LEVELS), model.means[name != "u"]
+        at = np.quantile(signal[model.arx.rows], _LEVELS)
         bic, A_1, B_1, (a, b) = model.fitted(P, signal**2, signal**3)
         slope = (2 * a * at + 3 * b * at**2) * np.sum(P)
         with np.errstate(divide="ignore", invalid="ignore"):
             added = B_1 / A_1 * (1 + slope / np.sum(P))
             gains = {"u": (B_1 + slope) / A_1, "x": B_1 / (A_1 - slope), "y": added}[name]
-        numbers = dict[str, float]()
+        levels, numbers = at + model.means[name], dict[str, float]()
         for i, k in enumerate(sorted((int(np.argmin(gains)), int(np.argmax(gains)))), 1):
-            numbers |= {f"level_{i}": float(at[k] + mean), f"gain_{i}": float(gains[k])}
-        found = {"kind": "gain by level", "numbers": numbers, "gain_of": model.names[name != "u"]}
-        yield bic, found | {"levels": at + mean, "gains": gains}
+            numbers |= {f"level_{i}": float(levels[k]), f"gain_{i}": float(gains[k])}
+        found = {"kind": "gain by level", "numbers": numbers, "levels": levels, "gains": gains}
+        yield bic, found | {"gain_of": model.names[name]}
 
 
 def _thresholds(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
     """Yield BIC and numbers of models with friction, a saturated output, or a dead zone of u."""
-    zones = []
-    for kind, P, effect, cost, numbers in _effects_of_thresholds(model):
-        bic, _, B_1, (c,) = model.fitted(P, effect)
-        found = bic + cost, {"kind": kind, "numbers": numbers}
-        inside = abs(1 + c * float(np.sum(P)) / (B_1 or 1.0))
-        if kind == "friction" or (kind == "saturation" and c < _MAX_OUTSIDE):
-            yield found
-        elif kind == "dead zone" and inside < _MAX_INSIDE:
-            zones.append((*found, inside))
-    # Between two levels of u, all thresholds leave the same errors.
-    if zones:
-        same = min(zones, key=itemgetter(0))[0] + _SAME_BIC
-        yield min((zone for zone in zones if zone[0] <= same), key=itemgetter(2))[:2]
-
-
-_Effect = tuple[Kind, Array, Array, float, dict[str, float]]
-
-
-def _effects_of_thresholds(model: _LongModel) -> Iterator[_Effect]:
-    """Yield kind, filter, effect, BIC of the threshold, and numbers."""
-    x, y_0 = model.x, model.means[1]
-    u, dx = model.u + model.means[0], np.diff(x, prepend=x[0])
+    x, y_0 = model.x, model.means["y"]
+    u, dx = model.u + model.means["u"], np.diff(x, prepend=x[0])
     late = np.append(0.0, model.B[1:])  # y(t) itself must not explain y(t)
     largest, cost = float(np.max(np.abs(u))), log(np.count_nonzero(model.arx.rows))
-    yield "friction", late, _sign(dx / (np.std(dx) or 1.0)), 0.0, {}
+    friction = {"kind": "friction", "numbers": {}}
+    yield model.fitted(late, _sign(dx / (np.std(dx) or 1.0)))[0], friction
     for share, speed in product(_ZONES[::3], (model.y + y_0, dx)):
         # At rest, friction balances u up to a limit; in motion, it is at the limit.
         pull, limit = u + 4 * largest / (np.std(speed) or 1.0) * speed, share * largest
-        yield "friction", late, np.clip(pull, -limit, limit), cost, {}
+        yield model.fitted(late, np.clip(pull, -limit, limit))[0] + cost, friction
     for share in np.linspace(0.03, 0.45, 8):
         low, high = np.quantile(x[model.arx.rows], (share, 1 - share))
         for a, b in ((-np.inf, high), (low, np.inf), (low, high)):
+            bic, _, _, (c,) = model.fitted(model.A, x - np.clip(x, a, b))
             numbers = {"at": float(high if b == high else low) + y_0, "share": float(share)}
-            yield "saturation", model.A, x - np.clip(x, a, b), cost, numbers
-    low, high = float(u.min()), float(u.max())
-    zones = [(low, low + share * (high - low)) for share in _ZONES]
-    zones += [(-share * high, share * high) for share in _ZONES if low < 0 < high]
-    for a, b in zones if np.unique(u).size >= _LEVELS_OF_A_ZONE else []:
-        yield "dead zone", model.B, np.clip(u, a, b), 0.0, {"from": float(a), "to": float(b)}
+            if c < _MAX_OUTSIDE:
+                yield bic + cost, {"kind": "saturation", "numbers": numbers}
+    least, most, zones = float(u.min()), float(u.max()), []
+    ends = [(least, least + share * (most - least)) for share in _ZONES]
+    ends += [(-share * most, share * most) for share in _ZONES if least < 0 < most]
+    for a, b in ends if np.unique(u).size >= _LEVELS_OF_A_ZONE else []:
+        bic, _, B_1, (c,) = model.fitted(model.B, np.clip(u, a, b))
+        inside = abs(1 + c * float(np.sum(model.B)) / (B_1 or 1.0))
+        if inside < _MAX_INSIDE:
+            zones.append((bic, inside, {"from": float(a), "to": float(b)}))
+    # Between two levels of u, all thresholds leave the same errors.
+    same = min((bic for bic, *_ in zones), default=0.0) + _SAME_BIC
+    for bic, _, numbers in sorted((z for z in zones if z[0] <= same), key=itemgetter(1))[:1]:
+        yield bic, {"kind": "dead zone", "numbers": numbers}
