@@ -19,6 +19,7 @@ from armrig.lab.host import (
     PRIORITY,
     Host,
     HostCheck,
+    Level,
     governors,
     load,
     preemption,
@@ -48,6 +49,8 @@ _SOCKET = "unixsock-stream/"
 _BUSY_COSTS = "any busy program delays ticks by milliseconds"
 _PAGE_COSTS = "a page that was swapped out delays a tick by milliseconds"
 _DEEP_COSTS = "the loop cannot prevent deep idle states"
+_Found = tuple[Level, str, str, str]
+"""Level, what was found, its effect on timing, and the remedy."""
 _LIMITS = "/etc/security/limits.d/armrig.conf, then log in again"
 
 
@@ -86,7 +89,11 @@ def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]
 
 def examine(host: Host) -> list[HostCheck]:
     """Examine a host with all checks."""
-    return [found for examined in _CHECKS for found in examined(host)]
+    return [
+        HostCheck(name=name, level=level, found=found, costs=costs, mend=mend)
+        for name, examined in _CHECKS.items()
+        for level, found, costs, mend in examined(host)
+    ]
 
 
 def is_well(checks: Iterable[HostCheck]) -> bool:
@@ -106,12 +113,12 @@ def brief(checks: Sequence[HostCheck]) -> str:
     return "\n".join(lines)
 
 
-def _daemon(host: Host) -> list[HostCheck]:
+def _daemon(host: Host) -> list[_Found]:
     if host.silent:
-        return _note("daemon", "does not answer", host.silent)
+        return _note("does not answer", host.silent)
     if host.daemon is None:
         return []
-    return _good("daemon", f"rig {host.daemon.rig} at {host.daemon.endpoint}")
+    return _good(f"rig {host.daemon.rig} at {host.daemon.endpoint}")
 
 
 def _refused(daemon: StatusReport, what: str) -> str:
@@ -123,75 +130,71 @@ def _refused(daemon: StatusReport, what: str) -> str:
     return line.partition("(")[2].removesuffix(")") or line
 
 
-def _fifo(host: Host) -> list[HostCheck]:
+def _fifo(host: Host) -> list[_Found]:
     if host.silent:
         return []
     if host.daemon is not None:
         fifo = host.daemon.host.get("fifo")
         if not fifo:
             way = _refused(host.daemon, "SCHED_FIFO") or "[timing] priority is 0"
-            return _bad("SCHED_FIFO", "the daemon has none", _BUSY_COSTS, way)
+            return _bad("the daemon has none", _BUSY_COSTS, way)
         if way := _refused(host.daemon, "priority"):
             costs = "programs with a higher priority delay ticks"
-            return _note("SCHED_FIFO", f"the daemon has priority {fifo}", costs, way)
-        return _good("SCHED_FIFO", f"the daemon has priority {fifo}")
+            return _note(f"the daemon has priority {fifo}", costs, way)
+        return _good(f"the daemon has priority {fifo}")
     if host.granted.fifo:
-        return _good("SCHED_FIFO", f"allowed at priority {PRIORITY}")
+        return _good(f"allowed at priority {PRIORITY}")
     return _bad(
-        "SCHED_FIFO",
         f"not allowed at priority {PRIORITY}",
         _BUSY_COSTS,
         f"`@dialout - rtprio 95` in {_LIMITS}; or LimitRTPRIO=95 in systemd's unit",
     )
 
 
-def _memory_lock(host: Host) -> list[HostCheck]:
+def _memory_lock(host: Host) -> list[_Found]:
     if host.silent:
         return []
     if host.daemon is not None:
         if way := _refused(host.daemon, "mlockall"):
-            return _bad("mlockall", "refused to the daemon", _PAGE_COSTS, way)
-        return _good("mlockall", "the daemon has it")
+            return _bad("refused to the daemon", _PAGE_COSTS, way)
+        return _good("the daemon has it")
     if host.granted.memory_lock:
-        return _good("mlockall", "allowed")
+        return _good("allowed")
     return _bad(
-        "mlockall",
         "not allowed",
         _PAGE_COSTS,
         f"`@dialout - memlock unlimited` in {_LIMITS}; or LimitMEMLOCK=infinity in the unit",
     )
 
 
-def _governor(host: Host) -> list[HostCheck]:
+def _governor(host: Host) -> list[_Found]:
     found = governors(host.root)
     if not found:
-        return _good("governor", "the kernel scales no frequency")
+        return _good("the kernel scales no frequency")
     named = ", ".join(found)
     if found == ["performance"]:
-        return _good("governor", named)
+        return _good(named)
     return _bad(
-        "governor",
         named,
         "a processor is slow after idle time: each tick is tens of µs late",
         "`cpupower frequency-set -g performance`",
     )
 
 
-def _idle(host: Host) -> list[HostCheck]:
+def _idle(host: Host) -> list[_Found]:
     deepest, name = 0, ""
     for state in (host.root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpuidle/state[0-9]*"):
         latency = text(state / "latency")
         if latency.isdigit() and text(state / "disable") != "1" and int(latency) > deepest:
             deepest, name = int(latency), text(state / "name")
     if deepest <= MAX_IDLE_WAKE_US:
-        return _good("idle states", f"waking takes at most {deepest} µs")
+        return _good(f"waking takes at most {deepest} µs")
     if host.silent:
         costs = "a loop that can write /dev/cpu_dma_latency keeps the processors awake"
-        return _note("idle states", f"{name} takes {deepest} µs to wake from", costs)
+        return _note(f"{name} takes {deepest} µs to wake from", costs)
     if _holds_idle_off(host):
-        return _good("idle states", f"the loop prevents {name}, {deepest} µs to wake from")
+        return _good(f"the loop prevents {name}, {deepest} µs to wake from")
     return _bad(
-        "idle states",
         f"{name} takes {deepest} µs to wake from",
         f"each tick is up to {deepest} µs late: /dev/cpu_dma_latency is not writable",
         f"the udev rule for cpu_dma_latency, or `cpupower idle-set -D {MAX_IDLE_WAKE_US}`",
@@ -205,85 +208,76 @@ def _holds_idle_off(host: Host) -> bool:
     return os.access(host.root / "dev/cpu_dma_latency", os.W_OK)
 
 
-def _dma_latency(host: Host) -> list[HostCheck]:
+def _dma_latency(host: Host) -> list[_Found]:
     device = host.root / "dev/cpu_dma_latency"
     if not device.exists():
-        return _note(
-            "cpu_dma_latency", "not there", "without this file the loop cannot prevent idle states"
-        )
+        return _note("not there", "without this file the loop cannot prevent idle states")
     if host.silent:
         return []
     if _holds_idle_off(host):
-        return _good("cpu_dma_latency", "the daemon holds it" if host.daemon else "writable")
+        return _good("the daemon holds it" if host.daemon else "writable")
     if host.daemon is not None:
         way = _refused(host.daemon, "/dev/cpu_dma_latency")
-        return _note("cpu_dma_latency", "not writable by the daemon", _DEEP_COSTS, way)
+        return _note("not writable by the daemon", _DEEP_COSTS, way)
     return _note(
-        "cpu_dma_latency",
         "not writable",
         _DEEP_COSTS,
         'udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`',
     )
 
 
-def _timer_slack(host: Host) -> list[HostCheck]:
+def _timer_slack(host: Host) -> list[_Found]:
     slack = text(host.root / "proc/self/timerslack_ns")
     if not slack.isdigit():
-        return _note("timer slack", "not reported by this kernel")
-    return _good("timer slack", f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")
+        return _note("not reported by this kernel")
+    return _good(f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")
 
 
-def _swap(host: Host) -> list[HostCheck]:
+def _swap(host: Host) -> list[_Found]:
     rows = [row.split() for row in text(host.root / "proc/swaps").splitlines()[1:]]
     used_kb = sum(int(row[3]) for row in rows if len(row) > 3 and row[3].isdigit())
     if not used_kb:
-        return _good("swap", "exists, but is not used" if rows else "none")
+        return _good("exists, but is not used" if rows else "none")
     return _bad(
-        "swap",
         f"{used_kb / 1024:.0f} MB in use",
         "memory that is not locked, such as the service's, waits for the disk",
         "end programs, then `swapoff -a`",
     )
 
 
-def _preemption(host: Host) -> list[HostCheck]:
+def _preemption(host: Host) -> list[_Found]:
     model = preemption(host.root)
     if model == "PREEMPT_RT":
-        return _good("preemption", model)
+        return _good(model)
     if model in ("none", "voluntary"):
         return _bad(
-            "preemption",
             model,
             "a long call of the kernel delays a tick by up to milliseconds",
             "`preempt=full` on the kernel's command line, or Debian's linux-image-rt-amd64",
         )
     return _note(
-        "preemption",
-        model,
-        "the worst case has no bound",
-        "Debian's linux-image-rt-amd64, if p99.9 matters",
+        model, "the worst case has no bound", "Debian's linux-image-rt-amd64, if p99.9 matters"
     )
 
 
-def _ftdi(host: Host) -> list[HostCheck]:
+def _ftdi(host: Host) -> list[_Found]:
     files = sorted((host.root / "sys/bus/usb-serial/devices").glob("*/latency_timer"))
-    checks: list[HostCheck] = []
+    checks: list[_Found] = []
     for file in files:
         ms, port = text(file), file.parent.name
         if not ms.isdigit() or int(ms) <= 1:
-            checks += _good("FTDI latency timer", f"{port} {ms or '?'} ms")
+            checks += _good(f"{port} {ms or '?'} ms")
             continue
         checks += _bad(
-            "FTDI latency timer",
             f"{port} {ms} ms",
             f"an answer may wait {ms} ms in the adapter",
             f"`echo 1 > /{file.relative_to(host.root)}`, or `setserial /dev/{port} low_latency`"
             " (armrigd sets it, too)",
         )
-    return checks or _good("FTDI latency timer", "no such port here")
+    return checks or _good("no such port here")
 
 
-def _kernel_workers(host: Host) -> list[HostCheck]:
+def _kernel_workers(host: Host) -> list[_Found]:
     ordinary = total = 0
     for process in (host.root / "proc").glob("[0-9]*"):
         name, _, fields = text(process / "stat").rpartition(") ")
@@ -291,11 +285,10 @@ def _kernel_workers(host: Host) -> list[HostCheck]:
             total += 1
             ordinary += int(fields.split()[_PRIORITY_FIELD]) >= 0
     if not total:
-        return _note("kernel workers", "not visible from here")
+        return _note("not visible from here")
     if not ordinary:
-        return _good("kernel workers", "real-time priority")
+        return _good("real-time priority")
     return _note(
-        "kernel workers",
         f"{ordinary} of {total} have ordinary priority",
         "they transfer a serial port's bytes: under load, answers are late and runs stop",
         f"`for p in $(pgrep kworker/u); do sudo chrt -f -p {PRIORITY - 1} $p; done`, at each "
@@ -303,111 +296,106 @@ def _kernel_workers(host: Host) -> list[HostCheck]:
     )
 
 
-def _throttling(host: Host) -> list[HostCheck]:
+def _throttling(host: Host) -> list[_Found]:
     kernel = host.root / "proc/sys/kernel"
     runtime, period = text(kernel / "sched_rt_runtime_us"), text(kernel / "sched_rt_period_us")
     if not re.fullmatch(r"-?\d+", runtime):
-        return _note("RT throttling", "not reported by this kernel")
+        return _note("not reported by this kernel")
     if int(runtime) < 0:
-        return _good("RT throttling", "off")
+        return _good("off")
     share = int(runtime) / int(period) if period.isdigit() and int(period) else 0.0
     if share >= 0.9:
-        return _good("RT throttling", f"above {share:.0%} of a processor; the loop uses less")
+        return _good(f"above {share:.0%} of a processor; the loop uses less")
     return _bad(
-        "RT throttling",
         f"real-time programs may use {share:.0%} of a processor",
         "above this share the loop is stopped until the period ends",
         "`sysctl kernel.sched_rt_runtime_us=950000`",
     )
 
 
-def _virtual(host: Host) -> list[HostCheck]:
+def _virtual(host: Host) -> list[_Found]:
     fields = (text(host.root / "proc/stat").splitlines() or [""])[0].split()[1:9]
     ticks = [int(f) for f in fields if f.isdigit()]
     total = sum(ticks)
     steal = ticks[7] / total if len(ticks) == 8 and total else 0.0
     if steal > MAX_STEAL_SHARE:
         return _bad(
-            "virtual machine",
             f"{steal:.1%} of the time since the start was used by the physical host",
             "ticks are late by whole time slices",
             "run the daemon on real hardware, or give this machine processors of its own",
         )
     if virtual(host.root):
         return _note(
-            "virtual machine",
             f"yes; {steal:.1%} of the time since the start was used by the physical host",
             "each wake-up passes through the physical host, so the worst case has no bound",
             "run the daemon on real hardware",
         )
-    return _good("virtual machine", "no")
+    return _good("no")
 
 
-def _load(host: Host) -> list[HostCheck]:
+def _load(host: Host) -> list[_Found]:
     mean, cpus = load(host.root), host.granted.cpus
     if not mean > cpus:  # NaN is not reported
-        return _good("load", f"{mean:g} on {cpus} processors")
+        return _good(f"{mean:g} on {cpus} processors")
     return _bad(
-        "load",
         f"{mean:g} on {cpus} processors",
         "service and subscribers wait for a processor; without FIFO the loop waits, too",
         "end other programs (`top` names them)",
     )
 
 
-def _serial_group(host: Host) -> list[HostCheck]:
+def _serial_group(host: Host) -> list[_Found]:
     if host.silent or host.daemon is not None:
         return []  # only the daemon's user must open the port
     ours = sorted(host.granted.groups & {"dialout", "uucp"})
     if ours or host.granted.is_root:
-        return _good("serial ports", f"member of {', '.join(ours)}" if ours else "root")
+        return _good(f"member of {', '.join(ours)}" if ours else "root")
     return _bad(
-        "serial ports",
         "this user is not in dialout",
         "the rig's port cannot be opened",
         "`usermod -aG dialout $USER`, then log in again",
     )
 
 
-def _disk(host: Host) -> list[HostCheck]:
+def _disk(host: Host) -> list[_Found]:
     free, where = host.granted.free_bytes, host.granted.recordings
     if free >= MIN_FREE_BYTES:
-        return _good("disk", f"{free / 2**30:.1f} GiB free in {where}")
+        return _good(f"{free / 2**30:.1f} GiB free in {where}")
     return _bad(
-        "disk",
         f"{free / 2**20:.0f} MiB free in {where}",
         "a full disk ends the recording",
         "make room, or set [recording] directory",
     )
 
 
-_CHECKS: tuple[Callable[[Host], list[HostCheck]], ...] = (
-    _daemon,
-    _fifo,
-    _memory_lock,
-    _governor,
-    _idle,
-    _dma_latency,
-    _timer_slack,
-    _swap,
-    _preemption,
-    _ftdi,
-    _kernel_workers,
-    _throttling,
-    _virtual,
-    _load,
-    _serial_group,
-    _disk,
-)
+_CHECKS: dict[str, Callable[[Host], list[_Found]]] = {
+    "daemon": _daemon,
+    "SCHED_FIFO": _fifo,
+    "mlockall": _memory_lock,
+    "governor": _governor,
+    "idle states": _idle,
+    "cpu_dma_latency": _dma_latency,
+    "timer slack": _timer_slack,
+    "swap": _swap,
+    "preemption": _preemption,
+    "FTDI latency timer": _ftdi,
+    "kernel workers": _kernel_workers,
+    "RT throttling": _throttling,
+    "virtual machine": _virtual,
+    "load": _load,
+    "serial ports": _serial_group,
+    "disk": _disk,
+}
+"""Function of each check, by the name of the check."""
 
 
-def _good(name: str, found: str) -> list[HostCheck]:
-    return [HostCheck(name=name, level="good", found=found)]
+def _good(found: str) -> list[_Found]:
+    return [("good", found, "", "")]
 
 
-def _note(name: str, found: str, costs: str = "", mend: str = "") -> list[HostCheck]:
-    return [HostCheck(name=name, level="note", found=found, costs=costs, mend=mend)]
+def _note(found: str, costs: str = "", mend: str = "") -> list[_Found]:
+    return [("note", found, costs, mend)]
 
 
-def _bad(name: str, found: str, costs: str, mend: str) -> list[HostCheck]:
-    return [HostCheck(name=name, level="bad", found=found, costs=costs, mend=mend)]
+def _bad(found: str, costs: str, mend: str) -> list[_Found]:
+    return [("bad", found, costs, mend)]
