@@ -77,18 +77,18 @@ timing: .venv/dev
 # SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story. With
 # STALLS=tolerated or suffered the emulator is also stalled, and its clock stops or does not.
 # With CORE=1 the device's firmware is the C core; with UNO=1 the Uno's binary in simavr is the device,
-# judged at its pin: a second or two a schedule.
+# judged at its pin: a second or two a schedule. UNO=tclab is the image of a shield.
 SEEDS ?= $(if $(UNO),200,1000)
 simulate: .venv/dev $(if $(UNO),fil)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS)) $(if $(CORE),--core) $(if $(UNO),--uno)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS)) $(if $(CORE),--core) $(if $(UNO),--uno $(patsubst 1,uno,$(UNO)))
 
 # 10^8 bytes of frames, 10^6 commands, 10^6 files read, 10^5 recovered, 64 KiB cut at every byte, 1 MiB at 10^4 places: an hour.
 fuzz: .venv/dev
 	$(BIN)/python -m tests.fuzz
 
-# The Uno's firmware, of Debian's gcc-avr and avr-libc. The same sources give the same bytes.
+# The Uno's images, of Debian's gcc-avr and avr-libc. The same sources give the same bytes.
 firmware:
-	$(MAKE) -C firmware_protocol/firmware/boards/uno
+	$(MAKE) -C firmware_protocol/firmware/boards/uno all
 
 # The simulator of that binary, with Debian's libsimavr-dev. It is GPL, and in no wheel.
 simavr fil:

@@ -522,10 +522,12 @@ def virtual(
 
 def _firmware(image: Path | None) -> Callable[..., Uno]:
     """Return a function that creates a simulated Uno with its firmware."""
+    from armrig_daemon.emulator.layout import layout_of
     from armrig_daemon.emulator.settings import firmware_image, harness_program
     from armrig_daemon.emulator.uno import Uno
 
-    return partial(Uno, harness_program(os.environ), firmware_image(image))
+    program, found = harness_program(os.environ), firmware_image(image)
+    return partial(Uno, program, found, layout=layout_of(found))
 
 
 def _started(port: Path, baud: int) -> str:

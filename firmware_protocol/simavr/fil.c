@@ -5,11 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 #include <avr_eeprom.h>
-#include <avr_ioport.h>
 #include <avr_uart.h>
 #include <sim_cycle_timers.h>
 #include <sim_hex.h>
-#include <sim_vcd_file.h>
 #include "fil.h"
 
 enum { MCUSR = 0x54, EXTRF = 2 };
@@ -155,8 +153,7 @@ static void serve(void) {
 static void start_trace(const char *path) {
     static avr_vcd_t vcd;
     avr_vcd_init(avr, path, &vcd, 1000);
-    avr_vcd_add_signal(&vcd, avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 1), 1, "pwm");
-    avr_vcd_add_signal(&vcd, avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 7), 1, "enable");
+    pwm_trace(&vcd);
     avr_vcd_start(&vcd);
     avr->vcd = &vcd;
 }
@@ -175,19 +172,21 @@ static int load(const char *path) {
 }
 
 int main(int argc, char **argv) {
-    static const struct option options[] = {{"baud", 1, 0, 'b'}, {"vcd", 1, 0, 'v'}, {0, 0, 0, 0}};
+    static const struct option options[] = {{"baud", 1, 0, 'b'}, {"vcd", 1, 0, 'v'}, {"pwm", 1, 0, 'p'}, {0, 0, 0, 0}};
     uint32_t baud = 500000;
-    const char *trace = NULL;
+    const char *trace = NULL, *pin = "D9";
     for (int c; (c = getopt_long(argc, argv, "", options, NULL)) != -1;) {
         if (c == 'b')
             baud = (uint32_t)strtoul(optarg, NULL, 10);
         else if (c == 'v')
             trace = optarg;
+        else if (c == 'p')
+            pin = optarg;
         else
             return 2;
     }
     if (optind != argc - 1 || !baud) {
-        fprintf(stderr, "usage: fil [--baud BAUD] [--vcd FILE] FIRMWARE.hex\n");
+        fprintf(stderr, "usage: fil [--baud BAUD] [--pwm D9|D3] [--vcd FILE] FIRMWARE.hex\n");
         return 2;
     }
     avr = avr_make_mcu_by_name("atmega328p");
@@ -200,7 +199,10 @@ int main(int argc, char **argv) {
     if (!load(argv[optind]))
         return 1;
     uart_attach(avr, baud);
-    pwm_attach(avr);
+    if (!pwm_attach(avr, pin)) {
+        fprintf(stderr, "fil: --pwm %s: D9 or D3\n", pin);
+        return 2;
+    }
     adc_attach(avr);
     eeprom_attach(avr);
     flags_attach(avr);

@@ -6,11 +6,11 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <sim_avr.h>
+#include <sim_vcd_file.h>
 
 typedef avr_cycle_count_t cycles_t; // cycles of 62.5 ns since the processor was first switched on
 
 #define FIL_HZ 16000000U
-#define FIL_PWM_PERIOD 1024U // cycles; the duty is measured over each period
 #define FIL_BITS_PER_BYTE 10U // 8N1
 
 // Records from the harness to the host. README.md describes their fields.
@@ -51,7 +51,8 @@ void uart_host_sends(avr_t *avr, cycles_t not_before, const uint8_t *data, unsig
 extern int uart_frame_ended; // the byte 00 has left since this flag was cleared
 
 // pwm.c
-void pwm_attach(avr_t *avr);
+int pwm_attach(avr_t *avr, const char *pin_name); // 0 for an unknown pin
+void pwm_trace(avr_vcd_t *vcd);
 void pwm_reset(avr_t *avr);
 
 // adc.c

@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from armrig_core.rig.firmware_image import shipped_image
+from armrig_core.rig.firmware_image import IMAGES, shipped_image
 
 ROOT = Path(__file__).parents[2]
 IMAGE = "armrig_core/firmware/armrig-uno.hex"
@@ -38,7 +38,9 @@ def wheel(unpacked: Path) -> dict[str, bytes]:
 
 
 def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
-    assert wheel[IMAGE] == shipped_image().read_bytes()
+    for name in IMAGES:
+        image = shipped_image(name)
+        assert wheel[f"armrig_core/firmware/{image.name}"] == image.read_bytes()
 
 
 def test_the_descriptions_of_rigs_are_in_the_wheel(wheel: dict[str, bytes]) -> None:

@@ -8,14 +8,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core.rig.firmware_image import read_image
+from armrig_core.rig.firmware_image import IMAGES, image_crcs
 from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
 from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Status, Stop
 
 from tests.firmware.harness_orders import figures, read_eeprom, write_eeprom
-from tests.firmware.uno_host import BOOT_NS, HEX, MS, Host, broken, harness, powered
+from tests.firmware.uno_host import BOOT_NS, MS, Host, broken, harness, powered
 from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
@@ -77,9 +77,10 @@ def test_a_spoilt_byte_of_the_uid_changes_nothing() -> None:
             write_eeprom(host.uno.harness, at, eeprom[at : at + 1])
 
 
-def test_hello_reports_the_crc_of_the_image() -> None:
-    with powered() as host:
-        assert host.hello().firmware == read_image(HEX).crc
+@pytest.mark.parametrize("name", IMAGES)
+def test_the_crc_in_hello_names_the_image(name: str) -> None:
+    with powered(name=name) as host:
+        assert host.hello().firmware == image_crcs()[name]
 
 
 def test_status_reports_the_longest_interrupt() -> None:

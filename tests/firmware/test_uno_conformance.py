@@ -6,6 +6,7 @@ In simavr, in virtual time; the PWM pin is judged in addition to the answers.
 from __future__ import annotations
 
 from contextlib import closing
+from itertools import product
 
 import pytest
 from armrig_daemon.conformance.host import Host
@@ -24,15 +25,25 @@ pytestmark = needs("cc", "make", "simavr")
 
 
 @pytest.mark.parametrize(
-    ("resets", "boot_loader"), sampled([(True, False), (False, False), (True, True)])
+    ("name", "resets", "boot_loader"),
+    sampled(
+        [
+            *product(["uno", "tclab"], [True, False], [False]),
+            ("heatshield", True, False),
+            ("optoshield", True, False),
+            ("uno", True, True),
+        ]
+    ),
 )
-def test_the_uno_passes_all_rules_of_the_protocol(resets: bool, boot_loader: bool) -> None:
-    """Each rule holds, whether the opening of the port resets the device or not.
+def test_the_uno_passes_all_rules_of_the_protocol(
+    name: str, resets: bool, boot_loader: bool
+) -> None:
+    """Each rule holds for each image, whether the opening of the port resets the device or not.
 
     A reset may also end in a boot loader, which is deaf for a second.
     """
     settings = EmulatorSettings(**AT_A_RAIL)
-    with closing(switch_on(settings, 0, boot_loader=boot_loader)) as uno:
+    with closing(switch_on(settings, 0, name, boot_loader=boot_loader)) as uno:
         line = VirtualLine(uno, resets=resets)
         told: list[Result] = []
 

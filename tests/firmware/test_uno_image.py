@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.errors import OperationError
+from armrig_core.rig.firmware_image import IMAGES, shipped_image
 from armrig_daemon.command_line import app
 from armrig_daemon.emulator.harness import Harness
 from armrig_daemon.emulator.settings import firmware_image, harness_program
@@ -18,17 +19,20 @@ UNO = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"
 
 
 @needs("avr-gcc")
-def test_the_committed_image_equals_the_build_of_the_sources(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", IMAGES)
+def test_the_committed_image_equals_the_build_of_the_sources(name: str, tmp_path: Path) -> None:
     """To the byte; make fails if it exceeds 28 kB of flash."""
-    image = tmp_path / "uno.hex"
+    image = tmp_path / "built.hex"
 
     subprocess.run(
-        ["make", "-s", "-C", str(UNO), f"HEX={image}", f"BUILD={tmp_path}"],
+        ["make", "-s", "-C", str(UNO), f"HEX={image}", f"BUILD={tmp_path}", f"LAYOUT={name}"],
         check=True,
         capture_output=True,
     )
 
-    assert image.read_bytes() == HEX.read_bytes(), "run `make firmware` and commit the image"
+    assert image.read_bytes() == shipped_image(name).read_bytes(), (
+        "run `make firmware` and commit the image"
+    )
 
 
 def test_missing_harness_names_the_make_target(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def port(tmp_path: Path) -> Iterator[Path]:
 def test_a_pin_that_is_high_at_reset_is_reported_in_a_line_and_the_exit_code(
     tmp_path: Path,
 ) -> None:
-    low = "    PORTB = 0;\n    DDRB = PWM_PIN;\n"
+    low = "    PWM_PORT = 0;\n    PWM_DDR = PWM_PIN;\n"
     image = broken(tmp_path, "boards/uno/motor.c", low, low.replace("0", "PWM_PIN"))
     environ = os.environ | {"ARMRIG_FIL": str(harness())}
     command = [*COMMAND, "emulate", "--hex", str(image), "--port", str(tmp_path / "uno")]

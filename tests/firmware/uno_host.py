@@ -12,7 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from armrig_core.rig.firmware_image import shipped_image
 from armrig_daemon.emulator.harness import Duty
+from armrig_daemon.emulator.layout import LAYOUTS
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import wire_ns
 from armrig_daemon.emulator.uno import Uno
@@ -43,10 +45,10 @@ def harness() -> Path:
 
 
 @cache
-def image(baud: int) -> Path:
+def image(baud: int, name: str = "uno") -> Path:
     """Return the firmware for a speed of the line: the checkout's, or one built for it."""
     if baud == BAUD:
-        return HEX
+        return shipped_image(name)
     folder = Path(_folder().name)
     made = folder / f"{baud}.hex"
     here = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"
@@ -60,8 +62,8 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="armrig-uno-")
 
 
-def broken(folder: Path, file: str, old: str, new: str) -> Path:
-    """Return an image of the firmware, built in `folder`, with a piece of one file replaced."""
+def broken(folder: Path, file: str, old: str, new: str, layout: str = "uno") -> Path:
+    """Return an image of a layout, built in `folder`, with a piece of one file replaced."""
     sources = folder / "firmware"
     shutil.copytree(HEX.parent, sources, ignore=shutil.ignore_patterns("build"))
     text = (sources / file).read_text(encoding="utf-8")
@@ -69,16 +71,18 @@ def broken(folder: Path, file: str, old: str, new: str) -> Path:
     (sources / file).write_text(text.replace(old, new), encoding="utf-8")
     image = folder / "broken.hex"
     make = ["make", "-s", "-C", str(sources / "boards" / "uno"), f"HEX={image}", f"BUILD={folder}"]
+    make.append(f"LAYOUT={layout}")
     subprocess.run(make, check=True, capture_output=True)
     return image
 
 
-def switch_on(settings: EmulatorSettings, now_ns: int, **kwargs: Any) -> Uno:
-    """Return a simulated Uno with the firmware of the checkout; its pins are traced in a test."""
+def switch_on(settings: EmulatorSettings, now_ns: int, name: str = "uno", **kwargs: Any) -> Uno:
+    """Return a simulated Uno with an image of the checkout; its pins are traced in a test."""
     if pins is not None:
         pins.append(new_trace())
         kwargs["trace"] = pins[-1]
-    return Uno(harness(), image(settings.baud), settings, now_ns, **kwargs)
+    firmware = image(settings.baud, name)
+    return Uno(harness(), firmware, settings, now_ns, layout=LAYOUTS[name], **kwargs)
 
 
 def new_trace() -> Path:

@@ -6,6 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from armrig_core.rig.firmware_image import IMAGES
+
 from tests.simulator import campaign, story
 from tests.simulator.options import Options, draw
 
@@ -23,7 +25,9 @@ def main() -> int:
         *("--stalls",), choices=list(_STALLS), help="stall the emulator's process besides"
     )
     parser.add_argument("--core", action="store_true", help="the device's firmware is the C core")
-    parser.add_argument("--uno", action="store_true", help="the device is an Uno in simavr")
+    parser.add_argument(
+        *("--uno",), choices=IMAGES, default="", help="the device is an Uno in simavr, this image"
+    )
     parser.add_argument("--workers", type=int, help="processes; one for each core unless given")
     parser.add_argument("--stories", type=Path, default=Path("simulator-stories"))
     asked = parser.parse_args()
@@ -37,7 +41,7 @@ def main() -> int:
     print("\n".join(done.lines()))
     for seed, invariant, t_ns, text in done.violations[:_MOST_STORIES]:
         again = f"make simulate SEED={seed}" + (f" STALLS={asked.stalls}" if asked.stalls else "")
-        again += " CORE=1" if asked.core else " UNO=1" if asked.uno else ""
+        again += " CORE=1" if asked.core else f" UNO={asked.uno}" if asked.uno else ""
         print(f"{invariant} at {t_ns / 1e6:.3f} ms: {text}\n  {again}")
         path = _path(seed, asked.stories)
         story.write(draw(seed, **kind), path)

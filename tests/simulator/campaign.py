@@ -156,7 +156,7 @@ def run(
     only: Sequence[str] = KINDS,
     stalls: bool | None = None,
     c_core: bool = False,
-    uno: bool = False,
+    uno: str = "",
     workers: int | None = None,
     enough: Callable[[Campaign], bool] = lambda _: False,
 ) -> Campaign:
@@ -170,8 +170,8 @@ def run(
         The emulator is also stalled, and tolerates it or does not.
     c_core : bool
         The device's firmware is the C core.
-    uno : bool
-        The device is an Uno in simavr.
+    uno : str
+        The device is an Uno in simavr with this image.
     workers : int, optional
         Processes; one for each core unless given; 0 runs all in this one.
     enough : callable
@@ -208,7 +208,7 @@ def _gather(
 
 
 def _one(
-    only: Sequence[str], stalls: bool | None, c_core: bool, uno: bool, seed: int
+    only: Sequence[str], stalls: bool | None, c_core: bool, uno: str, seed: int
 ) -> tuple[Outcome, float]:
     began = process_time()
     gc.disable()  # values without cycles: the collector would only look

@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields, replace
 from random import Random
 from typing import Final, NamedTuple
 
+from armrig_daemon.emulator.layout import LAYOUTS
+
 from tests.simulator.outputs import Output, draw_outputs
 
 MS: Final = 1_000_000
@@ -69,7 +71,7 @@ _TS_US: Final = {2_000: 2, 5_000: 50, 10_000: 25, 20_000: 23}
 """Frequencies of the sampling times, in a hundred: a short time costs as many more ticks."""
 
 
-_UNO: Final = {"boot_ms": 58.0, "pwm_bits": 10, "queue": 256, "clock_ppm": 0.0, "clock_start_us": 0}
+_UNO: Final = {"boot_ms": 58.0, "queue": 256, "clock_ppm": 0.0, "clock_start_us": 0}
 """Properties of an Uno; its boot takes this time up to its report."""
 
 
@@ -129,8 +131,8 @@ class Options:
     """The device's clock stops meanwhile."""
     c_core: bool = False
     """The device's firmware is the C core, not the Python one; nothing else changes."""
-    uno: bool = False
-    """The device is an Uno in simavr: its converter, PWM, queue, clock and boot are its own."""
+    uno: str = ""
+    """The device is an Uno in simavr with this image; its converter, PWM and clock are its own."""
 
     def lines(self) -> list[str]:
         """Return all of it, one option a line."""
@@ -148,7 +150,7 @@ def draw(
     only: Sequence[str] = KINDS,
     stalls: bool | None = None,
     c_core: bool = False,
-    uno: bool = False,
+    uno: str = "",
 ) -> Options:
     """Return the schedule of a seed.
 
@@ -161,8 +163,8 @@ def draw(
         option depends on this. By default it is not stalled.
     c_core : bool
         The device's firmware is the C core; no other option depends on this.
-    uno : bool
-        The device is an Uno, whose own properties are not drawn.
+    uno : str
+        The device is an Uno with this image; its own properties are not drawn.
     """
     rng = Random(seed)
     ts_us = rng.choices(list(_TS_US), list(_TS_US.values()))[0]
@@ -203,7 +205,9 @@ def draw(
         tolerates_stalls=bool(stalls),
         c_core=c_core,
     )
-    return replace(drawn, uno=True, **_UNO) if uno else drawn
+    if not uno:
+        return drawn
+    return replace(drawn, uno=uno, pwm_bits=LAYOUTS[uno].pwm_bits, **_UNO)
 
 
 def _stalls(rng: Random) -> tuple[Episode, ...]:

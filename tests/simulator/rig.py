@@ -625,7 +625,7 @@ def _switch_on(
     options: Options, checks: Checks, trace: Path | None
 ) -> Watched | WatchedCore | WatchedUno:
     if options.uno:
-        return WatchedUno(_settings(options), checks, trace)
+        return WatchedUno(_settings(options), checks, trace, options.uno)
     watched = WatchedCore if options.c_core else Watched
     return watched(_settings(options), checks, options.clock_start_us)
 

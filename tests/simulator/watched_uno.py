@@ -10,28 +10,29 @@ from __future__ import annotations
 from collections import deque
 from pathlib import Path
 
+from armrig_core.rig.firmware_image import shipped_image
 from armrig_core.rig.volts import applied_code
 from armrig_core.rig.volts import duty as duty_of
 from armrig_daemon.emulator.board import FULL_SCALE_V
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN
-from armrig_daemon.emulator.harness import Duty
+from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty
 from armrig_daemon.emulator.harness import Violation as Violated
+from armrig_daemon.emulator.layout import LAYOUTS
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import arrivals, wire_ns
-from armrig_daemon.emulator.uno import PERIOD, Uno
+from armrig_daemon.emulator.uno import Uno
 from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import decode
 from armrig_protocol.messages import TYPES, Cause, Code, State
 
-from tests.firmware.uno_host import HEX, harness
+from tests.firmware.uno_host import harness
 from tests.simulator.checks import Checks
 from tests.simulator.frames import Frame
 from tests.simulator.violation import Violation
 
-_PWM_BITS = 10
-_ACTS_NS = 64_000 + 16_000
-"""A code acts in the next period of the PWM, and an interrupt may wait for another."""
+_LATCH_NS = 16_000
+"""An interrupt may wait for another."""
 _SAME_NS = 3_000
 _START = TYPES[wire.Start]
 
@@ -41,12 +42,18 @@ class WatchedUno(Uno):
 
     is_stalled = False
 
-    def __init__(self, settings: EmulatorSettings, checks: Checks, trace: Path | None) -> None:
-        """Switch it on at time 0; `trace` is the VCD file for its pins."""
+    def __init__(
+        self, settings: EmulatorSettings, checks: Checks, trace: Path | None, name: str
+    ) -> None:
+        """Switch it on at time 0 with the image `name`; `trace` is the VCD file for its pins."""
         self.checks = checks
         self._baud = settings.baud
         self._begin(0)
-        super().__init__(harness(), HEX, settings, trace=trace)
+        layout = LAYOUTS[name]
+        self._pwm_bits = layout.pwm_bits
+        self._acts_ns = layout.period * 1000 // CYCLES_PER_US + _LATCH_NS
+        """Time from a latch until the code acts: in the next period of the PWM."""
+        super().__init__(harness(), shipped_image(name), settings, layout=layout, trace=trace)
 
     def _begin(self, now_ns: int) -> None:
         self._reset_ns = now_ns
@@ -105,7 +112,7 @@ class WatchedUno(Uno):
     def _apply(self, duty: Duty) -> None:
         super()._apply(duty)
         t_ns, checks = self.ns(duty.cycle), self.checks
-        volts = FULL_SCALE_V * duty.high / PERIOD
+        volts = FULL_SCALE_V * duty.high / self._layout.period
         if checks.volts and not volts:
             self._low_ns = t_ns
         if t_ns < self._reset_ns:
@@ -118,10 +125,9 @@ class WatchedUno(Uno):
                 raise Violation("S1", t_ns, violated.what.name)
         self.violations.clear()
 
-    def _reading(self, cycle: int, channel: int) -> int:
-        if channel == 0:
-            self._holds.append(self.ns(cycle))
-        return super()._reading(cycle, channel)
+    def _hold(self, cycle: int) -> None:
+        self._holds.append(self.ns(cycle))
+        super()._hold(cycle)
 
     def _duty_at(self, t_ns: int) -> int:
         return next((d.high for d in reversed(self.duties) if self.ns(d.cycle) <= t_ns), 0)
@@ -160,13 +166,14 @@ class WatchedUno(Uno):
         said = decode(frame.data[:-1]) if frame is not None else None
         scheduled = isinstance(said, wire.Setpoints)
         code = _code_of(said, m)
-        if applied_code(code, _PWM_BITS) != m.u_k:
+        if applied_code(code, self._pwm_bits) != m.u_k:
             raise Violation("S5", t_ns, f"{m} where {said} was taken in")
         self.checks.latch(hold_ns, code, m.k, m.u_seq, scheduled=scheduled)
         self.checks.remember(m.k, m.u_k, scheduled=scheduled)
-        high = self._duty_at(hold_ns + _ACTS_NS)
-        if high not in (0, duty_of(code, _PWM_BITS)):
-            raise Violation("S5", t_ns, f"the pin is high for {high} of 1024 cycles, where {m}")
+        high = self._duty_at(hold_ns + self._acts_ns)
+        period = self._layout.period
+        if high not in (0, duty_of(code, self._pwm_bits) * period >> self._pwm_bits):
+            raise Violation("S5", t_ns, f"the pin is high for {high} of {period} cycles, where {m}")
         self.checks.seen["S5: the pin had the code that was told"] += bool(high)
 
     def _hold_of(self, t_ns: int, m: wire.Sample) -> int:

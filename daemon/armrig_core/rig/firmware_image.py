@@ -1,11 +1,13 @@
 """Firmware image: an Intel HEX file, and the bytes of flash that the file contains.
 
-The image of the Uno is part of the wheel, because users have no compiler for the firmware.
+The wheel contains an image for each layout of the Uno, because users have no compiler for the
+firmware.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -14,7 +16,8 @@ from zlib import crc32
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 
-UNO = "armrig-uno.hex"
+IMAGES = ("uno", "tclab", "heatshield", "optoshield")
+"""Names of the images: the arm's, and one for each supported shield."""
 _MAX_FILE_B = 1 << 20  # 256 KiB of flash, the largest AVR, are 0.7 MiB of text
 _DATA, _END, _SEGMENT, _LINEAR = 0, 1, 2, 4
 _START_KINDS = (3, 5)  # address where the processor begins: an AVR begins at 0
@@ -37,12 +40,24 @@ class FirmwareImage:
         return crc32(self.data)
 
 
-def shipped_image() -> Path:
-    """Return the path of the Uno's firmware, in the wheel or in the checkout."""
-    wheel = Path(str(files("armrig_core"))) / "firmware" / UNO
+def shipped_image(name: str = "uno") -> Path:
+    """Return the path of an image of `IMAGES`, in the wheel or in the checkout.
+
+    Raises InputError if armrig has no image of this name.
+    """
+    if name not in IMAGES:
+        raise InputError(f"no image has the name {name!r}; the names are {', '.join(IMAGES)}")
+    file = f"armrig-{name}.hex"
+    wheel = Path(str(files("armrig_core"))) / "firmware" / file
     if wheel.is_file():
         return wheel
-    return Path(__file__).parents[3] / "firmware_protocol" / "firmware" / UNO
+    return Path(__file__).parents[3] / "firmware_protocol" / "firmware" / file
+
+
+@cache
+def image_crcs() -> dict[str, int]:
+    """Return the CRC of each image in HELLO_R, by the image's name."""
+    return {name: read_image(shipped_image(name)).crc for name in IMAGES}
 
 
 def read_image(path: Path) -> FirmwareImage:

@@ -46,8 +46,9 @@ class Duty(NamedTuple):
 
     cycle: int
     high: int
-    """Number of cycles, of the 1024 in a period, during which the pin is high."""
+    """Number of cycles of the period during which the pin is high."""
     enabled: bool
+    """Level of the enable line; false if the layout has no enable line."""
 
 
 class Left(NamedTuple):
@@ -78,14 +79,15 @@ class Harness:
         image: Path,
         *,
         baud: int,
+        pwm: str = "D9",
         trace: Path | None = None,
     ) -> None:
         """Start the harness.
 
-        `baud` is the speed of the host's line, in bit/s. `trace` is a VCD file with the levels of
-        the PWM pin and the enable line.
+        `baud` is the speed of the host's line, in bit/s. `pwm` is the pin to measure, D9 or D3.
+        `trace` is a VCD file with the levels of the PWM pin and the enable line.
         """
-        arguments = [str(program), "--baud", str(baud)]
+        arguments = [str(program), "--baud", str(baud), "--pwm", pwm]
         if trace is not None:
             arguments += ["--vcd", str(trace)]
         try:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Final
 
 from armrig_protocol import decoder
 from armrig_protocol.decoder import Received
@@ -16,8 +15,6 @@ from armrig_protocol.messages import CODE_FULL_SCALE, TYPES, Ack, Sample, Start,
 
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty, Violated, Violation
 
-PERIOD: Final = 1024
-"""Period of the PWM, in cycles."""
 _START = TYPES[Start]
 _U32 = (1 << 32) - 1
 _TOLERANCE_US = 3
@@ -28,9 +25,10 @@ _MAX_HOLDS = 64
 class Pins:
     """Record of the pins since power-on."""
 
-    def __init__(self, note: Callable[[Violated], None]) -> None:
-        """Begin in BOOT; `note` is called for each violation."""
+    def __init__(self, note: Callable[[Violated], None], period: int) -> None:
+        """Begin in BOOT; `note` is called for each violation. `period` is the PWM's, in cycles."""
         self._note = note
+        self._period = period
         self.duties: list[Duty] = []
         """Measured changes of the duty."""
         self._received = b""
@@ -72,7 +70,7 @@ class Pins:
         """Check the pin up to `cycle`; the last measured duty is assumed to continue."""
         if self._low_from is None or not self.duties or not _drives(self.duties[-1]):
             return
-        if cycle - self._low_from > 2 * PERIOD:  # a duty is known at the end of its period
+        if cycle - self._low_from > 2 * self._period:  # a duty is known at the end of its period
             self._outside_run(cycle)
 
     def tell(self, begun: int, message: Received) -> None:
@@ -96,8 +94,8 @@ class Pins:
     def _latched(self, begun: int, m: Sample) -> None:
         """Compare the pin's duty before the latch of a sample with the reported code."""
         hold = self._hold_of(begun, m)
-        high = self._high_at(hold - PERIOD) if hold is not None else None
-        wanted = (m.u_km1 * PERIOD + CODE_FULL_SCALE // 2) // CODE_FULL_SCALE
+        high = self._high_at(hold - self._period) if hold is not None else None
+        wanted = (m.u_km1 * self._period + CODE_FULL_SCALE // 2) // CODE_FULL_SCALE
         if hold is not None and high not in (None, wanted):
             self._note(Violated(hold, Violation.CODE_NOT_AT_PIN))
 

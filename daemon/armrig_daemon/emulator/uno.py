@@ -14,7 +14,6 @@ from typing import Final
 from weakref import finalize
 
 import numpy as np
-from armrig_core.rig.channels import MAX_CHANNELS
 from armrig_core.rig.description import Description
 from armrig_protocol import decoder
 from armrig_protocol.frame import Spoilt, Unknown
@@ -23,12 +22,15 @@ from msgspec.structs import replace
 
 from armrig_daemon.emulator.board import Board, Witness
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty, Harness, Left, Violated
-from armrig_daemon.emulator.pin import PERIOD, Pins
+from armrig_daemon.emulator.layout import ARM, Layout
+from armrig_daemon.emulator.pin import Pins
 from armrig_daemon.emulator.sensors import CODE_BITS
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import wire_ns
 
 ADC_BITS: Final = 10
+SKEW_CYCLES: Final = 128 * CYCLES_PER_US
+"""Time between two conversions of a sample, in cycles."""
 OPTIBOOT_NS: Final = 1_000_000_000
 """Time for which a boot loader runs and the program receives no bytes, in ns."""
 ACTIVE_NS: Final = 20_000_000
@@ -49,6 +51,7 @@ class Uno:
         now_ns: int = 0,
         witness: Witness | None = None,
         *,
+        layout: Layout = ARM,
         boot_loader: bool = False,
         trace: Path | None = None,
         description: Description | None = None,
@@ -57,29 +60,36 @@ class Uno:
 
         `program` is the path of the harness, and `image` of the firmware as Intel HEX. From
         `settings`, only the arm, its sensors and the line's speed are used; the binary determines
-        all other properties. If `boot_loader` is True, a reset by the port starts Optiboot, which
-        ignores bytes for a second and clears MCUSR. `trace` is a VCD file with the levels of the
-        PWM pin and the enable line. `description` describes the rig; default: the arm.
+        all other properties. `layout` contains the pins that the image uses. If `boot_loader` is
+        True, a reset by the port starts Optiboot, which ignores bytes for a second and clears
+        MCUSR. `trace` is a VCD file with the levels of the PWM pin and the enable line.
+        `description` describes the rig; default: the arm.
         """
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
         )
         settings = replace(settings, adc_bits=ADC_BITS)
         self.board = Board(settings, now_ns, noise, witness, description)
+        self._layout = layout
+        self._channels = {layout.second: 1, layout.first: 0}
+        """Channels by the analogue pin; with one pin only the first channel."""
+        self._held_at = 0
+        """Cycle of the newest hold of the only pin."""
+        self._is_second = False
         self._baud = settings.baud
         self._origin_ns = now_ns
         self._line_free_ns = self._byte_ns = now_ns
         self._deaf = OPTIBOOT_NS * CYCLES_PER_US // 1000 if boot_loader else 0
         self._frame = bytearray()
         self._frames: deque[tuple[int, bytes]] = deque()
-        self.harness = Harness(program, image, baud=settings.baud, trace=trace)
+        self.harness = Harness(program, image, baud=settings.baud, pwm=layout.pwm, trace=trace)
         finalize(self, self.harness.close)
         self.state = State.BOOT
         """State of the device in its newest frame."""
         self.cause = Cause.POWER_ON
         """Cause of the newest EVENT of the device."""
         self.violations: list[Violated] = []
-        self._pins = Pins(self.violations.append)
+        self._pins = Pins(self.violations.append, layout.period)
         self.stuck: Stuck = lambda t_ns, channel: None
 
     @property
@@ -172,15 +182,34 @@ class Uno:
     def _apply(self, duty: Duty) -> None:
         """Apply the measured duty to the motor; a duty is known only at the end of its period."""
         self._pins.measure(duty)
-        self.board.drive(self.ns(duty.cycle), duty.high / PERIOD, self.state, self.cause)
+        self.board.drive(
+            self.ns(duty.cycle), duty.high / self._layout.period, self.state, self.cause
+        )
 
-    def _reading(self, cycle: int, channel: int) -> int:
+    def _reading(self, cycle: int, pin: int) -> int:
         t_ns = self.ns(cycle)
-        if channel == 0:
-            self._pins.hold(cycle)
-        reading = self.stuck(t_ns, channel)
+        channel = self._channels.get(pin)
+        if channel == 0 and self._is_first(cycle):
+            self._hold(cycle)
+        reading = self.stuck(t_ns, pin if channel is None else channel)
         if reading is not None:
             return reading
-        if channel < MAX_CHANNELS:
+        if channel is not None:
             return self.board.reading(channel, t_ns) >> (CODE_BITS - ADC_BITS)
         return int(self._rng.integers(1 << ADC_BITS))  # an open pin: noise
+
+    def _hold(self, cycle: int) -> None:
+        """Note a hold of the first channel."""
+        self._pins.hold(cycle)
+
+    def _is_first(self, cycle: int) -> bool:
+        """Return whether a conversion is of the first channel, and not of the second at its pin.
+
+        A sample begins with the second channel; each further conversion is held one skew later.
+        """
+        if len(self._channels) == 2:
+            return True
+        follows = abs(cycle - self._held_at - SKEW_CYCLES) < CYCLES_PER_US
+        self._is_second = follows and not self._is_second
+        self._held_at = cycle
+        return self._is_second

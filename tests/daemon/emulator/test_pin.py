@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 from armrig_daemon.emulator.harness import Duty, Violated, Violation
-from armrig_daemon.emulator.pin import PERIOD, Pins
+from armrig_daemon.emulator.pin import Pins
 from armrig_protocol.frame import Spoilt, encode
 from armrig_protocol.messages import TYPES, Ack, Code, Event, Keepalive, Sample, Start, State
 
+PERIOD = 1024
 OUTSIDE, OTHER_CODE = Violation.DRIVEN_OUTSIDE_RUN, Violation.CODE_NOT_AT_PIN
 
 
@@ -18,7 +19,7 @@ def of(kind: type, state: State, **fields: int) -> object:
 
 def started(noted: list[Violated]) -> Pins:
     """Return the pins of a board that has answered START at cycle 3000, and drives since 4000."""
-    pins = Pins(noted.append)
+    pins = Pins(noted.append, PERIOD)
     pins.send(1000, b"\0" + encode(Start(0, 7, 0, 0)))
     pins.tell(3000, of(Ack, State.RUN, of_type=TYPES[Start], of_seq=7))
     pins.measure(Duty(4000, 512, True))
@@ -28,7 +29,7 @@ def started(noted: list[Violated]) -> Pins:
 @pytest.mark.parametrize("duty", [(512, True), (1, False), (0, True)])
 def test_a_motor_that_is_driven_before_any_start_is_noted_at_once(duty: tuple[int, bool]) -> None:
     noted: list[Violated] = []
-    pins = Pins(noted.append)
+    pins = Pins(noted.append, PERIOD)
 
     pins.measure(Duty(500, 0, False))
     pins.measure(Duty(700, *duty))
@@ -71,7 +72,7 @@ def test_a_motor_switched_off_in_time_or_driven_in_a_run_is_not_noted() -> None:
 def test_a_start_allows_the_motor_until_it_is_answered() -> None:
     """The answer to an older START, another frame and noise do not end the wait."""
     noted: list[Violated] = []
-    pins = Pins(noted.append)
+    pins = Pins(noted.append, PERIOD)
     pins.send(1000, b"\0" + encode(Keepalive(0, 6)) + encode(Start(0, 7, 0, 0)))
     pins.measure(Duty(2000, 512, True))
 

@@ -30,7 +30,6 @@
 #include "supply.h"
 #include "uart.h"
 
-#define SUPPLY_AS_REFERENCE _BV(REFS0)
 #define QUIET (_BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0)) // 16 MHz / 128
 #define ON (QUIET | _BV(ADIE))
 #define TRIGGERED (ON | _BV(ADATE))
@@ -73,7 +72,7 @@ static volatile uint8_t longest; // longest handler of this file, in counts
 
 void converter_turn_to(uint8_t to)
 {
-    ADMUX = SUPPLY_AS_REFERENCE | to;
+    ADMUX = REFERENCE | INPUT_OF(to);
 }
 
 void converter_convert(void)

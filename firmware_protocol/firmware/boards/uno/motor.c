@@ -1,35 +1,29 @@
-// The motor: 10-bit PWM on D9 by timer 1, 15.625 kHz, and the driver's enable line on D7.
+// The motor: the PWM pin and the driver's enable line, if the layout has one.
 //
-// At 0 V the pin is disconnected and driven low. OCR1A = 0 would cause a spike of one clock in each
-// period (data sheet, 20.9.3). A duty of d steps is therefore OCR1A = d - 1.
+// At 0 V the pin is disconnected and driven low. A compare value of 0 would cause a spike of one
+// count in each period (data sheet, 20.9.3). A duty of d steps is therefore d - 1.
+//
+// The enable line is on port D. The PWM pin may also be on port D: while the timer drives the pin,
+// the value of the port does not matter.
 #include "board.h"
 #include "motor.h"
 #include "pins.h"
 
-#define DISCONNECTED (_BV(WGM11) | _BV(WGM10))
-#define CONNECTED (DISCONNECTED | _BV(COM1A1))
-#define NORMAL_MODE _BV(COM1A1)
-#define COUNTS (_BV(WGM12) | _BV(CS10))
-
-enum { LAST_COUNTS = 1023 - 7 }; // half a microsecond before the end of a period
-
 // Sets the motor to 0 V before main, and before the variables are initialised.
 __attribute__((naked, used, section(".init3"))) void motor_off_at_reset(void)
 {
-    TCCR1A = 0;
+    PWM_MODE = 0;
     PORTD = 0;
     DDRD = ENABLE_PIN;
-    PORTB = 0;
-    DDRB = PWM_PIN;
+    PWM_PORT = 0;
+    PWM_DDR = PWM_PIN;
 }
 
-// Mode 7: fast PWM, 10 bits. On silicon, mode 14 would also be correct, but simavr 1.6 models it
-// wrongly.
 void motor_begin(void)
 {
     board_motor_off();
-    OCR1A = 0;
-    TCCR1B = COUNTS;
+    PWM_COMPARE = 0;
+    PWM_CLOCK = COUNTS;
 }
 
 static bool stages; // board_motor_set stores its duty, which motor_apply applies
@@ -41,43 +35,44 @@ static uint16_t staged;
 void board_motor_off(void)
 {
     is_staged = false;
-    TCCR1A = DISCONNECTED;
-    PORTB = 0;
+    PWM_MODE = DISCONNECTED;
+    PWM_PORT = 0;
     PORTD = 0;
 }
 
 // Connects the pin at the beginning of a period that already has the new duty. With a running
 // timer, two effects would repeat the previous run's output for up to one period (data sheet, 16.7,
 // 16.8):
-// - The timer loads OCR1A only at the end of its period.
-// - OC1A still has the level at which the pin was disconnected.
+// - The timer loads its compare register only at the end of its period.
+// - The timer's output still has the level at which the pin was disconnected.
 //
-// The timer is therefore stopped and set to normal mode. There, OCR1A acts at once, and a forced
-// match clears OC1A. For these 2 us the pin is an input, and its pull-down keeps it low.
+// The timer is therefore stopped and set to normal mode. There, the compare register acts at once,
+// and a forced match clears the output. For these 2 us the pin is an input, and its pull-down keeps it low.
 static void connect(uint16_t compare)
 {
-    TCCR1B = 0;
-    DDRB = 0;
-    TCCR1A = NORMAL_MODE;
-    TCCR1C = _BV(FOC1A);
-    OCR1A = compare;
-    TCNT1 = LAST_COUNTS;
-    TCCR1A = CONNECTED;
-    DDRB = PWM_PIN;
-    TCCR1B = COUNTS;
+    PWM_CLOCK = 0;
+    PWM_DDR = 0;
+    PWM_MODE = NORMAL_MODE;
+    FORCE_MATCH();
+    PWM_COMPARE = compare;
+    PWM_COUNTER = LAST_COUNTS;
+    PWM_MODE = CONNECTED;
+    PWM_DDR = PWM_PIN;
+    PWM_CLOCK = COUNTS;
 }
 
 // Applies a duty to the pins. Interrupts are off.
 static void apply(uint16_t duty)
 {
-    PORTD = ENABLE_PIN;
+    if (ENABLE_PIN)
+        PORTD = ENABLE_PIN;
     if (duty == 0) {
-        TCCR1A = DISCONNECTED;
-        PORTB = 0;
+        PWM_MODE = DISCONNECTED;
+        PWM_PORT = 0;
         return;
     }
-    if (TCCR1A == CONNECTED)
-        OCR1A = duty - 1; // the timer loads it at the end of the period
+    if (PWM_MODE == CONNECTED)
+        PWM_COMPARE = duty - 1; // the timer loads it at the end of the period
     else
         connect(duty - 1);
 }

@@ -2,6 +2,7 @@
 
 #include "board.h"
 #include "converter.h"
+#include "pins.h"
 
 enum {
     BANDGAP_CHANNEL = 14,
@@ -21,6 +22,8 @@ static uint8_t waited;
 
 void board_measure_supply(void)
 {
+    if (REFERENCE != SUPPLY_AS_REFERENCE)
+        return;
     const uint8_t before = board_irq_save();
     if (step == AT_REST) {
         step = WANTED;
