@@ -87,9 +87,14 @@ def flash(
     port: str | None = chosen(
         None, "Serial port of the board.", "the only Uno plugged in", metavar="DEVICE"
     ),
-    image: Path | None = chosen(
-        None, "Firmware file to write.", "armrig's own", names="--hex FILE"
+    image: str | None = chosen(
+        None,
+        "Image of armrig to write: uno is the arm's; tclab, heatshield and optoshield are those of "
+        "the shields.",
+        "uno",
+        metavar="NAME",
     ),
+    file: Path | None = chosen(None, "Firmware file to write.", "the image", names="--hex FILE"),
     baud: int = chosen(_BAUD, "Speed of the firmware's serial line, in bit/s ([device] baud)."),
     dry_run: bool = chosen(False, "Show the plan only, without opening the port."),
     yes: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
@@ -114,7 +119,9 @@ def flash(
         return
 
     show: Callable[[str], object] = (lambda _: None) if json else say
-    firmware = read_image(shipped_image() if image is None else image)
+    if image is not None and file is not None:
+        raise typer.BadParameter("--image and --hex exclude each other")
+    firmware = read_image(file or shipped_image(image or "uno"))
     _check_size(firmware)
     program = avrdude.find()
     board = avrdude.chosen(port, avrdude.plugged_in())

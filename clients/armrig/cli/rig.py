@@ -314,8 +314,11 @@ def lab(
         inform(f"starting {what} …", dim=True)
     import platformdirs
 
+    from armrig.lab.avrdude import plugged_in, refuse_leonardo
     from armrig.rig.local_daemon import running
 
+    if port is not None:
+        refuse_leonardo(port, plugged_in())
     log = Path(platformdirs.user_state_dir("armrig")) / f"lab-{rig}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
     arguments = ["--rig", rig, *(["--emulate"] if port is None else ["--port", port])]

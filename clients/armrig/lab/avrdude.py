@@ -11,7 +11,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from selectors import EVENT_READ, DefaultSelector
 from tempfile import TemporaryFile
@@ -74,6 +74,8 @@ _UNOS = {
     (0x1A86, 0x7523): "Uno with a CH340",
 }
 """Names by USB vendor and product. Other boards use the CH340, too, so avrdude checks the chip."""
+_LEONARDOS = {(0x2341, 0x8036), (0x2341, 0x0036), (0x2A03, 0x8036), (0x2A03, 0x0036)}
+"""USB ids of the board and of its boot loader."""
 _FREE_PORT = (
     "end that program first, so that it sets the motor to 0 V: press Ctrl-C in `armrig lab` or "
     "`armrigd run`, or run `systemctl stop armrigd@ID`"
@@ -235,6 +237,8 @@ class Board:
     name: str
     is_uno: bool
     """True if the board is known to be an Uno."""
+    is_leonardo: bool = False
+    """True if the board is a Leonardo, which has another processor (ATmega32U4)."""
 
     def __str__(self) -> str:
         """Return the board and its port."""
@@ -255,10 +259,11 @@ def plugged_in() -> list[Board]:
 def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     """Return the board at `port`, or the only Uno that is plugged in.
 
-    Raises OperationError if `port` does not exist, or if `port` is None and not exactly one Uno is
-    plugged in.
+    Raises OperationError if `port` does not exist or belongs to a Leonardo, or if `port` is None
+    and not exactly one Uno is plugged in.
     """
     if port is not None:
+        refuse_leonardo(port, boards)
         return _at(port, boards)
     unos = [board for board in boards if board.is_uno]
     if len(unos) == 1:
@@ -270,6 +275,16 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     else:
         msg = "no board is plugged in by USB; plug an Uno in, or give its port by --port"
     raise OperationError(msg)
+
+
+def refuse_leonardo(port: str, boards: Sequence[Board]) -> None:
+    """Raise OperationError if the board at `port` is a Leonardo, which kits of TCLab contain."""
+    real = str(Path(port).resolve())
+    for board in boards:
+        if board.port == real and board.is_leonardo:
+            raise OperationError(
+                f"{board}: armrig's firmware runs on an Uno ({CHIP}) only; put the shield on an Uno"
+            )
 
 
 @contextmanager
@@ -313,15 +328,16 @@ def _at(port: str, boards: Sequence[Board]) -> Board:
     real = str(Path(port).resolve())  # /dev/armrig-SERIAL is a link
     for board in boards:
         if board.port == real:
-            return Board(port=port, name=board.name, is_uno=board.is_uno)
+            return replace(board, port=port)
     return Board(port=port, name="unknown board: no USB device", is_uno=False)
 
 
 def _board(port: str, vendor: int, product: int, description: str) -> Board:
-    name = _UNOS.get((vendor, product), "")
-    ids = f"{vendor:04X}:{product:04X}"
-    unknown = f"unknown board: {description or 'without a name'} ({ids})"
-    return Board(port=port, name=f"{name} ({ids})" if name else unknown, is_uno=bool(name))
+    uno, is_leonardo = _UNOS.get((vendor, product)), (vendor, product) in _LEONARDOS
+    unknown = f"unknown board: {description or 'without a name'}"
+    name = uno or ("Arduino Leonardo" if is_leonardo else unknown)
+    name += f" ({vendor:04X}:{product:04X})"
+    return Board(port=port, name=name, is_uno=bool(uno), is_leonardo=is_leonardo)
 
 
 def _list(boards: Sequence[Board]) -> str:

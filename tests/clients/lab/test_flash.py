@@ -37,6 +37,9 @@ from tests.tools import needs
 
 pytestmark = needs("avrdude")
 R3 = Board(port="/dev/ttyACM0", name="Arduino Uno R3 (2341:0043)", is_uno=True)
+LEONARDO = Board(
+    port="/dev/null", name="Arduino Leonardo (2341:8036)", is_uno=False, is_leonardo=True
+)
 CH340 = Board(port="/dev/ttyUSB0", name="Uno with a CH340 (1A86:7523)", is_uno=True)
 PICO = Board(port="/dev/ttyACM1", name="unknown board: Pico (2E8A:000A)", is_uno=False)
 Said = pytest.CaptureFixture[str]
@@ -253,6 +256,8 @@ def test_a_missing_avrdude_is_reported_with_its_installation(
         (None, [], "no board is plugged in by USB"),
         (None, [PICO], "no Uno is plugged in, but unknown board: Pico (2E8A:000A) at /dev/ttyACM1"),
         (None, [R3, CH340], "2 boards: Arduino Uno R3 (2341:0043) at /dev/ttyACM0, Uno with"),
+        (None, [LEONARDO], "no Uno is plugged in, but Arduino Leonardo (2341:8036) at /dev/null"),
+        ("/dev/null", [LEONARDO], "/dev/null: armrig's firmware runs on an Uno (ATmega328P) only"),
         ("/dev/no-such-port", [R3], "/dev/no-such-port does not exist; there is Arduino Uno R3"),
     ],
 )
@@ -266,6 +271,13 @@ def test_the_board_is_chosen_by_port_or_by_name(
         chosen(port, there)
     assert found in str(refused.value)
     assert ("--port" in str(refused.value)) == (port is None)
+
+
+def test_a_lab_refuses_a_leonardo(capsys: Said, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(avrdude, "plugged_in", lambda: [LEONARDO])
+
+    assert main(["lab", "--port", "/dev/null"]) == 1
+    assert "runs on an Uno (ATmega328P) only; put the shield on an Uno" in capsys.readouterr().err
 
 
 def test_a_board_selected_by_its_persistent_name_keeps_it(tmp_path: Path) -> None:
@@ -292,10 +304,11 @@ def test_usb_ids_determine_the_names_of_boards(monkeypatch: pytest.MonkeyPatch) 
         port("/dev/ttyS0", None, None, "ttyS0"),
         port("/dev/ttyACM1", 0x2E8A, 0x000A, "Pico"),
         port("/dev/ttyACM0", 0x2341, 0x0043, "ttyACM0"),
+        port("/dev/null", 0x2341, 0x8036, "ttyACM2"),
     ]
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
 
-    assert avrdude.plugged_in() == [R3, PICO, CH340]
+    assert avrdude.plugged_in() == [LEONARDO, R3, PICO, CH340]
 
 
 @pytest.mark.parametrize(
@@ -357,6 +370,32 @@ def test_ctrl_c_reports_an_incomplete_program() -> None:
 def test_the_progress_is_read_from_the_newest_bar(said: str, told: tuple[int, int, str]) -> None:
     """A block is a fiftieth."""
     assert avrdude.progress(said) == told
+
+
+@pytest.mark.parametrize("name", ["uno", "tclab", "heatshield", "optoshield"])
+def test_an_image_is_selected_by_its_name(
+    name: str, capsys: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(avrdude, "find", lambda: "avrdude")
+    monkeypatch.setattr(avrdude, "plugged_in", lambda: [])
+
+    assert main(["flash", "--image", name, "--port", "/dev/null", "--dry-run"]) == 0
+
+    assert f"{shipped_image(name)}\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--image", "motoshield"], "the names are uno, tclab, heatshield, optoshield"),
+        (["--image", "tclab", "--hex", "a.hex"], "--image and --hex exclude each other"),
+    ],
+)
+def test_a_wrong_choice_of_the_image_is_refused(
+    options: list[str], said: str, capsys: Said
+) -> None:
+    assert main(["flash", *options, "--dry-run"]) != 0
+    assert said in capsys.readouterr().err
 
 
 def test_a_firmware_that_does_not_fit_is_refused(tmp_path: Path, capsys: Said) -> None:
