@@ -76,7 +76,7 @@ REMEDIES: dict[Id, str] = {
     Id.STATE: "check that no other program uses the device",
     Id.APPLIED: "do not drive this rig: its firmware or its converter is broken",
     Id.REQUEST: "check the cable, then unplug the device and plug it in again",
-    Id.FIRMWARE: "flash firmware of this version of the wire (firmware_protocol/PROTOCOL.md)",
+    Id.FIRMWARE: "unplug the actuator, and flash the firmware of this version of armrig",
     Id.INTERNAL: "report this bug of armrig, with the recording",
 }
 """Remedy of each fault; after the remedy, `armrig reset` clears the fault."""

@@ -76,6 +76,21 @@ class OutputWatch(Value, frozen=True):
     """Newest valid value; NaN before the first one."""
 
 
+class Image(Value, frozen=True):
+    """Image of the firmware that the rig needs, fixed at the start."""
+
+    name: str
+    crc: int
+    """CRC in HELLO_R; 0 if a firmware that armrig does not know is allowed, too."""
+    others: tuple[int, ...] = ()
+    """CRC of each image for other pins, which is refused."""
+
+    def fits(self, crc: int) -> bool:
+        """Return whether a firmware, by its CRC, drives the pins of the rig."""
+        is_emulated = crc == 0  # a device without a binary, and without pins
+        return is_emulated or (crc not in self.others and self.crc in (0, crc))
+
+
 Conversions = tuple[Conversion, Conversion] | tuple[Potentiometer, Potentiometer]
 
 
@@ -105,6 +120,8 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     """Conversions of a rig that is described in a file; without them, `calibration` converts."""
     limits: tuple[OutputLimit, ...] | UnsetType = UNSET
     """Limits of measured outputs; without them, no measured output stops the motor."""
+    image: Image | UnsetType = UNSET
+    """Firmware that the rig needs; without it, any firmware with this protocol is driven."""
     service_ns: int = 0
     """Silence of the service after which the motor is stopped, in ns; 0 without a service."""
 

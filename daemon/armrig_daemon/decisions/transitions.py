@@ -24,6 +24,7 @@ from armrig_daemon.decisions.state import (
     PendingRequest,
     Phase,
     RequestKind,
+    Rules,
     SetPeriod,
     State,
 )
@@ -218,7 +219,7 @@ def handle_hello(state: State, now_ns: int, reply: wire.HelloReply) -> Step:
             f"this daemon speaks version {VERSION}, schema {SCHEMA_HASH:08x}"
         )
         return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
-    if unfit := _unfit(reply):
+    if unfit := _unfit(reply, state.rules):
         return _latch(state, now_ns, asked, unfit)
     if reply.state in _LATCHED:
         fault = Fault(Id.DEVICE, f"the device is in {DeviceState(reply.state).name}")
@@ -233,7 +234,7 @@ def handle_hello(state: State, now_ns: int, reply: wire.HelloReply) -> Step:
     return state, [outcomes.Ask(RequestKind.CONFIGURE, asked.order, state.rules.ts_us)]
 
 
-def _unfit(device: wire.HelloReply) -> Fault | None:
+def _unfit(device: wire.HelloReply, rules: Rules) -> Fault | None:
     """Return the fault of a device that has this protocol, but must not be driven; else None."""
     if device.state not in _KNOWN:
         text = f"the device reports state {device.state}, which the protocol does not define"
@@ -246,6 +247,12 @@ def _unfit(device: wire.HelloReply) -> Fault | None:
         text = "the device has no exchange mode"
     elif not 1 <= device.pwm_bits <= 16:
         text = f"the device's duty has {device.pwm_bits} bits: 1 to 16 are possible"
+    elif (image := rules.image) and not image.fits(device.firmware):
+        # Each image drives another pin.
+        text = (
+            f"the firmware on the board, {device.firmware:08x}, is not the image {image.name} "
+            f"that the rig needs, which `armrig flash --image {image.name}` writes"
+        )
     else:
         return None
     return Fault(Id.FIRMWARE, text)

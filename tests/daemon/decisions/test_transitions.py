@@ -7,13 +7,14 @@ from armrig_daemon import pipe
 from armrig_daemon.decisions import orders, outcomes, transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import NO_DEVICE
-from armrig_daemon.decisions.state import Phase, RequestKind, SetPeriod, State, Tick, Wakeup
+from armrig_daemon.decisions.state import Image, Phase, RequestKind, SetPeriod, State, Tick, Wakeup
 from armrig_daemon.pipe import Answer, Log, Reset
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import TYPES, Code, Mode, Underrun
 from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
 
 from tests.daemon.decision_states import (
     ARM,
@@ -224,6 +225,37 @@ def test_a_device_that_cannot_be_driven_is_latched_and_reported_once(
     assert len(once.told(StateRecord)) == 1
     assert [a.error for a in again.told(Answer)] == [once.state.fault.cause]
     assert again.told(Log) == []
+
+
+_SHIELD = Image("tclab", 0x1234)
+_ARM = Image("uno", 0, (0x1234, 0x4321))
+
+
+@pytest.mark.parametrize(
+    ("image", "firmware", "is_fit"),
+    [
+        (_SHIELD, 0x1234, True),
+        (_SHIELD, 0x4321, False),
+        (_SHIELD, 0, True),
+        (_ARM, 0x4321, False),
+        (_ARM, 0x9999, True),
+    ],
+)
+def test_a_board_with_another_image_than_the_rig_needs_is_not_driven(
+    image: Image, firmware: int, is_fit: bool
+) -> None:
+    """An emulated device is 0; a firmware of one's own is allowed at the arm's pins only."""
+    bench = rested()
+    state = awaiting(bench.loop.state, RequestKind.HELLO)
+    rules = replace(state.rules, image=image)
+
+    met = _met(bench, replace(state, rules=rules), firmware=firmware)
+
+    assert (met.state.phase is Phase.FAULT) == (not is_fit)
+    assert bool(met.sent) == is_fit
+    if not is_fit:
+        assert f"00004321, is not the image {image.name}" in met.state.fault.cause
+        assert f"`armrig flash --image {image.name}`" in met.state.fault.cause
 
 
 # -- CONFIG --------------------------------------------------------------------------------------
