@@ -23,6 +23,7 @@ OUTPUTS = {
     "heater": {"T1": "degC", "T2": "degC"},
     "rc": {"y": "V"},
 }
+POINTS = "points = [[100, 50.0], [200, 40.0], [400, 0.0]]"
 
 
 def test_each_shipped_description_is_read() -> None:
@@ -31,9 +32,8 @@ def test_each_shipped_description_is_read() -> None:
     units = {name: {o: y.unit for o, y in d.outputs.items()} for name, d in read.items()}
     assert units == OUTPUTS
     assert all(d.rig.name == name and d.model for name, d in read.items())
-    assert [d.rig.name for d in read.values() if any(y.limited for y in d.outputs.values())] == [
-        "heater"
-    ]
+    limited = {n for n, d in read.items() if any(y.limited for y in d.outputs.values())}
+    assert limited == {"heater"}
 
 
 def test_the_arm_has_the_default_calibration() -> None:
@@ -51,6 +51,37 @@ def test_a_reading_in_counts_has_a_value() -> None:
     assert (T1.low, T1.high, T1.samples, T1.blind_s) == (-inf, 70.0, 2, 10.0)
     assert T1.value(6553.6) == 0
     assert T1.value(16384) == pytest.approx(74.71, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("counts", "value"), [(100, 50), (150, 45), (200, 40), (300, 20), (500, -20), (0, 60)]
+)
+def test_points_are_joined_by_lines_that_continue_at_the_ends(counts: float, value: float) -> None:
+    text = HEATER.replace("zero_counts = 6553.6\nper_count = 0.0076", POINTS, 1)
+    T1 = Description.of(text.encode()).outputs["T1"].conversion
+
+    assert T1.value(counts) == value
+    assert T1.counts(value) == counts
+
+
+@pytest.mark.parametrize(
+    ("points", "error"),
+    [
+        ("[[1, 2]]", "points: give at least two pairs [counts, value] of finite numbers"),
+        ("[[1, 2], [3, inf]]", "points: give at least two pairs"),
+        ("[[1, 2], [3]]", "points[1] = None: expected `array` of length 2, got 1"),
+        ("[[1, 2], [1, 3]]", "points: 1 after 1: the counts must increase"),
+        ("[[1, 2], [2, 3], [3, 2.5]]", "points: 3 at 2 counts, and then 2.5: the values must"),
+        ("[[1, 2], [2, 2]]", "points: 2 at 1 counts, and then 2: the values must increase, or"),
+        ("[[1, 2], [2, 3]]\nper_count = 1.0", "points: give no per_count, zero_counts or turning"),
+        ("[]", "per_count = 0.0 must be finite and not 0; without it, give points"),
+    ],
+)
+def test_points_that_are_no_conversion_are_refused(points: str, error: str) -> None:
+    text = HEATER.replace("zero_counts = 6553.6\nper_count = 0.0076", f"points = {points}", 1)
+
+    with pytest.raises(InputError, match=re.escape(error)):
+        Description.of(text.encode())
 
 
 @pytest.mark.parametrize(

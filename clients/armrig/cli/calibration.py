@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +18,7 @@ import platformdirs
 import typer
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.calibration_file import raw_path
+from armrig_core.rig.channels import check_points
 from armrig_core.telemetry.channels import ALPHA
 
 import armrig
@@ -222,7 +223,8 @@ class _Wanted:
     )
     point: list[str] | None = chosen(
         None,
-        "Known value of an output that does not turn; give two values of one output.",
+        "Known value of an output that does not turn; give two values of one output, or more if it "
+        "is not linear.",
         metavar="NAME=VALUE",
     )
     meter_std: float = chosen(0.01, "Standard deviation of a meter's reading, in V.")
@@ -326,16 +328,17 @@ def calibrate(
 def _measure_points(
     wanted: _Wanted, ask: Dialogue, rig: str, connect: str | None, *, json: bool
 ) -> None:
-    """Measure the readings at two values of an output; print the lines for the description."""
+    """Measure the readings at values of an output; print the lines for the description."""
     points = [point.partition("=") for point in wanted.point or []]
     with armrig.Rig(rig, connect=connect) as opened:
         status = opened.status()
         described = status.described
         name = points[0][0]
-        if len(points) != 2 or points[1][0] != name or name not in described.outputs:
+        is_one = all(other == name for other, *_ in points) and name in described.outputs
+        if len(points) < 2 or not is_one:
             raise InputError(
-                "--point: give two values of one output, such as --point NAME=1.5 --point NAME=3; "
-                f"the rig has {', '.join(described.outputs)}"
+                "--point: give two values of one output, or more, such as --point NAME=1.5 "
+                f"--point NAME=3; the rig has {', '.join(described.outputs)}"
             )
         try:
             values = [float(value) for *_, value in points]
@@ -348,18 +351,35 @@ def _measure_points(
             n = max(2, round(wanted.rest_seconds / status.Ts))
             some = islice((s for s in opened.stream() if not isinstance(s, armrig.LiveGap)), n)
             counts.append(sum((s.counts_0, s.counts_1)[channel] for s in some) / n)
-    if abs(counts[1] - counts[0]) < _MIN_COUNTS or values[0] == values[1]:
-        raise InputError(
-            f"--point {name}: the readings are {counts[0]:.0f} and {counts[1]:.0f} counts; give "
-            "two values that are further apart, and check the wires"
-        )
-    per_count = (values[1] - values[0]) / (counts[1] - counts[0])
-    zero_counts = counts[0] - values[0] / per_count
+    try:
+        found = conversion_through(sorted(zip(counts, values, strict=True)))
+    except InputError as err:
+        raise InputError(f"--point {name}: {err}") from err
     if json:
-        print_json({"output": name, "zero_counts": zero_counts, "per_count": per_count})
+        print_json({"output": name} | found)
         return
     inform("put these lines into the description of the rig:")
-    say_to_copy(f"[outputs.{name}]\nzero_counts = {zero_counts:.6g}\nper_count = {per_count:.6g}")
+    lines = (f"{key} = {x if key == 'points' else format(x, '.6g')}" for key, x in found.items())
+    say_to_copy("\n".join([f"[outputs.{name}]", *lines]))
+
+
+def conversion_through(points: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Return the keys of an output's conversion through pairs of counts and value.
+
+    Raises InputError if the readings are too close, or are no function with an inverse.
+    """
+    if any(b[0] - a[0] < _MIN_COUNTS or a[1] == b[1] for a, b in pairwise(points)):
+        came = " and ".join(f"{counts:.0f}" for counts, _ in points)
+        raise InputError(
+            f"the readings are {came} counts; give values that are further apart, and check the "
+            "wires"
+        )
+    check_points(points)
+    if len(points) > 2:
+        return {"points": [[round(counts, 1), value] for counts, value in points]}
+    (left, low), (right, high) = points
+    per_count = (high - low) / (right - left)
+    return {"zero_counts": left - low / per_count, "per_count": per_count}
 
 
 def _measured(

@@ -157,7 +157,8 @@ def data_verdict(recording: Recording) -> DataVerdict:
 def _step(r: Recording) -> float:
     """Return the converter's step in the unit of the first channel."""
     described = r.description
-    per_count = described.conversions[0].per_count
+    counts = r.samples[described.channels[0].counts_field]
+    per_count = described.conversions[0].step(float(counts.mean()) if counts.size else 0.0)
     if described.is_calibrated:
         per_count = (r.calibration or Calibration()).channels[0].rad_per_count
     return abs(per_count) * findings.converter_step(r)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect
 from collections.abc import Sequence
-from math import nan
+from itertools import pairwise
+from math import isfinite, nan
 from typing import NamedTuple
 
 import msgspec
+
+from armrig_core.errors import InputError
 
 MAX_CHANNELS = 2
 """Number of readings in each sample of the device; a rig may use fewer."""
@@ -42,18 +46,57 @@ class Channel(NamedTuple):
         return f"{self.name}_counts"
 
 
+Points = tuple[tuple[float, float], ...]
+"""Readings in counts, each with its value in the output's unit, in the order of the readings."""
+
+
 class Conversion(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """Conversion of a channel's counts: value = (counts - zero_counts) · per_count."""
+    """Conversion of a channel's counts: value = (counts - zero_counts) · per_count, or by points.
+
+    Points are joined by straight lines; the first and the last line continue beyond the points.
+    """
 
     zero_counts: float
     per_count: float
     """Change of the value by one count; 0 for a reading that the rig does not use."""
+    points: Points = ()
 
     def value(self, counts: float) -> float:
         """Return the value of a reading in counts, in the channel's unit; NaN if it is not used."""
-        if not self.per_count:
-            return nan
-        return (counts - self.zero_counts) * self.per_count
+        if self.points:
+            return _on_lines(self.points, counts)
+        return (counts - self.zero_counts) * self.per_count if self.per_count else nan
+
+    def counts(self, value: float) -> float:
+        """Return the reading of a value, in counts, without the limits of the converter."""
+        if self.points:
+            return _on_lines(sorted((y, x) for x, y in self.points), value)
+        return value / self.per_count + self.zero_counts
+
+    def step(self, counts: float) -> float:
+        """Return the change of the value by one count at a reading, in the channel's unit."""
+        return self.value(counts + 0.5) - self.value(counts - 0.5)
+
+
+def check_points(points: Sequence[tuple[float, float]]) -> None:
+    """Raise InputError if points are no function of the reading that has an inverse."""
+    if len(points) < 2 or not all(isfinite(number) for point in points for number in point):
+        raise InputError("points: give at least two pairs [counts, value] of finite numbers")
+    for (x, y), (x_next, y_next) in pairwise(points):
+        if x_next <= x:
+            raise InputError(f"points: {x_next:g} after {x:g}: the counts must increase")
+        if (y_next - y) * (points[1][1] - points[0][1]) <= 0:
+            raise InputError(
+                f"points: {y:g} at {x:g} counts, and then {y_next:g}: the values must increase, or "
+                "decrease, from each point to the next"
+            )
+
+
+def _on_lines(points: Sequence[tuple[float, float]], x: float) -> float:
+    """Return the ordinate at x on the lines through points."""
+    at = bisect(points, x, 1, len(points) - 1, key=lambda point: point[0])
+    (left, low), (right, high) = points[at - 1], points[at]
+    return low + (x - left) * (high - low) / (right - left)
 
 
 NO_CONVERSION = Conversion(0.0, 0.0)

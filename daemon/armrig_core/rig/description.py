@@ -23,7 +23,9 @@ from armrig_core.rig.channels import (
     NO_CONVERSION,
     Channel,
     Conversion,
+    Points,
     channel,
+    check_points,
     sample_names,
 )
 from armrig_core.rig.saved_model import Matrix, System, saved_system
@@ -112,8 +114,10 @@ class Output(_Table, frozen=True, kw_only=True):
     unit: str
     zero_counts: float = 0.0
     """Reading at the value 0, in counts; full scale is 65536 counts."""
-    per_count: float
+    per_count: float = 0.0
     """Change of the value by one count, in the unit; negative if the value falls with counts."""
+    points: Points = ()
+    """Pairs [counts, value] in place of `zero_counts` and `per_count`, joined by straight lines."""
     turning: bool = False
     """True if the shaft turns through a dead band, so that its turns are counted."""
     rate: str = ""
@@ -135,8 +139,16 @@ class Output(_Table, frozen=True, kw_only=True):
         """Refuse a conversion or a limit that no reading can have."""
         _check_text("unit", self.unit)
         _check_text("body", self.body)
-        if not (isfinite(self.per_count) and self.per_count):
-            raise InputError(f"per_count = {self.per_count!r} must be finite and not 0")
+        if self.points:
+            if self.per_count or self.zero_counts or self.turning:
+                raise InputError(
+                    "points: give no per_count, zero_counts or turning with a table of points"
+                )
+            check_points(self.points)
+        elif not (isfinite(self.per_count) and self.per_count):
+            raise InputError(
+                f"per_count = {self.per_count!r} must be finite and not 0; without it, give points"
+            )
         if not abs(self.zero_counts) <= 100 * COUNTS:
             raise InputError(f"zero_counts = {self.zero_counts!r} must be within ±{100 * COUNTS}")
         if self.rate:
@@ -170,9 +182,14 @@ class Output(_Table, frozen=True, kw_only=True):
         blind = f"blind for {self.blind_s:g} s" if self.blind_s else ""
         return ", or ".join(text for text in (turns, ends, blind) if text)
 
+    @property
+    def conversion(self) -> Conversion:
+        """Conversion of readings in counts to values in the output's unit."""
+        return Conversion(self.zero_counts, self.per_count, self.points)
+
     def value(self, counts: float) -> float:
         """Return the value of a reading in counts, in the output's unit."""
-        return (counts - self.zero_counts) * self.per_count
+        return self.conversion.value(counts)
 
 
 class Model(_Table, frozen=True, kw_only=True):
@@ -295,7 +312,7 @@ class Description:
     @property
     def conversions(self) -> tuple[Conversion, Conversion]:
         """Conversions of the device's readings."""
-        described = [Conversion(o.zero_counts, o.per_count) for o in self.outputs.values()]
+        described = [output.conversion for output in self.outputs.values()]
         first, second = (*described, NO_CONVERSION)[:MAX_CHANNELS]
         return first, second
 
@@ -363,7 +380,7 @@ class Description:
 
 @cache
 def shipped(name: str) -> Description:
-    """Return a description that comes with armrig: `arm`, `chassis`, `heater` or `rc`."""
+    """Return a description that comes with armrig, `arm`, `chassis`, `heater` or `rc`."""
     return read_description(_SHIPPED / f"{name}.toml")
 
 

@@ -92,7 +92,6 @@ class DescribedRig:
 def _fraction(output: Output, y: float) -> float | None:
     """Return the reading of a value as a fraction of the full scale; None in the dead band."""
     if output.turning:
-        turn = tau / abs(output.per_count)
-        counts = (y / output.per_count + output.zero_counts) % turn
+        counts = output.conversion.counts(y) % (tau / abs(output.per_count))
         return counts / COUNTS if counts <= COUNTS else None
-    return (y / output.per_count + output.zero_counts) / COUNTS
+    return output.conversion.counts(y) / COUNTS

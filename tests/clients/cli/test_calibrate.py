@@ -15,6 +15,7 @@ from armrig.cli.calibration import (
     _measured,
     _Wanted,
     check_turns,
+    conversion_through,
     meter_reading,
 )
 from armrig.rig import collection
@@ -295,3 +296,16 @@ def test_calibrate_replaces_only_calibration_files(text: str, said: str, tmp_pat
         _checked(other)
     assert _checked(own) == own
     assert _checked(tmp_path / "new.toml") == tmp_path / "new.toml"
+
+
+def test_two_points_make_a_line_and_more_points_a_table() -> None:
+    line = conversion_through([(10_000, 1.5), (20_000, 3.0)])
+
+    assert line == {"zero_counts": pytest.approx(0), "per_count": pytest.approx(1.5e-4)}
+    table = [(10_000.04, 60.0), (20_000, 40.0), (40_000, 20.0)]
+    assert conversion_through(table) == {"points": [[10_000, 60], [20_000, 40], [40_000, 20]]}
+    for near in ([(10_000, 1.5), (10_630, 3.0)], [(10_000, 2.0), (20_000, 2.0)]):
+        with pytest.raises(InputError, match="give values that are further apart"):
+            conversion_through(near)
+    with pytest.raises(InputError, match="the values must increase, or decrease, from each"):
+        conversion_through([(10_000, 1.0), (20_000, 3.0), (30_000, 2.0)])
