@@ -35,6 +35,7 @@ from armrig_core.rig.description import (
     read_description,
     shipped,
 )
+from armrig_core.rig.firmware_image import IMAGES, image_crcs
 from armrig_core.rig.volts import U_MAX_V, code_of
 from armrig_core.telemetry.topics import check_own_id
 from armrig_protocol.messages import (
@@ -47,7 +48,8 @@ from msgspec import UNSET, Meta, UnsetType
 
 from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.output_limits import too_slow
-from armrig_daemon.decisions.state import OutputLimit, Rules
+from armrig_daemon.decisions.state import Image, OutputLimit, Rules
+from armrig_daemon.emulator.layout import LAYOUTS
 from armrig_daemon.emulator.settings import HARNESS_VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
 
@@ -352,6 +354,7 @@ class Config(Table, frozen=True, kw_only=True):
             oversampling=self.device.oversampling,
             calibration=msgspec.structs.replace(self.calibration, made=None),
             described=UNSET if rig.is_calibrated else rig.conversions,
+            image=needed_image(rig),
             limits=output_limits(read),
         )
 
@@ -362,6 +365,16 @@ def _require_limit(key: str, description: Description, *, fits: bool) -> None:
             f"limits.{key} is for the arm: give rig {description.rig.name} limits by low, high or "
             "turns of its outputs in its description"
         )
+
+
+def needed_image(description: Description) -> Image | UnsetType:
+    """Return the image of the rig's firmware, as the core needs it; UNSET for the arm."""
+    name = description.rig.image
+    if name != IMAGES[0]:
+        return Image(name, image_crcs()[name])
+    if description.is_calibrated:
+        return UNSET  # its traces keep their bytes, and no shield's image drives its motor
+    return Image(name, 0, tuple(crc for other, crc in image_crcs().items() if other != name))
 
 
 def output_limits(outputs: Mapping[str, Output]) -> tuple[OutputLimit, ...] | UnsetType:
@@ -474,8 +487,12 @@ def _described(config: Config) -> dict[str, Any]:
         return {}
     described = description_of(config)
     if not described.is_calibrated:
-        alone = described.arm_removed
-        return {"arm": {"removed": True}, "emulator": {"arm_removed": True}} if alone else {}
+        if described.arm_removed:
+            return {"arm": {"removed": True}, "emulator": {"arm_removed": True}}
+        return {
+            "limits": {"u_max_v": described.input.u_max_v},
+            "emulator": {"pwm_bits": LAYOUTS[described.rig.image].pwm_bits},
+        }
     outputs = described.outputs.items()
     return {
         "calibration": {

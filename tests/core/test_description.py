@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from math import inf
+from math import exp, inf
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.rig import description
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description, read_description
+from armrig_core.rig.firmware_image import IMAGES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +22,10 @@ OUTPUTS = {
     "arm": {"theta_1": "rad", "alpha": "rad"},
     "chassis": {"theta_1": "rad"},
     "heater": {"T1": "degC", "T2": "degC"},
+    "heatshield": {"T": "degC"},
+    "optoshield": {"light": "%"},
     "rc": {"y": "V"},
+    "tclab": {"T1": "degC", "T2": "degC"},
 }
 POINTS = "points = [[100, 50.0], [200, 40.0], [400, 0.0]]"
 
@@ -33,7 +37,9 @@ def test_each_shipped_description_is_read() -> None:
     assert units == OUTPUTS
     assert all(d.rig.name == name and d.model for name, d in read.items())
     limited = {n for n, d in read.items() if any(y.limited for y in d.outputs.values())}
-    assert limited == {"heater"}
+    assert limited == {"heater", "heatshield", "tclab"}
+    assert {n for n, d in read.items() if d.rig.image != "uno"} == set(IMAGES) - {"uno"}
+    assert all(d.rig.image in ("uno", name) for name, d in read.items())
 
 
 def test_the_arm_has_the_default_calibration() -> None:
@@ -62,6 +68,13 @@ def test_points_are_joined_by_lines_that_continue_at_the_ends(counts: float, val
 
     assert T1.value(counts) == value
     assert T1.counts(value) == counts
+
+
+def test_the_table_of_the_thermistor_follows_its_formula() -> None:
+    T = read_description(RIGS / "heatshield.toml").outputs["T"]
+    for degC in range(0, 101):
+        ratio = exp(3950 * (1 / (degC + 273.15) - 1 / 298.15))  # of the resistors
+        assert T.value(64 * 1023 * ratio / (1 + ratio)) == pytest.approx(degC, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +106,8 @@ def test_points_that_are_no_conversion_are_refused(points: str, error: str) -> N
         ('"heater"', '"the heater"', "name = 'the heater': a name has 1 to 32 letters a-z, A-Z"),
         ("Heater with", "\\u001b[2J", "title = '\\x1b[2J two thermometers': at most 80 printable"),
         ("[input]", '[rig.x]\n[input]', "rig: x = {}: no such key; allowed are name, title, image"),
-        ("title", 'image = "mega"\ntitle', "image = 'mega': allowed are uno"),
+        ("title", 'image = "mega"\ntitle', "image = 'mega': allowed are uno, tclab"),
+        ("per_volt = 20.0", "u_max_v = 5.1", "input: u_max_v = 5.1: expected `float` <= 5.0"),
         ("per_volt = 20.0", "per_volt = 0", "input: per_volt = 0.0 must be finite and not 0"),
         ("outputs.T2", "outputs.T1", "not a TOML file: Cannot declare ('outputs', 'T1') twice"),
         ("outputs.T2", "outputs.power", "power: names two signals; give each signal a name of its"),

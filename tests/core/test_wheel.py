@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from armrig_core.rig.description import shipped_files
 from armrig_core.rig.firmware_image import IMAGES, shipped_image
 
 ROOT = Path(__file__).parents[2]
@@ -46,7 +47,7 @@ def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
 def test_the_descriptions_of_rigs_are_in_the_wheel(wheel: dict[str, bytes]) -> None:
     shipped = {name for name in wheel if name.startswith("armrig_core/rigs/")}
 
-    assert shipped == {f"armrig_core/rigs/{rig}.toml" for rig in ("arm", "chassis", "heater", "rc")}
+    assert shipped == {f"armrig_core/rigs/{path.stem}.toml" for path in shipped_files()}
 
 
 @pytest.mark.usefixtures("wheel")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from itertools import pairwise
 
 import pytest
+from armrig_core.rig.description import shipped
 from armrig_core.rig.volts import applied_code, code_of, duty, volts_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import Config, Device
@@ -31,13 +34,16 @@ LATCH_NS = 10_000
 class UnoBench(Bench):
     """A loop in virtual time, with the firmware's binary at the other end of its line."""
 
-    def __init__(self, config: Config | None = None, seed: int = 1) -> None:
+    def __init__(
+        self, config: Config | None = None, seed: int = 1, rig: str = "arm", image: str = "uno"
+    ) -> None:
         self.lateness_ns = 0
         self._number = 0
-        rules = (config or Config()).rules()
+        rules = (config or Config()).rules(shipped(rig))
         settings = EmulatorSettings(seed=seed, baud=rules.baud)
         lateness: Callable[[], int] = lambda: self.lateness_ns  # noqa: E731
-        VirtualRig.__init__(self, rules, settings, lateness, 0, switch_on)
+        on = partial(switch_on, name=image)
+        VirtualRig.__init__(self, rules, settings, lateness, 0, on)
         self.holds: list[int] = []
         self.uno.stuck = self._note_hold
         self.run_for(500)
@@ -56,6 +62,28 @@ class UnoBench(Bench):
         """Play a run to its end."""
         self.play(volts, ts_us, scheduled=scheduled)
         self.run_for(len(volts) * ts_us / 1000 + 500)
+
+
+@pytest.mark.parametrize(
+    ("rig", "image", "is_fit"),
+    [
+        ("tclab", "tclab", True),
+        ("tclab", "uno", False),
+        ("rc", "uno", True),
+        ("rc", "tclab", False),
+    ],
+)
+def test_a_board_is_driven_only_with_the_image_of_its_rig(
+    rig: str, image: str, is_fit: bool
+) -> None:
+    bench = UnoBench(rig=rig, image=image)
+
+    with closing(bench.uno):
+        state = bench.loop.state
+        assert state.phase is (Phase.SAFE if is_fit else Phase.FAULT)
+        needed = "" if is_fit else f"which `armrig flash --image {shipped(rig).rig.image}` writes"
+        assert needed in (state.fault.cause if state.fault else "")
+        assert not any(duty.high for duty in bench.uno.duties)
 
 
 @pytest.fixture

@@ -28,12 +28,12 @@ from armrig_core.rig.channels import (
     check_points,
     sample_names,
 )
+from armrig_core.rig.firmware_image import IMAGES
 from armrig_core.rig.saved_model import Matrix, System, saved_system
+from armrig_core.rig.volts import U_MAX_V
 
 LIMIT_BYTES = 1 << 16
 """Largest size of a description, in B."""
-IMAGES = ("uno",)
-"""Firmware images by name."""
 COUNTS = 65536
 """Full scale of a reading, in counts."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
@@ -82,7 +82,7 @@ class RigTable(_Table, frozen=True, kw_only=True):
     title: str = ""
     """Name of the rig for people, on one line."""
     image: str = "uno"
-    """Firmware image of the device."""
+    """Firmware image of the device, by its name in `armrig flash --image`."""
 
     def __post_init__(self) -> None:
         """Refuse names that cannot be printed or used in a file's name."""
@@ -99,6 +99,8 @@ class Input(_Table, frozen=True, kw_only=True):
     unit: str = "V"
     per_volt: float = 1.0
     """Value of the input at 1 V, in its unit."""
+    u_max_v: Annotated[float, Meta(gt=0, le=U_MAX_V)] = U_MAX_V
+    """Default of `[limits] u_max_v`: highest voltage that a command may contain, in V."""
 
     def __post_init__(self) -> None:
         """Refuse a name or a unit that cannot be printed, and a factor of 0."""
@@ -268,8 +270,10 @@ class Description:
         volts = "" if given.unit == "V" else f", {given.per_volt:g} {given.unit} per volt"
         rows = [
             ("described", self.rig.title or self.rig.name),
-            ("input", f"{given.name}{volts}, 0 to 5 V"),
+            ("input", f"{given.name}{volts}, 0 to {given.u_max_v:g} V"),
         ]
+        if self.rig.image != IMAGES[0]:
+            rows.append(("image", self.rig.image))
         for name, output in self.outputs.items():
             low, high = sorted((output.value(0), output.value(COUNTS - 1)))
             kind = "turns through a dead band" if output.turning else "a value"
@@ -380,7 +384,7 @@ class Description:
 
 @cache
 def shipped(name: str) -> Description:
-    """Return a description that comes with armrig, `arm`, `chassis`, `heater` or `rc`."""
+    """Return a description that comes with armrig, by a name of `armrig rigs`."""
     return read_description(_SHIPPED / f"{name}.toml")
 
 

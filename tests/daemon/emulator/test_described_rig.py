@@ -54,6 +54,15 @@ def test_the_input_of_the_heater_acts_after_its_dead_time() -> None:
     assert y[15] > 23.01
 
 
+def test_the_reading_of_a_nonlinear_sensor_is_the_inverse_of_its_points() -> None:
+    """The output is between two points of the table: 25 degC and 45 % of 0.599 degC/%."""
+    text = shipped("heatshield").text.replace(b"noise = [0.05]", b"")
+
+    y = moved(Description.of(text), [2.25] * 6, 1_000_000 * MS)
+
+    assert y[-1] == pytest.approx(25 + 0.599 * 45, abs=0.01)
+
+
 def test_the_rehearsal_agrees_with_the_emulator() -> None:
     u = [0.0, 4.0, 1.0, 5.0] * 25
     y = moved(RC, u, 10 * MS)

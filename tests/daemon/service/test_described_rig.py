@@ -9,12 +9,15 @@ from typing import Any
 import pytest
 from armrig_core.commands.commands import Run
 from armrig_core.recording_file.manifest import DESCRIPTION, RUN, description_of, manifest_of
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, path_of, shipped
+from armrig_core.rig.firmware_image import image_crcs
 from armrig_daemon.config import Config, Rig, load
 from armrig_daemon.config import description_of as configured
+from armrig_daemon.decisions.state import Image
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from msgspec import UNSET, UnsetType
 
 RC = shipped("rc")
 TWO = Description.of(
@@ -75,6 +78,19 @@ def test_the_configuration_names_the_file_of_the_description(tmp_path: Path) -> 
     assert configured(Config()) is shipped("arm")
     assert config.rules(RC).conversions == RC.conversions
     assert Config().rules().conversions == Config().calibration.channels
+
+
+def test_the_description_of_a_shield_names_its_image_and_its_highest_voltage() -> None:
+    def given(rig: str, **limits: float) -> tuple[float, int, Image | UnsetType]:
+        config = load([], {}, {"rig": {"file": str(path_of(Path(rig)))}, "limits": limits})
+        image = config.rules(configured(config)).image
+        return config.limits.u_max_v, config.emulator.pwm_bits, image
+
+    crcs = image_crcs()
+    assert given("tclab") == (3.92, 8, Image("tclab", crcs["tclab"]))
+    assert given("tclab", u_max_v=1.0)[0] == 1.0
+    assert given("heater") == (5.0, 10, Image("uno", 0, tuple(crcs.values())[1:]))
+    assert given("arm") == (5.0, 10, UNSET)
 
 
 def test_the_description_of_an_arm_is_its_calibration(tmp_path: Path) -> None:
