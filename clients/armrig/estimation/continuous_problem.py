@@ -8,6 +8,7 @@ the coefficients in s follow by the chain rule. The numerator in s is linear and
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -90,16 +91,18 @@ class ContinuousProblem:
         return self.noise_size + self.poles - self.integrates + (self.delay is None)
 
     def parts_of(self, theta: Array) -> tuple[Array, Array, float]:
-        """Return (c, d), the coefficients f_1 … f_n, and the delay."""
-        k, n = self.noise_size, self.poles - self.integrates
-        f = theta[k : k + n]
+        """Return (c, d), the searched f_1 …, and the delay."""
         delay = float(theta[-1]) if self.delay is None else self.delay
-        return theta[:k], np.append(f, 0.0) if self.integrates else f, delay
+        k = self.noise_size
+        return theta[:k], theta[k : k + self.poles - self.integrates], delay
 
     def joined(self, noise: Array, f: Array, delay: float) -> Array:
-        """Return theta from (c, d), f_1 … f_n and the delay."""
-        own = f[:-1] if self.integrates else f
-        return np.concatenate([noise, own, [delay] if self.delay is None else []])
+        """Return theta from (c, d), the searched f_1 … and the delay."""
+        return np.concatenate([noise, f, [delay] if self.delay is None else []])
+
+    def with_root(self, f: Array) -> Array:
+        """Return f_1 … f_n from the searched f_1 …; f_n is 0 if F has the factor s."""
+        return np.append(f, 0.0) if self.integrates else f
 
     def reaching(self, delay: float) -> ContinuousProblem:
         """Return the problem with the pulses of an unknown past for this delay, in samples."""
@@ -109,9 +112,9 @@ class ContinuousProblem:
     def at(self, theta: Array) -> Point:
         """Return the sampled model at theta, with its derivatives."""
         noise, f, delay = self.parts_of(theta)
-        exact = sampled(f, delay, self.hold, fraction=self.delay is None)
+        exact = sampled(self.with_root(f), delay, self.hold, fraction=self.delay is None)
         used = slice(0, self.zeros + 1)
-        k, n = noise.size, self.poles - self.integrates
+        k, n = noise.size, f.size
         F, F_by_f = _without_root(exact) if self.integrates else (exact.F, exact.F_by_f)
         by_theta = np.zeros((k + F.size - 1, theta.size))
         by_theta[:k, :k] = np.eye(k)
@@ -148,7 +151,7 @@ class ContinuousProblem:
         noise, f, delay = self.parts_of(theta)
         if not np.isfinite(theta).all() or not 0 <= delay <= self.longest:
             return False
-        s = roots(monic(f[:-1] if self.integrates else f))
+        s = roots(monic(f))
         inside = np.all(s.real < 0) and np.all(np.abs(s) < MAX_RATE) and np.all(s.imag < np.pi)
         return bool(inside) and stable(monic(noise[: self.row.nc]))
 
@@ -157,11 +160,16 @@ class ContinuousProblem:
         """The problem itself, which admits or refuses a point."""
         return self
 
-    def minimise(self, theta: Array, most: int = MAX_STEPS, known: float = np.nan) -> Optimum:
+    def minimise(
+        self,
+        theta: Array,
+        most: int = MAX_STEPS,
+        known: float = np.nan,
+        target: float = np.inf,
+    ) -> Optimum:
         """Return the minimum that a search from an admissible theta reaches."""
-        return levenberg_marquardt(
-            self.linearise, theta, admissible=self.admits, most=most, known=known
-        )
+        limits: dict[str, Any] = {"most": most, "known": known, "target": target}
+        return levenberg_marquardt(self.linearise, theta, admissible=self.admits, **limits)
 
 
 def _without_root(exact: SampledSystem) -> tuple[Array, Array]:

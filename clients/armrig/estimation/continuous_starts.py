@@ -46,7 +46,8 @@ def continuous_starts(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]
         fixed = replace(problem, delay=delay)
         for name, theta in (*_from_sampled(fixed), *_by_instruments(fixed)):
             noise, f, _ = fixed.parts_of(theta)
-            yield name, problem.joined(noise, f, delay)
+            if problem.admits(theta := problem.joined(noise, f, delay)):
+                yield name, theta
 
 
 def _delays(problem: ContinuousProblem) -> list[float]:
@@ -88,22 +89,13 @@ def first_lag(problem: ContinuousProblem) -> int:
 
 def _from_sampled(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
     """Yield start values from the start values of the sampled model with free coefficients."""
-    free = problem.at(problem.joined(*_any(problem))).problem
-    free = replace(free, combination=None)
-    name, theta = min(start_values(free), key=lambda start: free.cost(start[1]))
     k = problem.noise_size
+    any_f = _filter(problem.poles - problem.integrates, _CUTOFFS[1])
+    of_orders = problem.at(problem.joined(np.zeros(k), any_f, 0.0)).problem
+    free = replace(of_orders, combination=None)
+    name, theta = min(start_values(free), key=lambda start: free.cost(start[1]))
     f = continuous_denominator(monic(theta[k:]))
-    yield f"sampled, {name}", problem.joined(theta[:k], _with_root(problem, f), 0.0)
-
-
-def _any(problem: ContinuousProblem) -> tuple[Array, Array, float]:
-    """Return parameters that only determine the orders of the sampled model."""
-    f = _filter(problem.poles - problem.integrates, _CUTOFFS[1])
-    return np.zeros(problem.noise_size), _with_root(problem, f), problem.delay or 0.0
-
-
-def _with_root(problem: ContinuousProblem, f: Array) -> Array:
-    return np.append(f, 0.0) if problem.integrates else f
+    yield f"sampled, {name}", problem.joined(theta[:k], f, 0.0)
 
 
 def _filter(n: int, cutoff: float) -> Array:
@@ -119,8 +111,7 @@ def _by_instruments(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
     output_error = replace(problem, sampled_problem=white)
 
     def cost(f: Array) -> float:
-        theta = output_error.joined(np.zeros(0), _with_root(problem, f), 0.0)
-        return output_error.cost(theta) if output_error.admits(theta) else np.inf
+        return output_error.cost(f) if output_error.admits(f) else np.inf
 
     slow = min(_SLOW_CUTOFF / problem.N, _CUTOFFS[0] / 2)
     cutoffs = (slow, np.sqrt(slow * _CUTOFFS[0]), *_CUTOFFS)
@@ -134,7 +125,7 @@ def _by_instruments(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
             best, least = f, now
     if not np.isfinite(least):
         best = _filter(n, _CUTOFFS[1])
-    yield "SRIV", problem.joined(np.zeros(problem.noise_size), _with_root(problem, best), 0.0)
+    yield "SRIV", problem.joined(np.zeros(problem.noise_size), best, 0.0)
 
 
 def _regressed(problem: ContinuousProblem, f: Array, *, instruments: bool) -> Array:
@@ -163,7 +154,7 @@ def _regressed(problem: ContinuousProblem, f: Array, *, instruments: bool) -> Ar
 def moved_modes(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
     """Yield theta with a real pole moved, or two poles replaced by a pair or two real poles."""
     noise, f, delay = problem.parts_of(theta)
-    s = roots(monic(f[:-1] if problem.integrates else f)).astype(np.complex128)
+    s = roots(monic(f)).astype(np.complex128)
     rates = np.geomspace(max(2.0 / problem.N, 1e-4), _FASTEST_MODE, _RATES)
     reals = [k for k in range(s.size) if s[k].imag == 0]
     pairs = [(k, m) for k in range(s.size) for m in range(s.size) if _paired(s, k, m)]
@@ -175,7 +166,8 @@ def moved_modes(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
         each += [(pair, [-a, -b]) for a, b in combinations(rates[::2], 2)]
     for removed, added in each:
         moved = np.real(np.poly(np.append(np.delete(s, removed), added)))[1:]
-        yield problem.joined(noise, _with_root(problem, moved), delay)
+        if problem.admits(theta := problem.joined(noise, moved, delay)):
+            yield theta
 
 
 def _paired(s: Array, k: int, m: int) -> bool:

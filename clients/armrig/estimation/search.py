@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from armrig.estimation.continuous_problem import ContinuousProblem
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import filtered_denominators, start_values
 from armrig.models.innovations import completed
@@ -25,6 +26,7 @@ from armrig.numerics.polynomial import Array, filtered, monic, reduced, roots
 Ends = list[tuple[str, Optimum]]
 """Name of each start value, and the minimum reached by the search from this start value."""
 End = TypeVar("End")
+Problem = PolynomialProblem | ContinuousProblem
 
 SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
@@ -112,10 +114,20 @@ def _largest_order(problem: PolynomialProblem) -> int:
 
 
 def _lowest_beside(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
-    """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower."""
+    starts = moved_modes(problem, best.theta, all_kinds=thorough)
+    return lowest_beside(problem, best, starts, _STAGES)
+
+
+def lowest_beside(
+    problem: Problem, best: Optimum, starts: Iterable[Array], stages: Iterable[tuple[int, int]]
+) -> Optimum:
+    """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
+
+    A stage has a number of steps, and the number of searches that continue after these steps.
+    """
     target = best.cost * (1 - _RETURN_TOLERANCE)
-    starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
-    for steps, kept in _STAGES:
+    starts = list(starts)
+    for steps, kept in stages:
         ends = [problem.minimise(start, most=steps, target=target) for start in starts]
         near = [end for end in ends if end.cost < target or end.iterations == steps]
         near.sort(key=lambda end: end.cost)
@@ -127,13 +139,17 @@ def _lowest_beside(problem: PolynomialProblem, best: Optimum, *, thorough: bool)
 
 
 def from_starts(problem: PolynomialProblem) -> Ends:
+    """Return the minimum reached from each start value of polynomials, best first."""
+    return from_each(problem, start_values(problem))
+
+
+def from_each(problem: Problem, starts: Iterable[tuple[str, Array]]) -> Ends:
     """Return the minimum reached from each start value, best first.
 
     The first search is from the start value of least cost.
     """
-    starts = sorted(start_values(problem), key=lambda start: problem.cost(start[1]))
     ends: Ends = []
-    for name, theta in starts:
+    for name, theta in sorted(starts, key=lambda start: problem.cost(start[1])):
         known = min((end.cost for _, end in ends), default=float("nan"))
         ends.append((name, problem.minimise(theta, known=known)))
     return sorted(ends, key=lambda end: end[1].cost)
@@ -206,7 +222,7 @@ def moved_modes(
     kinds = (other_pairs, _other_reals, other_real) if all_kinds else (other_pairs,)
     for k, letter in enumerate(problem.layout.letters):
         for kind in kinds if all_kinds or letter == "f" else ():
-            yield from _cheapest(problem, _with_mode(problem, theta, k, kind))
+            yield from cheapest(problem, _with_mode(problem, theta, k, kind))
     if all_kinds:
         yield from _moved_together(problem, theta)
         yield from _with_white_noise(problem, theta)
@@ -224,8 +240,8 @@ def _with_mode(
         yield start
 
 
-def _cheapest(
-    problem: PolynomialProblem, starts: Iterable[Array], most: int = _STARTS_PER_KIND
+def cheapest(
+    problem: Problem, starts: Iterable[Array], most: int = _STARTS_PER_KIND
 ) -> list[Array]:
     """Return the start values of least cost."""
     priced = sorted(((problem.cost(start), start) for start in starts), key=lambda of: of[0])
@@ -245,7 +261,7 @@ def _moved_together(problem: PolynomialProblem, theta: Array) -> Iterator[Array]
                 start[of_c] = np.real(np.poly(np.append(z, near)))[1:]
                 start[of_d] = np.real(np.poly(np.append(w, root)))[1:]
                 starts.append(start)
-        yield from _cheapest(problem, starts)
+        yield from cheapest(problem, starts)
 
 
 def _with_white_noise(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
@@ -286,7 +302,7 @@ def _through_a_higher_order(problem: PolynomialProblem, theta: Array) -> Iterato
         F = np.convolve(np.append(1.0, theta), [1.0, -root])
         found = larger.minimise(F[1:], most=_MAX_LARGER_STEPS).theta
         starts.extend(lower[1:] for lower in reduced(np.append(1.0, found)))
-    yield from _cheapest(problem, starts)
+    yield from cheapest(problem, starts)
 
 
 def other_pairs(z: Array) -> Iterator[Array]:
@@ -374,7 +390,7 @@ def _moved_most(problem: PolynomialProblem, theta: Array) -> list[Array]:
         for kind in (other_real, other_pairs)
         for start in _with_mode(problem, theta, k, kind)
     ]
-    return _cheapest(problem, starts, _MOVED_STARTS)
+    return cheapest(problem, starts, _MOVED_STARTS)
 
 
 def _iterated(

@@ -17,13 +17,19 @@ from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import Estimated, fit_of_one, nuisance, outputs_of
 from armrig.estimation.problem import PolynomialProblem, Solution
-from armrig.estimation.search import Ends, rounding_floor, same_minimum
+from armrig.estimation.search import (
+    Ends,
+    cheapest,
+    from_each,
+    lowest_beside,
+    rounding_floor,
+    same_minimum,
+)
 from armrig.models.fit import Fit
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import require_integers
-from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, monic, roots
 
 Delay = float | str | None  # seconds, or "estimate"
@@ -32,9 +38,8 @@ _LONGEST_SHARE = 0.25  # share of the record that an estimated delay may have
 _MAX_LONGEST = 400  # samples
 _LIMIT_SHARE = 0.9  # share of the largest rate above which a pole is at the limit
 _MAX_ROUNDS = 4
-_FIRST_STEPS = 10
-_MOVED_STARTS = 8
-_FINISHED = 2  # searches from moved modes that continue to the end
+_MOVED_STARTS = 8  # start values with a moved mode
+_STAGES = ((10, 2), (40, 1))  # (steps of each search, number of searches that continue)
 _NO_DELAY = 1e-3  # samples; a delay so near to a whole number of samples is that number
 _NO_DELAY_TEXT = (
     "the best delay is 0, the end of its range, so it is fixed at 0 and has no standard deviation; "
@@ -119,7 +124,8 @@ def tf(
     if (signals.nu, signals.ny) != (1, 1):
         raise InputError(
             f"a transfer function in s needs one input and one output, got {signals.nu} and "
-            f"{signals.ny}; choose them with signals.dataset(output, input)"
+            f"{signals.ny}; choose them with signals.dataset(output, input), or estimate a model "
+            "of all by armrig.oe and convert a channel, fit[output, input].to_continuous()"
         )
     data = signals.dataset()
     if constant_input(data) and (integrator or offset or not data.u.any()):
@@ -155,11 +161,11 @@ def tf(
             f"{text}: u determines only {solution.rank} of {zeros + 1} numerator coefficients; "
             "lower zeros or excite with a richer input"
         )
-    _require_slow_poles(problem, theta, data.Ts)
-    fit = _fit(data, problem, ends, solution)
+    notes = _fast_poles(problem, theta, data.Ts)
     if given is None and problem.delay is not None:
-        return replace(fit, findings=(*fit.findings, warning("no_delay", _NO_DELAY_TEXT)))
-    return fit
+        notes = (*notes, warning("no_delay", _NO_DELAY_TEXT))
+    fit = _fit(data, problem, ends, solution)
+    return replace(fit, findings=(*fit.findings, *notes))
 
 
 _PROCESS = re.compile(r"P(?P<poles>[0-3])(?P<marks>[DZIU]*)")
@@ -273,16 +279,14 @@ def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
     """
     starts = list(continuous_starts(problem))
     if problem.delay is None:
-        longest = max((float(theta[-1]) for _, theta in starts), default=0.0)
-        problem = problem.reaching(longest)
-    ends: Ends = []
-    for _, name, theta in _cheapest(problem, starts):
-        known = min((end.cost for _, end in ends), default=float("nan"))
-        ends.append((name, problem.minimise(theta, known=known)))
-    ends.sort(key=lambda end: end[1].cost)
+        problem = problem.reaching(max((float(theta[-1]) for _, theta in starts), default=0.0))
+        starts = _cheapest_of_each_delay(problem, starts)
+    ends = from_each(problem, starts)
     for _ in range(_MAX_ROUNDS if _doubtful(problem, ends) else 0):
-        lower = _lowest_beside(problem, ends[0][1])
-        if same_minimum(problem.sampled_problem, lower.cost, ends[0][1].cost):
+        best = ends[0][1]
+        moved = cheapest(problem, moved_modes(problem, best.theta), _MOVED_STARTS)
+        lower = lowest_beside(problem, best, moved, _STAGES)
+        if same_minimum(problem.sampled_problem, lower.cost, best.cost):
             break
         ends.insert(0, ("mode at another rate", lower))
     # A pole at the limit is a direct path, which the refusal names. A higher minimum comes first.
@@ -303,23 +307,8 @@ def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
 
 def _doubtful(problem: ContinuousProblem, ends: Ends) -> bool:
     """Return whether the searches ended in different minima, or with a pole at the limit."""
-    costs = [end.cost for _, end in ends]
-    agreed = same_minimum(problem.sampled_problem, min(costs), max(costs))
+    agreed = same_minimum(problem.sampled_problem, ends[0][1].cost, ends[-1][1].cost)
     return not agreed or _at_limit(problem, ends[0][1].theta)
-
-
-def _lowest_beside(problem: ContinuousProblem, best: Optimum) -> Optimum:
-    """Return the lowest minimum reached from a moved mode, or `best` if none is lower."""
-    priced = [
-        (problem.cost(theta), theta)
-        for theta in moved_modes(problem, best.theta)
-        if problem.admits(theta)
-    ]
-    priced.sort(key=lambda start: start[0])
-    ends = [problem.minimise(theta, most=_FIRST_STEPS) for _, theta in priced[:_MOVED_STARTS]]
-    ends.sort(key=lambda end: end.cost)
-    finished = [problem.minimise(end.theta, known=best.cost) for end in ends[:_FINISHED]]
-    return min([best, *finished], key=lambda end: end.cost)
 
 
 def _fastest(problem: ContinuousProblem, theta: Array) -> float:
@@ -331,39 +320,29 @@ def _at_limit(problem: ContinuousProblem, theta: Array) -> bool:
     return _fastest(problem, theta) > _LIMIT_SHARE * MAX_RATE
 
 
-def _cheapest(
+def _cheapest_of_each_delay(
     problem: ContinuousProblem, starts: list[tuple[str, Array]]
-) -> list[tuple[float, str, Array]]:
-    """Return the admissible start values with their costs; of each delay, that of least cost."""
-    priced = [(problem.cost(theta), name, theta) for name, theta in starts if problem.admits(theta)]
-    priced.sort(key=lambda start: start[0])
-    if problem.delay is not None:
-        return priced
-    kept: dict[float, tuple[float, str, Array]] = {}
-    for start in priced:
-        kept.setdefault(float(start[2][-1]), start)
+) -> list[tuple[str, Array]]:
+    """Return the start value of least cost of each delay."""
+    kept: dict[float, tuple[str, Array]] = {}
+    for start in sorted(starts, key=lambda start: problem.cost(start[1])):
+        kept.setdefault(float(start[1][-1]), start)
     return list(kept.values())
 
 
-def _require_slow_poles(problem: ContinuousProblem, theta: Array, Ts: float) -> None:
-    """Refuse poles that are so fast that the samples do not determine them."""
+def _fast_poles(problem: ContinuousProblem, theta: Array, Ts: float) -> tuple[Finding, ...]:
+    """Return a warning about poles that are too fast for Ts; refuse poles at the limit."""
+    fast, nyquist = _fastest(problem, theta) / Ts, np.pi / Ts
     if _at_limit(problem, theta):
-        fastest = _fastest(problem, theta)
         raise InputError(
-            f"the fastest pole, at {fastest / Ts:.3g} rad/s, is too fast for Ts {Ts:g} s (Nyquist "
-            f"frequency {np.pi / Ts:.3g} rad/s): sample faster or lower poles"
+            f"the fastest pole, at {fast:.3g} rad/s, is too fast for Ts {Ts:g} s (Nyquist "
+            f"frequency {nyquist:.3g} rad/s): sample faster or lower poles"
         )
-
-
-def _fast_poles(s: Array, Ts: float) -> tuple[Finding, ...]:
-    fast = float(np.max(np.abs(s), initial=0.0))
-    if fast * Ts <= np.pi:
-        return ()
     said = (
-        f"a pole at {fast:.3g} rad/s is above the Nyquist frequency, {np.pi / Ts:.3g} rad/s: the "
+        f"a pole at {fast:.3g} rad/s is above the Nyquist frequency, {nyquist:.3g} rad/s: the "
         "data hardly determine it; sample faster or lower poles"
     )
-    return (warning("fast_pole", said, "order", rate=fast),)
+    return (warning("fast_pole", said, "order", rate=fast),) if fast > nyquist else ()
 
 
 def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Solution) -> Fit:
@@ -387,15 +366,15 @@ def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Soluti
         score="exogenous" if point.problem.rows[0].white else "correlated",
         converged=ends[0][1].converged,
     )
-    fit = replace(fit, form=form, Ts=0.0)
-    return replace(fit, findings=(*fit.findings, *_fast_poles(fit.poles().values, data.Ts)))
+    return replace(fit, form=form, Ts=0.0)
 
 
 def _form(
     problem: ContinuousProblem, theta: Array, linear: Array, Ts: float
 ) -> tuple[TransferFunction, Array]:
     """Return the transfer function, and its derivatives by `linear` and theta in 1/sample."""
-    noise, f, delay = problem.parts_of(theta)
+    noise, own, delay = problem.parts_of(theta)
+    f = problem.with_root(own)
     n, m, k, nc = problem.poles, problem.zeros, problem.noise_size, problem.row.nc
     of_b, of_f = Ts ** (np.arange(m + 1.0) - n), Ts ** -np.arange(1.0, n + 1)
     form = TransferFunction(
@@ -409,7 +388,6 @@ def _form(
         Ts=Ts,
         hold=problem.hold,
     )
-    used = of_f[: n - problem.integrates]
-    J = np.diag(np.concatenate([of_b, np.ones(k), used, [Ts] * form.delay_estimated]))
+    J = np.diag(np.concatenate([of_b, np.ones(k), of_f[: own.size], [Ts] * form.delay_estimated]))
     J[: m + 1] = J[m::-1]  # the highest power comes first
     return form, np.insert(J, m + 1 + k + n - 1, 0.0, axis=0) if problem.integrates else J

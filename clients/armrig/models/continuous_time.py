@@ -139,24 +139,6 @@ def _transfer_function(fit: Fit) -> TransferFunction:
     return fit.form
 
 
-def continuous_response(fit: Fit, omega: Vector) -> tuple[Complex, Complex]:
-    """Return G(i omega) (n,), and the gradients of ln G (n, d)."""
-    form = _transfer_function(fit)
-    s = 1j * omega
-    b, F = form.B[0][0], form.F[0][0]
-    dlnG = np.zeros((s.size, form.theta.size), dtype=np.complex128)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        above, below = np.polyval(b, s), np.polyval(F, s)
-        dlnG[:, form.slice_of("b")] = s[:, None] ** np.arange(b.size - 1.0, -1, -1) / above[:, None]
-        dlnG[:, form.slice_of("f")] = (
-            -(s[:, None] ** np.arange(F.size - 2.0, -1, -1)) / below[:, None]
-        )
-        dlnG[:, form.slice_of("delay")] = -s[:, None]
-        if form.integrators[0]:
-            dlnG[:, form.slice_of("f").stop - 1] = 0.0
-        return above / below * np.exp(-s * form.delay), dlnG
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quantity:
     """One physical number of a model."""

@@ -11,13 +11,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.columns import index_of
-from armrig.models.continuous_time import (
-    Quantities,
-    continuous,
-    continuous_response,
-    discrete,
-    quantities,
-)
+from armrig.models.continuous_time import Quantities, continuous, discrete, quantities
 from armrig.models.estimate import Estimate
 from armrig.models.polynomials import Polynomials
 from armrig.models.responses import (
@@ -256,9 +250,7 @@ class Fit(Estimate):
                 G[:, i, j] = own.G
                 magnitude[:, i, j], phase[:, i, j] = own.std_magnitude, own.std_phase
             return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
-        G, dlnG = (
-            continuous_response(self, omega_) if self.Ts == 0 else ratio(self, omega_, "b", "af")
-        )
+        G, dlnG = ratio(self, omega_, "b", "af")
         with np.errstate(invalid="ignore"):
             relative, phase = (
                 standard_deviations(d, self.trusted_covariance) for d in (dlnG.real, dlnG.imag)

@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.state_space import Complex, Matrix, Vector
+from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.polynomial import (
     by_denominator,
     by_numerator,
@@ -163,8 +164,11 @@ def frequencies(model: Fit, omega: ArrayLike) -> Vector:
 
 
 def ratio(model: Fit, omega: Vector, above: str, below: str) -> tuple[Complex, Complex]:
-    """Return a ratio R of polynomials at omega (n,), and the gradients of ln R (n, d)."""
-    x = np.exp(-1j * omega * model.Ts)
+    """Return a ratio R of polynomials at omega (n,), and the gradients of ln R (n, d).
+
+    The response of a model in continuous time contains its delay.
+    """
+    x = np.asarray(np.exp(-1j * omega * model.Ts) if model.Ts else 1j * omega)
     product = {1: np.ones_like(x), -1: np.ones_like(x)}
     dlnR = np.zeros((x.size, model.theta.size), dtype=np.complex128)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -173,13 +177,18 @@ def ratio(model: Fit, omega: Vector, above: str, below: str) -> tuple[Complex, C
             product[sign] *= value
             dlnR[:, model.slice_of(letter)] = sign * _slope(model, letter, x) / value[:, None]
         # Divide only once, at the end: the ratio of two infinite complex numbers is NaN.
-        R = product[1] / product[-1]
+        R: Complex = product[1] / product[-1]
+        if isinstance(model.form, TransferFunction):
+            R *= np.exp(-x * model.form.delay)
+            dlnR[:, model.slice_of("delay")] = -x[:, None]
     return R, dlnR
 
 
 def _evaluated(model: Fit, letter: str, x: Complex) -> Complex:
-    """Return a polynomial at x = q^-1, (n,)."""
+    """Return a polynomial at x = q^-1, or at x = s in continuous time, (n,)."""
     p = model.polynomial(letter)
+    if model.Ts == 0:
+        return np.asarray(np.polyval(p, x))
     if letter == model.integrating:  # exact at omega = 0, unlike a sum of coefficients
         return np.asarray((1 - x) * evaluate(without_integrator(p), x))
     return np.asarray(evaluate(p, x))
@@ -188,7 +197,8 @@ def _evaluated(model: Fit, letter: str, x: Complex) -> Complex:
 def _slope(model: Fit, letter: str, x: Complex) -> Complex:
     """Return the derivatives of a polynomial at x with respect to its parameters, (n, k)."""
     part = model.slice_of(letter)
-    lags = (model.nk if letter == "b" else 1) + np.arange(part.stop - part.start)
+    n = part.stop - part.start
+    lags = (model.nk if letter == "b" else 1) + np.arange(n) if model.Ts else np.arange(n)[::-1]
     return np.asarray(x[:, None] ** lags)
 
 
