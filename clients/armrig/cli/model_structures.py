@@ -116,8 +116,8 @@ def searched_for(given: Given, ny: int = 1, nu: int = 1) -> dict[str, Any]:
         _check_taken(structure, asked)
         if OFFERED[structure].continuous:
             raise typer.BadParameter(
-                f"--structure {structure}: --search tries models in discrete time; leave out "
-                "--search, or convert its model with fit.to_continuous()"
+                f"--structure {structure}: --search tries models in discrete time, and process "
+                "models that they suggest; leave out --structure or --search"
             )
         asked["families"] = (structure,)
     if (ny, nu) != (1, 1):

@@ -38,6 +38,7 @@ _MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is deci
 _SEARCHABLE = [name for name, row in OFFERED.items() if not row.continuous]
 _ORDERS = range(1, 9)  # default orders
 _ALWAYS_TRIED = 5  # highest default order that does not depend on the models of lower order
+_MAX_PROCESSES = 3  # process models that the other models suggest, with 1 to 3 time constants
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
 _CIRCLE_TOLERANCE = 1e-6
@@ -74,6 +75,10 @@ def search(
     e²_best is at most the standard error of this mean. Successive errors of a simulation are
     correlated, so the standard error is the largest of those from 30, 15 and 7 batch means.
 
+    The poles and the delay of the choice suggest process models with fewer parameters, such as
+    "P2D", which are then candidates, too. In closed loop they are not tried, since feedback biases
+    them.
+
     Of the candidates that are as good as the best, those remain that also predict one
     step ahead as well as the best of them. A simulation does not distinguish drift from wrong
     dynamics. The remaining candidate with the fewest parameters is chosen.
@@ -98,10 +103,10 @@ def search(
         elsewhere. If no cut leaves two parts in which u moves, the models are ranked by Akaike's
         FPE on the data that estimated them.
     families : sequence of str, optional
-        Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
-        default contains only structures whose noise model prevents a bias by feedback. For several
-        signals "ss", "n4sid" and "oe", or only "oe" with an integrator, because a state-space model
-        has no fixed pole.
+        Names of structures in discrete time, such as "oe"; by default all but "ararx", "ss" and
+        "pem", and the process models that they suggest. In closed loop the default contains only
+        structures whose noise model prevents a bias by feedback. For several signals "ss", "n4sid"
+        and "oe", or only "oe" with an integrator, because a state-space model has no fixed pole.
     orders : iterable of int, optional
         Numbers of poles to try, >= 1, including the pole of an integrator, which does not count for
         several signals. The default is 1 to 5, and 6 to 8 as long as the choice is a model of the
@@ -176,16 +181,18 @@ def search(
     runner = map if executor is None else executor.map
     tell = progress or (lambda done, total, name: None)
     scored: list[Scored] = []
-    done, total = 0, len(plan.candidates)
     stage = partial(_stage, highest=_ALWAYS_TRIED if rising else max(orders))
-    for _, members in groupby(sorted(plan.candidates, key=stage), stage):
-        group = [*members]
-        needed = _needed(group, scored, judged)
+    groups = [[*of] for _, of in groupby(sorted(plan.candidates, key=stage), stage)]
+    if plan.suggests:
+        groups.append([])  # process models, which the other models suggest
+    done, total = 0, len(plan.candidates) + plan.suggests * _MAX_PROCESSES
+    for group in groups:
+        needed = _needed(group, scored, judged) if group else _processes(scored, judged)
         coming = iter(runner(score, needed))
         for k, candidate in enumerate(needed, start=done):
             tell(k, total, candidate.name)
             scored.append(next(coming))
-        done += len(group)
+        done += len(group) or _MAX_PROCESSES
     tell(total, total, "")
     ranked, rms, excess, excess_std = _ranked(scored, judged)
     chosen = _chosen(ranked, excess, excess_std, judged)
@@ -219,6 +226,8 @@ class _Plan:
     horizon: int | None
     doubts: tuple[Finding, ...]
     notes: tuple[str, ...]
+    suggests: bool = False
+    """True if the best models may suggest process models."""
 
 
 def _planned(
@@ -233,6 +242,7 @@ def _planned(
 ) -> _Plan:
     """Test the data, and return the candidates."""
     notes: list[str] = []
+    suggests = False
     if isinstance(data, Dataset):
         if isinstance(integrator, Sequence):
             names = [integrator] if isinstance(integrator, str) else integrator
@@ -241,7 +251,7 @@ def _planned(
         fixed: bool | tuple[str, ...] = known.integration.integrates
         likely = _likely_delays(known)
         if families is None:
-            open_loop = not known.closed
+            suggests = open_loop = not known.closed
             rows = [(name, row) for name, row in OFFERED.items() if row.searched]
             families = [name for name, row in rows if open_loop or row.closed_loop]
         offered = several_of("families", families, _SEARCHABLE)
@@ -283,7 +293,13 @@ def _planned(
         for n in orders
         for named in _orders(family, n)
     ]
-    return _Plan(candidates=candidates, horizon=horizon, doubts=tuple(against), notes=tuple(notes))
+    return _Plan(
+        candidates=candidates,
+        horizon=horizon,
+        doubts=tuple(against),
+        notes=tuple(notes),
+        suggests=suggests,
+    )
 
 
 def _with_integrators(plan: _Plan) -> _Plan:
@@ -347,6 +363,33 @@ def _needed(
     if worse.any() and (excess > _MIN_EXCESS_SIGMAS * excess_std)[worse].all():
         return [c for c in candidates if c.integrator == best or not c.named_by_pole]
     return candidates
+
+
+def _processes(scored: list[Scored], judged: Dataset | Signals) -> list[Candidate]:
+    """Return the process models that the slow poles and the delay of the choice so far suggest.
+
+    A process model with fewer poles has a dead time, which fast poles of the choice may imitate.
+    """
+    if all(s.reason for s in scored):
+        return []
+    ranked, _, excess, excess_std = _ranked(scored, judged)
+    chosen = ranked[_chosen(ranked, excess, excess_std, judged)]
+    candidate, z = chosen.candidate, chosen.model.poles().values
+    if candidate.integrator:
+        z = np.delete(z, np.argmin(np.abs(z - 1)))
+    z = z[(z.real > 0) | (z.imag != 0)]  # another pole has no logarithm
+    z = z[np.argsort(np.abs(np.log(z.astype(np.complex128))))]  # slowest first
+    found = []
+    for n in range(1, min(z.size, _MAX_PROCESSES) + 1):
+        delayed = candidate.nk > 1 or n < candidate.order - bool(candidate.integrator)
+        pairs, split = divmod(np.count_nonzero(z[:n].imag), 2)
+        if split or 1 + n + delayed >= chosen.parameters:
+            continue
+        letters = {"D": delayed, "I": candidate.integrator, "U": pairs}
+        form = f"P{n}{''.join(letter for letter, has in letters.items() if has)}"
+        offset = candidate.offset and not candidate.integrator
+        found.append(Candidate(family="process", orders=(), form=form, offset=offset))
+    return found
 
 
 def _chosen(
@@ -428,7 +471,7 @@ def _fault(fit: Fit, error: Vector, data: Dataset | Signals) -> str:
 def _largest_unstable(fit: Fit) -> float:
     """Return the largest |z| of the poles outside the unit circle, or 0."""
     if (fit.ny, fit.nu) == (1, 1):
-        return largest_unstable(fit)
+        return largest_unstable(fit if fit.Ts else fit.to_discrete())
     largest = float(np.max(np.abs(np.linalg.eigvals(fit.form.realised().A)), initial=0.0))
     return largest if largest > 1 + _CIRCLE_TOLERANCE else 0.0
 

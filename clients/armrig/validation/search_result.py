@@ -40,6 +40,8 @@ class Candidate:
     """True if the input's offset is estimated with the model."""
     simulates: bool = False
     """True if the estimator is called with the option `focus="simulation"`."""
+    form: str = ""
+    """Form of a process model, such as "P1D"."""
     named_by_pole: bool = False
     """True if `name` states a pole at 1, because the search tries the structure with and without
     it."""
@@ -47,18 +49,23 @@ class Candidate:
     @property
     def name(self) -> str:
         """Structure and orders as text, in the same form as in comparisons of models."""
+        row = STRUCTURES[self.family]
+        if self.form:
+            return f"{row.title}({self.form})"
         pole = ", pole at 1" * (self.named_by_pole and bool(self.integrator))
-        return STRUCTURES[self.family].short(dict(self.orders)) + pole
+        return row.short(dict(self.orders)) + pole
 
     @property
     def order(self) -> int:
         """Number of poles of B/F or B/A."""
+        if self.form:
+            return int(self.form[1]) + ("I" in self.form)
         return dict(self.orders)[STRUCTURES[self.family].poles]
 
     @property
     def nk(self) -> int:
-        """Number of samples before u affects y."""
-        return dict(self.orders)["nk"]
+        """Number of samples before u affects y, without the delay of a process model."""
+        return dict(self.orders).get("nk", 1)
 
     def request_for(self, data: Dataset | Signals) -> Request:
         """Return the request that estimates the model from the data.
@@ -69,11 +76,13 @@ class Candidate:
         row, columns = STRUCTURES[self.family], data.signals()
         one = (columns.ny, columns.nu) == (1, 1)
         orders = dict(self.orders)
-        nk, counted = orders.pop("nk"), isinstance(self.integrator, tuple) and bool(self.integrator)
+        nk = orders.pop("nk", 1)
+        counted = isinstance(self.integrator, tuple) and bool(self.integrator)
         return Request(
             structure=self.family,
             nk=nk,
             orders={name: n + counted for name, n in orders.items()},
+            form=self.form or None,
             integrator=self.integrator,
             offset=self.offset,
             stable="stable" in row.takes,

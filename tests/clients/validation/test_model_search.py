@@ -22,6 +22,7 @@ from armrig.validation.model_search import _ranked, search
 from armrig.validation.search_result import Candidate, Scored, SearchResult
 from armrig_core.errors import InputError
 
+from tests.clients.estimation.test_transfer_functions import data as delayed
 from tests.clients.validation.plants import (
     SAMPLES,
     of_second_order,
@@ -296,6 +297,16 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     again = armrig.oe(data, **dict(found.chosen.candidate.orders))
     assert [s.name for s in found.fit.starts] == [s.name for s in again.starts]
     assert "the part of the data that did not estimate them" in found.table()
+
+
+def test_poles_and_delay_suggest_a_process() -> None:
+    """A plant of first order with dead time has three parameters, not those of a sampled model."""
+    data = delayed(delay=1.23, B=(2.0,), F=(1, 0.8))
+    found = search(data, orders=(1, 2))
+
+    assert found.chosen.candidate.name == found.fit.label == "PROCESS(P1D)"
+    assert found.chosen.parameters == 3
+    np.testing.assert_array_equal(found.fit.theta, armrig.process(data, "P1D").theta)
 
 
 def test_a_level_of_only_the_validation_data_is_estimated() -> None:
