@@ -124,8 +124,8 @@ def tf(
     if (signals.nu, signals.ny) != (1, 1):
         raise InputError(
             f"a transfer function in s needs one input and one output, got {signals.nu} and "
-            f"{signals.ny}; choose them with signals.dataset(output, input), or estimate a model "
-            "of all by armrig.oe and convert a channel, fit[output, input].to_continuous()"
+            f"{signals.ny}: choose them with signals.dataset(output, input). Or estimate all by "
+            "armrig.oe, and convert each channel: fit[output, input].to_continuous()"
         )
     data = signals.dataset()
     if constant_input(data) and (integrator or offset or not data.u.any()):
