@@ -115,6 +115,16 @@ def test_a_report_of_another_rig_has_no_physical_model(rc: list[Path]) -> None:
     assert not [word for word in ARM_WORDS if word in said]
 
 
+def test_a_report_with_given_orders_fixes_no_integrator_of_a_rig_that_settles(
+    rc: list[Path],
+) -> None:
+    from armrig.report.study import Orders, study
+
+    done = study([armrig.load(path) for path in rc], orders=Orders(na=2, nb=2, nf=2))
+
+    assert not any(one.model.integrator for one in done.estimated)
+
+
 def test_the_page_shows_only_rigs_with_outputs_of_the_arm() -> None:
     status = replace(FakeDaemon("there").status(), description=shipped("rc").text.decode())
     feed, rig = Feed(), SimpleNamespace(status=lambda: status, arrivals=lambda _: nullcontext(list))

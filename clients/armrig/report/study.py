@@ -245,8 +245,10 @@ def study(
         [one.dataset(name) for name in one.outputs] if isinstance(one, Signals) else [one]
         for one in (estimation, validation)
     ]
-    chosen = orders or Orders()
-    orders = chosen if of_arm or chosen != Orders() else _recommended(each[0])
+    orders = orders or Orders()
+    if not of_arm:  # the arm integrates; the data show whether another rig does
+        found = _recommended(each[0])
+        orders = found if orders == Orders() else replace(orders, integrator=found.integrator)
     for one in each[0]:
         _require_sensible(one, orders.of(one.output))
     whole, tests = _fits(estimation, orders, of_arm=of_arm), dict[str, ResidualTest]()
