@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import product
 from math import log
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -21,12 +21,9 @@ from armrig.numerics.polynomial import Array, continued, filtered
 from armrig.numerics.quantities import p_relation, percent, three_digits
 from armrig.numerics.regressors import LongArx, long_arx
 from armrig.numerics.whiteness import effects_p_value
+from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
 from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, open_loop, require_level
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Kind = Literal["", "dead zone", "saturation", "gain by level", "friction"]
 
@@ -133,12 +130,7 @@ class Linearity:
         null = f"Hypothesis: effects that are not linear in {self.input} do not explain the errors"
         return f"{self!r}\n{null} of a long linear model. Level: {100 * self.level:g} %."
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the gain by level: see `armrig.plots.plot_linearity`."""
-        from armrig.plots.layout import figure_of
-        from armrig.validation.figures import plot_linearity
-
-        return figure_of(plot_linearity(self, ax=ax))
+    plot = drawn_by("plot_linearity", "the gain by level")
 
     def __repr__(self) -> str:
         """Return the answer in a line, and the remarks."""
