@@ -332,7 +332,6 @@ _CHASSIS = (
     "handout 3.5 and 3.6 need a complete recording of the chassis alone: remove the arm, write "
     "chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), and end `armrig lab`"
 )
-_LINEARITY = "linear p level kind numbers remedy remarks"
 _TESTS = {"open loop": "3.7", "delay": "3.8", "linearity": ""}
 """Tests of `armrig check`, with their assignments in the handout."""
 
@@ -417,7 +416,6 @@ def linearity(
     found = by_channel(partial(armrig.linearity, level=level), data)
     require_result(found.values())
     nonlinear = {name: one for name, one in found.items() if not getattr(one, "linear", True)}
-    names = "linear p level kind numbers rails gain_of levels gains remedy remarks"
 
     def say_test() -> None:
         for channel, one in found.items():
@@ -425,7 +423,7 @@ def linearity(
             say_answer(one.explain() if out.verbose and not isinstance(one, str) else str(one))
 
     out.show(
-        facts=lambda: facts_by_channel(data, found, lambda one: _linearity_facts(one, names)),
+        facts=lambda: facts_by_channel(data, found, _linearity_facts),
         say=say_test,
         figures=lambda: figures_by_channel(nonlinear, lambda one: {"linearity": one.plot}),
         say_next=lambda: say_next("check other", file=typed(file), given=signals.options()),
@@ -435,7 +433,7 @@ def linearity(
 def _test_facts(found: _Tests) -> dict[str, Any]:
     loop, late, straight = found
     facts = {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
-    return facts | {"linearity": _linearity_facts(straight, _LINEARITY)}
+    return facts | {"linearity": _linearity_facts(straight)}
 
 
 def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
@@ -452,10 +450,10 @@ def _delay_facts(late: Delay | str) -> dict[str, Any]:
     return fields_of(late, "nk delay") | {"told": late.told} | fields_of(late, of)
 
 
-def _linearity_facts(found: Linearity | str, names: str) -> dict[str, Any]:
-    return (
-        {"linear": None, "remarks": [found]} if isinstance(found, str) else fields_of(found, names)
-    )
+def _linearity_facts(found: Linearity | str) -> dict[str, Any]:
+    if isinstance(found, str):
+        return {"linear": None, "remarks": [found]}
+    return fields_of(found, "linear p level kind numbers rails gain_of levels gains remedy remarks")
 
 
 def report(
