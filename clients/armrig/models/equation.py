@@ -119,10 +119,7 @@ def time_axis(model: Fit) -> str:
 def equations(model: Fit, *, with_std: bool = False) -> list[str]:
     """Return lines with the equation and the polynomials."""
     notation = _PLAIN if with_std else _PLAIN._replace(term="{value}{power}")
-    lines = [f"  {form(model)}"]
-    lines += [
-        f"  {x}({_variable(model, x)}) = {_polynomial(model, x, notation)}" for x in letters(model)
-    ]
+    lines = [f"  {form(model)}", *(f"  {x}" for x in _definitions(model, notation, "="))]
     if model.Ts == 0:
         if model.integrator:
             lines.append("  F has the factor s by construction")
@@ -191,22 +188,13 @@ def latex(fit: Fit) -> str:
     for ratio in ("B(q)/F(q)", "B(s)/F(s)", "C(q)/D(q)"):
         equation = equation.replace(ratio, rf"\frac{{{ratio[:4]}}}{{{ratio[5:]}}}")
     equation = equation.replace(") y(t)", r")\,y(t)").replace(" u(t", r"\,u(t")
-    rows = [equation.replace(" = ", " &= ")]
-    rows += [
-        rf"{letter}({_variable(fit, letter)}) &= {_polynomial(fit, letter, _LATEX)}"
-        for letter in letters(fit)
-    ]
-    body = " \\\\\n".join(rows)
+    body = " \\\\\n".join([equation.replace(" = ", " &= "), *_definitions(fit, _LATEX)])
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
 
 def typst(fit: Fit) -> str:
     """Return the equation as a block of Typst mathematics, with the content of `latex`."""
-    rows = [typst_form(fit).replace(" = ", " &= ")]
-    rows += [
-        f"{letter}({_variable(fit, letter)}) &= {_polynomial(fit, letter, _TYPST)}"
-        for letter in letters(fit)
-    ]
+    rows = [typst_form(fit).replace(" = ", " &= "), *_definitions(fit, _TYPST)]
     return "$ " + " \\\n  ".join(rows) + " $"
 
 
@@ -245,6 +233,12 @@ _TYPST = _Notation(
     "{mantissa} dot 10^({exponent})",
     " thin ",
 )
+
+
+def _definitions(fit: Fit, notation: _Notation, equals: str = "&=") -> Iterator[str]:
+    """Yield the definition of each polynomial."""
+    for x in letters(fit):
+        yield f"{x}({_variable(fit, x)}) {equals} {_polynomial(fit, x, notation)}"
 
 
 def _polynomial(fit: Fit, letter: str, notation: _Notation) -> str:

@@ -56,6 +56,17 @@ def _of_quality(of: Callable[[OutputQuality], T], doc: str) -> T:
     return cast("T", property(lambda self: of(self._quality), doc=doc))
 
 
+def _of_only(name: str, doc: str) -> str:
+    """Return a property of the only output or input, from the field of all of them."""
+    return cast("str", property(lambda self: getattr(self, name)[self._only], doc=doc))
+
+
+def _criterion(of: Callable[[float, int, int], Any], doc: str) -> float:
+    """Return a property that compares models by loss, number of parameters and residuals."""
+    value = property(lambda self: float(of(self.loss, self.parameters, self.N)), doc=doc)
+    return cast("float", value)
+
+
 # Not slotted: an assignment to a property of a frozen class with slots raises a TypeError.
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate:
@@ -322,20 +333,9 @@ class Estimate:
         """Number of free parameters: d, or d - 1 if a root is 1 by construction."""
         return int(self.theta.size) - int(self.integrator)
 
-    @property
-    def output(self) -> str:
-        """Name of the only output."""
-        return self.outputs[self._only]
-
-    @property
-    def unit(self) -> str:
-        """Unit of the only output."""
-        return self.units[self._only]
-
-    @property
-    def input_unit(self) -> str:
-        """Unit of the only input."""
-        return self.input_units[self._only]
+    output = _of_only("outputs", "Name of the only output.")
+    unit = _of_only("units", "Unit of the only output.")
+    input_unit = _of_only("input_units", "Unit of the only input.")
 
     @property
     def noise_variance(self) -> float:
@@ -369,17 +369,8 @@ class Estimate:
         """Index 0 of the only channel; a model of several channels raises an error."""
         return len(self._polynomials.A) - 1
 
-    @property
-    def fpe(self) -> float:
-        """Akaike's final prediction error, loss (1 + d/N) / (1 - d/N)."""
-        return float(criteria.fpe(self.loss, self.parameters, self.N))
-
-    @property
-    def aic(self) -> float:
-        """Akaike's criterion, -2 log likelihood + 2 d, for Gaussian e."""
-        return float(criteria.aic(self.loss, self.parameters, self.N))
-
-    @property
-    def mdl(self) -> float:
-        """Rissanen's criterion (BIC), -2 log likelihood + d log N, for Gaussian e."""
-        return float(criteria.mdl(self.loss, self.parameters, self.N))
+    fpe = _criterion(criteria.fpe, "Akaike's final prediction error, loss (1 + d/N) / (1 - d/N).")
+    aic = _criterion(criteria.aic, "Akaike's criterion, -2 log likelihood + 2 d, for Gaussian e.")
+    mdl = _criterion(
+        criteria.mdl, "Rissanen's criterion (BIC), -2 log likelihood + d log N, for Gaussian e."
+    )
