@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, count
-from math import isfinite
 from operator import attrgetter
 from pathlib import Path
 from shlex import quote
@@ -201,12 +200,11 @@ def step_again(recording: Recording) -> str:
     from armrig.recordings.findings import hidden_step
 
     manifest, hidden = recording.manifest, hidden_step(recording)
-    if hidden is None or not isfinite(hidden.at_s):
+    if hidden is None or not hidden.options:
         return ""
     name = manifest.experiment.partition("-")[2]
     named = f" --name {quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
-    when = f" --at {hidden.at_s:g} --seconds {hidden.seconds:g}"
-    return f" --Ts {manifest.Ts:g}{when}{named}"
+    return f" --Ts {manifest.Ts:g} {hidden.options}{named}"
 
 
 def opener() -> str:

@@ -26,7 +26,7 @@ from armrig.estimation.polynomial_structures import oe
 from armrig.excitation.input_description import excitation_order
 from armrig.models.fit import Fit
 from armrig.models.transfer_function import TransferFunction
-from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
+from armrig.numerics.quantities import p_relation, percent, plural
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, OpenLoop, open_loop
@@ -136,7 +136,7 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
         text = "a line was removed from an output that integrates: it was the response to the mean "
         yield warning("trend", text + "of u, not a drift; begin again from the recording")
     yield from _about_feedback(known)
-    yield from _about_delay(known)
+    yield _about_delay(known)
 
 
 def examine_fit_of(
@@ -171,7 +171,7 @@ def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
         yield from _about_feedback(known)
     late = known.late
     if isinstance(late, str):
-        yield from _about_delay(known)
+        yield _about_delay(known)
     elif not (free or late.interval[0] <= fit.nk <= late.interval[1]):
         way_out = 'estimate the delay (delay "estimate")' if in_s else f"use nk={late.nk}"
         text = f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: {way_out}"
@@ -254,31 +254,20 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
     if not loop.feedback:
         yield good("feedback", f"none is found ({p})")
         return
-    text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use "
     able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
-    text += f"{able} with nk >= 1, or record in open loop"
-    if loop.may_be_direct_term:
-        text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
-        text += "take nk=1"
-    else:
-        text += ". An input that is not held between samples, or that is recorded later than "
-        text += f"{loop.output}, looks the same"
+    text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use {able} "
+    text = "; ".join([f"{text}with nk >= 1, or record in open loop", *loop.remarks])
     if loop.p_value >= CHANCE_LEVEL:
         chance = f"one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
         text += f". By chance {chance}"
     yield warning("feedback", text, "check")
 
 
-def _about_delay(known: Tested) -> Iterator[Finding]:
+def _about_delay(known: Tested) -> Finding:
     late = known.late
     if isinstance(late, str):
-        yield warning("delay", f"not found: {late}", "check")
-    elif late.delay > 0:
-        by = f"{plural(late.delay, 'sample')} ({times(late.delay * late.Ts).replace(' ', NBSP)})"
-        text = f"u acts first at lag {late.nk}, {by} later than without a delay: estimate with "
-        yield good("delay", f"{text}nk={late.nk}")
-    else:
-        yield good("delay", f"none is seen: estimate with nk={late.nk}")
+        return warning("delay", f"not found: {late}", "check")
+    return good("delay", late.answer if late.told else f"{late.answer}; take nk = {late.nk}")
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:

@@ -31,7 +31,7 @@ from armrig.plots.layout import drawn_by
 from armrig.validation.data_advice import poor_input
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
-from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
 from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
@@ -437,7 +437,8 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
         text = "in addition to the lag of the roll-off, the phase lags like a delay of "
         text += f"{times(h.phase_delay)}; the hold causes {times(h.spectrum.Ts / 2)} of this delay"
         yield good("phase", text)
-    yield _about_delay(h)
+    why_not = "not shown (armrig.delay, `armrig check` say why)"
+    yield good("delay", first_lag(h.nk_interval, h.spectrum.Ts) if h.nk_interval else why_not)
 
 
 def _about_integrator(h: StructureHints) -> Finding:
@@ -450,17 +451,3 @@ def _about_integrator(h: StructureHints) -> Finding:
         verdict = f"a slow pole, and {verdict}, since a pole at 1 fits worse"
     text = f"|G| has a slope of {minus(f'{h.low_slope:.3g}')} dB a decade at low frequency "
     return good("integrator", f"{text}(0 without one, −20 with one): {verdict}")
-
-
-def _about_delay(h: StructureHints) -> Finding:
-    low, high = h.nk_interval or (0, 0)
-    if h.nk_interval is None:
-        text = "not shown (armrig.delay, `armrig check` say why)"
-    elif low < high:
-        text = f"nk between {low} and {high} (armrig.delay, `armrig check` test it)"
-    elif h.nk == 0:
-        text = "u acts at lag 0: a direct term, or feedback, which looks the same (nk = 0)"
-    else:
-        shown = f"an input delay of {plural(h.nk - 1, 'sample')}" if h.nk > 1 else "no input delay"
-        text = f"u acts at lag {h.nk}: {shown} (nk = {h.nk})"
-    return good("delay", text)

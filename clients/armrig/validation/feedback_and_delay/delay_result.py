@@ -84,7 +84,7 @@ class Delay(Quantisation):
         """Return a text: results of the tests, other evidence, and effect of quantisation."""
         g, std = self.response.decaying
         lines = [
-            f"{self._answer()}.",
+            f"{self.answer}.",
             "Question: at which lag does u act first? Without a delay this is lag 1: under a "
             "zero-order hold, a change of the input is visible at the next sample. Each test has a "
             f"level of {100 * self.level:g} %.",
@@ -146,20 +146,15 @@ class Delay(Quantisation):
         low, high = self.interval
         return f"nk = {low}" if self.told else f"nk between {low} and {high}"
 
-    def _answer(self) -> str:
-        if not self.told:
-            return f"{self.nk_range}: not determined at this Ts and noise"
-        if self.may_be_feedback:
+    @property
+    def answer(self) -> str:
+        """Answer in a few words, such as: nk = 1: no input delay."""
+        if self.told and self.may_be_feedback:
             return f"{self.nk_range}: a direct term, or feedback, which looks the same"
-        if self.delay < 0:
-            early = "a direct term (u acts within its own sample), a Ts longer than the response"
-            return f"{self.nk_range}: {early}, or u recorded later than y"
-        late = f"{plural(self.delay, 'sample')} ({times(self.delay * self.Ts)})"
-        late = f"{late} in addition to the hold" if self.delay else "no input delay"
-        return f"{self.nk_range}: {late}"
+        return first_lag(self.interval, self.Ts)
 
     def _with_level(self) -> str:
-        return f"{self._answer()} (level {100 * self.level:g} %)"
+        return f"{self.answer} (level {100 * self.level:g} %)"
 
     def _notes(self) -> list[str]:
         return [f"  note: {r}" for r in self.remarks]
@@ -195,6 +190,20 @@ _ASSUMED = (
     "If the response begins more slowly, the bound is computed from an onset (t/Ts)^d, with d from "
     "the first significant lags. An even slower onset looks like a delay."
 )
+
+
+def first_lag(interval: tuple[int, int], Ts: float) -> str:
+    """Return the lags at which u may act first, and the delay that they mean, as text."""
+    low, high = interval
+    if low < high:
+        return f"nk between {low} and {high}: not determined at this Ts and noise"
+    late = "no input delay"
+    if low == 0:
+        late = "a direct term (u acts within its own sample), a Ts longer than the response, or u "
+        late += "recorded later than y"
+    elif low > 1:
+        late = f"{plural(low - 1, 'sample')} ({times((low - 1) * Ts)}) in addition to the hold"
+    return f"nk = {low}: {late}"
 
 
 def _quantity(x: float, unit: str) -> str:

@@ -207,7 +207,7 @@ def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
         )
     if found.p_value < level <= found.p_later:
         return (
-            "u(t) depends on y(t), but later u do not: a rig that responds within the sample (nk = "
-            "0, y read after u is applied) looks the same",
+            "u(t) depends on y(t), but later u do not: a rig whose y is read after u is applied "
+            "(nk = 0) looks the same; otherwise take nk = 1",
         )
     return ("an input that is not held between samples, or recorded later than y, looks the same",)
