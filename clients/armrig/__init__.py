@@ -29,6 +29,8 @@ _NAME_OF_MATLAB = {
     "ssest": "n4sid",
     "tfest": "tf",
     "procest": "process",
+    "c2d": "Fit.to_discrete",
+    "d2c": "Fit.to_continuous",
     "greyest": "greybox",
     "idinput": "telegraph",
     "checkFeedback": "open_loop",

@@ -41,6 +41,7 @@ from armrig.estimation.recursive import rarx_step as rarx_step
 from armrig.estimation.ss import ss as ss
 from armrig.estimation.transfer_functions import process as process
 from armrig.estimation.transfer_functions import tf as tf
+from armrig.estimation.two_stage import two_stage as two_stage
 from armrig.excitation import chirp as chirp
 from armrig.excitation import from_csv as from_csv
 from armrig.excitation import multisine as multisine

@@ -178,11 +178,8 @@ def prediction_errors(model: Fit, part: Dataset) -> Residuals:
         if model.integrator:  # f̃_k = f_1 + … + f_k
             of_f = sampled.slice_of("f", 0, 0)
             J[of_f] = np.cumsum(J[of_f], axis=0)
-            J = np.delete(J, of_f.stop - 1, axis=0)
-        free = np.ones(model.theta.size, dtype=np.bool_)
-        if model.integrator:
-            free[model.slice_of("f").stop - 1] = False
-        return replace(found, Psi=found.Psi @ J[:, free])
+            J = np.delete(np.delete(J, of_f.stop - 1, axis=0), model.slice_of("f").stop - 1, axis=1)
+        return replace(found, Psi=found.Psi @ J)
     structure = structure_of(model)
     p = {letter: getattr(model, letter) for letter in "ABCDF"}
     if model.integrating:

@@ -117,6 +117,38 @@ def joint_exogenous_score(
     return total
 
 
+def joint_score(
+    H: Sequence[Sequence[Array]], e: Sequence[Sequence[Array]], *, parameters: int
+) -> Array:
+    """Return the covariance of the sum of H_i(t) e_i(t), for e_i that are correlated at all lags.
+
+    H and e have one array for each experiment and signal. H must not depend on the noise. The
+    covariances of the signals are estimated up to a lag of 4 sqrt(N), with Parzen's window, and
+    corrected for the fitted `parameters`.
+
+    References
+    ----------
+    .. [1] P. Stoica, R. Moses, *Spectral Analysis of Signals*, 2005, section 2.5.
+    """
+    N = sum(of[0].size for of in e)
+    lags = int(4 * np.sqrt(N))
+    size = 1 << (max(of[0].size for of in e) + lags).bit_length()
+    signals = [np.fft.rfft(np.nan_to_num(np.array(of)), size) for of in e]
+    known = [np.fft.rfft(np.isfinite(np.array(of)).astype(float), size) for of in e]
+    k = np.minimum(np.arange(size), size - np.arange(size)) / lags
+    window = np.where(k <= 0.5, 1 - 6 * k**2 * (1 - k), 2 * np.maximum(1 - k, 0.0) ** 3)
+    total = np.zeros((H[0][0].shape[1],) * 2)
+    for i, j in np.ndindex(len(e[0]), len(e[0])):
+        products, pairs = (
+            np.fft.irfft(sum(x[i] * np.conj(x[j]) for x in of), size) for of in (signals, known)
+        )
+        spectrum = np.fft.rfft(window * products / np.maximum(pairs, 1.0))
+        for of in H:
+            after = spectrum[:, None] * np.fft.rfft(of[j], size, axis=0)
+            total += of[i].T @ np.fft.irfft(after, size, axis=0)[: len(of[i])]
+    return total * N / max(N - parameters, 1)
+
+
 def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return M by Newey and West's method, for a Psi that depends on past noise (ARX).
 

@@ -97,8 +97,9 @@ class OpenLoop(OfDataset):
         """Return the consequences of feedback."""
         lines = [
             f"So there is feedback, at a level of {100 * self.level:g} %. A model that assumes an "
-            "input free of the noise (OE, spectral analysis, correlation) is then biased: "
-            "estimate with a noise model (ARMAX, BJ), or record with the controller off."
+            "input free of the noise (OE, spectral analysis, correlation) is then biased. "
+            "Estimate with a noise model (ARMAX, BJ), by armrig.two_stage if the set point was "
+            "recorded, or record with the controller off."
         ]
         if self.p_value >= CHANCE_LEVEL:
             lines.append(
