@@ -183,9 +183,10 @@ def search(
     scored: list[Scored] = []
     stage = partial(_stage, highest=_ALWAYS_TRIED if rising else max(orders))
     groups = [[*of] for _, of in groupby(sorted(plan.candidates, key=stage), stage)]
-    if plan.suggests:
+    open_loop = not all(OFFERED[c.family].closed_loop for c in plan.candidates)
+    if suggests := families is None and open_loop and isinstance(data, Dataset):
         groups.append([])  # process models, which the other models suggest
-    done, total = 0, len(plan.candidates) + plan.suggests * _MAX_PROCESSES
+    done, total = 0, len(plan.candidates) + suggests * _MAX_PROCESSES
     for group in groups:
         needed = _needed(group, scored, judged) if group else _processes(scored, judged)
         coming = iter(runner(score, needed))
@@ -226,8 +227,6 @@ class _Plan:
     horizon: int | None
     doubts: tuple[Finding, ...]
     notes: tuple[str, ...]
-    suggests: bool = False
-    """True if the best models may suggest process models."""
 
 
 def _planned(
@@ -242,7 +241,6 @@ def _planned(
 ) -> _Plan:
     """Test the data, and return the candidates."""
     notes: list[str] = []
-    suggests = False
     if isinstance(data, Dataset):
         if isinstance(integrator, Sequence):
             names = [integrator] if isinstance(integrator, str) else integrator
@@ -251,7 +249,7 @@ def _planned(
         fixed: bool | tuple[str, ...] = known.integration.integrates
         likely = _likely_delays(known)
         if families is None:
-            suggests = open_loop = not known.closed
+            open_loop = not known.closed
             rows = [(name, row) for name, row in OFFERED.items() if row.searched]
             families = [name for name, row in rows if open_loop or row.closed_loop]
         offered = several_of("families", families, _SEARCHABLE)
@@ -293,13 +291,7 @@ def _planned(
         for n in orders
         for named in _orders(family, n)
     ]
-    return _Plan(
-        candidates=candidates,
-        horizon=horizon,
-        doubts=tuple(against),
-        notes=tuple(notes),
-        suggests=suggests,
-    )
+    return _Plan(candidates=candidates, horizon=horizon, doubts=tuple(against), notes=tuple(notes))
 
 
 def _with_integrators(plan: _Plan) -> _Plan:
