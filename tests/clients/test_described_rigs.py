@@ -12,6 +12,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.cli.identify import _experiment, _options
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.serving import Listener, not_drawn
 from armrig.excitation import telegraph
@@ -95,6 +96,36 @@ def test_no_command_speaks_of_an_arm(
         assert main(command.split()) == 0, command
         said = "".join(capsys.readouterr()).replace(str(tmp_path), "")
         assert not [word for word in ARM_WORDS if word in said], (command, said)
+
+
+def test_the_level_of_an_output_is_reported_with_the_option_that_estimates_it(
+    heater: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without the level, a pole at 1 takes its place."""
+    orders = ["--structure", "oe", "--nb", "1", "--nf", "1"]
+    for option, level in (([], True), (["--offset"], False), (["--detrend"], False)):
+        assert main(["identify", str(heater[0]), *orders, *option]) == 0
+        assert ("estimate a level with --offset" in capsys.readouterr().err) == level
+
+    with_level = armrig.oe(armrig.load(heater[0]).dataset(), nb=1, nf=1, nk=16, offset=True)
+    assert 100 < -1 / np.log(with_level.poles()[0].real) < 300
+
+
+def test_hints_of_several_outputs_give_one_request() -> None:
+    T1 = SimpleNamespace(nb=1, nf=1, nk=16, nk_interval=(0, 22), integrator=False)
+    T2 = SimpleNamespace(nb=1, nf=2, nk=3, nk_interval=None, integrator=False)
+
+    assert _options([T1, T2], level=True) == "--structure oe --nb 2 --nf 2 --nk 16 --offset"  # type: ignore[list-item]
+    assert _options([T1], level=False) == "--structure oe --nb 1 --nf 1 --nk 16"  # type: ignore[list-item]
+    assert _options([T2], level=False) == "--structure oe --nb 1 --nf 2 --nk 3"  # type: ignore[list-item]
+
+
+def test_the_experiment_of_a_slow_rig_is_long_and_its_input_is_held() -> None:
+    slow = SimpleNamespace(Ts=50.0, settling=616.0, tau=196.0)
+    arm = SimpleNamespace(Ts=0.005, settling=0.376, tau=0.0184)
+
+    assert [*_experiment(slow).values()] == [1.0, 5000.0, " --a 0.005"]  # type: ignore[arg-type]
+    assert [*_experiment(arm).values()] == [0.005, 30.0, ""]  # type: ignore[arg-type]
 
 
 def test_a_command_of_the_physics_refuses_another_rig(

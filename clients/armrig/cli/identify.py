@@ -239,7 +239,9 @@ def hints(
 
 def _options(found: Sequence[StructureHints], *, level: bool) -> str:
     """Return the options of `armrig identify` for hints, and for outputs with a level."""
-    nb, nf = max(one.nb for one in found), max(one.nf for one in found)
+    nf = max(one.nf for one in found)
+    # With one denominator, each channel of a sampled plant has a numerator of its order.
+    nb = max(one.nb for one in found) if len(found) == 1 else nf
     shown = [one for one in found if one.nk_interval] or found  # without unknown delays
     options = f"--structure oe --nb {nb} --nf {nf} --nk {min(one.nk for one in shown)}"
     integrates = any(one.integrator for one in found)
