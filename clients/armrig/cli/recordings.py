@@ -251,7 +251,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
 def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
     from armrig.recordings.daemon_reports import gap_lines
     from armrig.recordings.jitter import disturbances
-    from armrig.recordings.usability import calibration_date
+    from armrig.recordings.usability import calibration_date, outcome_text
 
     manifest, timing = rec.manifest, armrig.sampling_statistics(rec)
     details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
@@ -269,7 +269,7 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
         _clipped(f"{manifest.experiment}: {details}" if details else manifest.experiment),
     )
     yield "samples", _sample_count(rec)
-    yield "outcome", _outcome(rec)
+    yield "outcome", outcome_text(rec)
     if rec.recovered is not None:
         yield "recovered", _recovered(rec.recovered)
     calibrated = rec.description.is_calibrated
@@ -323,17 +323,6 @@ def _recovered(how: Recovered) -> str:
     cut_off += f"; {how.damage}" if how.damage else ""
     when = how.when[:19].replace("T", " ")
     return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were kept{cut_off}"
-
-
-def _outcome(rec: Recording) -> str:
-    """Return the outcome of the run as text, with a remark if the file is cut off or damaged."""
-    if not rec.truncated:
-        return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
-    what = "is cut off" if rec.cut_off else "is damaged"
-    writing = ", or is still being written" if rec.path.suffix == ".active" else ""
-    if rec.outcome:
-        return f"of the run: {rec.outcome.outcome}; but the file {what}"
-    return f"not known: the file {what} before the outcome{writing}"
 
 
 def _percentiles(spread: Spread, decimals: int, meaning: str) -> str:

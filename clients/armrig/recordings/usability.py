@@ -286,6 +286,17 @@ def calibration_date(calibration: Calibration | None) -> str:
     return "no" if made is None else made.date[:16].replace("T", " ")
 
 
+def outcome_text(rec: Recording) -> str:
+    """Return the outcome of the run as text, with a remark if the file is cut off or damaged."""
+    if not rec.truncated:
+        return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
+    what = "is cut off" if rec.cut_off else "is damaged"
+    writing = ", or is still being written" if rec.path.suffix == ".active" else ""
+    if rec.outcome:
+        return f"of the run: {rec.outcome.outcome}; but the file {what}"
+    return f"not known: the file {what} before the outcome{writing}"
+
+
 def doubts_of_estimation(recording: Recording) -> Iterator[Finding]:
     """Yield a finding if a recording excites too few frequencies for any model."""
     way_out = "a model from it is poor; identify from a telegraph (`armrig collect blackbox`)"

@@ -21,7 +21,7 @@ from armrig.recordings.jitter import (
     sampling_statistics,
 )
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import calibration_date, doubts_of_calibration
+from armrig.recordings.usability import calibration_date, doubts_of_calibration, outcome_text
 from armrig.report.sections import plain
 from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
 from armrig.validation.linearity import in_open_loop
@@ -72,7 +72,7 @@ def run_facts(r: Recording) -> dict[str, str]:
         "calibrated": calibration_date(r.calibration) if known else "by its description",
         "missing samples": str(r.missing),
         hidden: str(r.hidden),
-        "outcome": _outcome(r),
+        "outcome": outcome_text(r),
     }
 
 
@@ -95,14 +95,6 @@ def notes(recordings: Sequence[Recording]) -> list[str]:
         if len(found) > _MAX_NOTES:
             said.append(f"Note of {name}: {len(found) - _MAX_NOTES} more notes")
     return said
-
-
-def _outcome(recording: Recording) -> str:
-    ended = recording.outcome.outcome if recording.outcome else ""
-    if recording.truncated:
-        what = "file cut off" if recording.cut_off else "file damaged"
-        return f"{ended}, but the {what}" if ended else what
-    return ended or "not known"
 
 
 def _input_range(recording: Recording) -> str:

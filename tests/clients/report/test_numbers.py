@@ -40,7 +40,10 @@ def test_the_facts_of_a_run_are_those_of_its_manifest(done: Study) -> None:
     assert rows["paced by"] == ["the device"] * 2 + ["the host"] * 2
     assert rows["made with"][:2] == ["at = 50, seed = 7"] * 2
     assert rows["started"][0] == "2026-02-03 04:05:06"
-    assert rows["outcome"][:2] == ["complete, but the file damaged", "not known"]
+    assert rows["outcome"][:2] == [
+        "of the run: complete; but the file is damaged",
+        "not known: the file does not contain it",
+    ]
     assert rows["in the dead band, or just after"] == [str(r.hidden) for r in (step, step, *others)]
 
 
