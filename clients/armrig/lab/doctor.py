@@ -48,7 +48,6 @@ A negative priority is a real-time priority.
 _SOCKET = "unixsock-stream/"
 _BUSY_COSTS = "any busy program delays ticks by milliseconds"
 _PAGE_COSTS = "a page that was swapped out delays a tick by milliseconds"
-_DEEP_COSTS = "the loop cannot prevent deep idle states"
 _Found = tuple[Level, str, str, str]
 """Level, what was found, its effect on timing, and the remedy."""
 _LIMITS = "/etc/security/limits.d/armrig.conf, then log in again"
@@ -192,45 +191,22 @@ def _idle(host: Host) -> list[_Found]:
     if host.silent:
         costs = "a loop that can write /dev/cpu_dma_latency keeps the processors awake"
         return _note(f"{name} takes {deepest} µs to wake from", costs)
-    if _holds_idle_off(host):
+    if not (way := _idle_right(host)):
         return _good(f"the loop prevents {name}, {deepest} µs to wake from")
     return _bad(
         f"{name} takes {deepest} µs to wake from",
         f"each tick is up to {deepest} µs late: /dev/cpu_dma_latency is not writable",
-        f"the udev rule for cpu_dma_latency, or `cpupower idle-set -D {MAX_IDLE_WAKE_US}`",
+        f"{way}, or `cpupower idle-set -D {MAX_IDLE_WAKE_US}`",
     )
 
 
-def _holds_idle_off(host: Host) -> bool:
-    """Return True if the daemon's loop, or this user without a daemon, can prevent idle states."""
+def _idle_right(host: Host) -> str:
+    """Return how the daemon's loop, or this user, could prevent idle states; "" if it can."""
     if host.daemon is not None:
-        return not _refused(host.daemon, "/dev/cpu_dma_latency")
-    return os.access(host.root / "dev/cpu_dma_latency", os.W_OK)
-
-
-def _dma_latency(host: Host) -> list[_Found]:
-    device = host.root / "dev/cpu_dma_latency"
-    if not device.exists():
-        return _note("not there", "without this file the loop cannot prevent idle states")
-    if host.silent:
-        return []
-    if _holds_idle_off(host):
-        return _good("the daemon holds it" if host.daemon else "writable")
-    if host.daemon is not None:
-        way = _refused(host.daemon, "/dev/cpu_dma_latency")
-        return _note("not writable by the daemon", _DEEP_COSTS, way)
-    return _note(
-        "not writable",
-        _DEEP_COSTS,
-        'udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`',
-    )
-
-
-def _timer_slack(host: Host) -> list[_Found]:
-    slack = text(host.root / "proc/self/timerslack_ns")
-    if not slack.isdigit():
-        return _note("not reported by this kernel")
-    return _good(f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")
+        return _refused(host.daemon, "/dev/cpu_dma_latency")
+    if os.access(host.root / "dev/cpu_dma_latency", os.W_OK):
+        return ""
+    return 'the udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`'
 
 
 def _swap(host: Host) -> list[_Found]:
@@ -374,8 +350,6 @@ _CHECKS: dict[str, Callable[[Host], list[_Found]]] = {
     "mlockall": _memory_lock,
     "governor": _governor,
     "idle states": _idle,
-    "cpu_dma_latency": _dma_latency,
-    "timer slack": _timer_slack,
     "swap": _swap,
     "preemption": _preemption,
     "FTDI latency timer": _ftdi,
