@@ -1375,7 +1375,7 @@ def calibration() -> Variants:
         "three": estimate(rest, made_turns(omega=(1.9, 3.1, 4.4), noise=30.0, seed=2), meter=meter),
         "meter": estimate(rest, meter=meter[:2], meter_std_v=0.02),
     }
-    deflected = replace(rest, alpha=rest.alpha + 3000.0)
+    deflected = replace(rest, second=rest.second + 3000.0)
     cases["deflected"] = estimate(
         rest, made_turns(noise=40.0), deflected=deflected, meter=meter[:1]
     )

@@ -451,14 +451,11 @@ def _line_and_rules(
     from armrig_daemon.conformance.line import VirtualLine
     from armrig_daemon.conformance.serial_line import SerialLine
     from armrig_daemon.conformance.suite import RULES, pin_rules
-    from armrig_daemon.emulator.settings import EmulatorSettings
+    from armrig_daemon.emulator.settings import in_dead_band
 
     if device is not None:
         return stack.enter_context(closing(SerialLine(device, baud))), RULES
-    # theta_1 is in the dead band, so that the guard over the rails can be tested. With this
-    # resistance the motor never turns theta_1 out of the dead band.
-    settings = EmulatorSettings(baud=baud, theta_1_zero_deg=356.0, arm={"R_m": 1e9})
-    uno = stack.enter_context(closing(_firmware(image)(settings, 0)))
+    uno = stack.enter_context(closing(_firmware(image)(in_dead_band(baud), 0)))
     return VirtualLine(uno), (*RULES, *pin_rules(uno.violations))
 
 

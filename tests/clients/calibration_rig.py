@@ -74,7 +74,7 @@ def runs(settings: EmulatorSettings, *inputs: NDArray[np.float64]) -> list[Readi
             [(s.t_device_us, s.u_applied_v, s.counts_0, s.counts_1) for s in samples],
             dtype=np.float64,
         ).T
-        found.append(Readings(t=(t_us - t_us[0]) * 1e-6, u=u_v, theta_1=theta_1, alpha=alpha))
+        found.append(Readings(t=(t_us - t_us[0]) * 1e-6, u=u_v, first=theta_1, second=alpha))
     return found
 
 
@@ -138,7 +138,7 @@ def recording_of(
     **changes: object,
 ) -> bytes:
     """Return readings as the daemon records them, with the calibration in force."""
-    at_rail = (np.abs(readings.theta_1 - 32768) >= 32768 - 64).tolist()
+    at_rail = (np.abs(readings.first - 32768) >= 32768 - 64).tolist()
     samples = [
         sample(
             k,
@@ -150,7 +150,7 @@ def recording_of(
         )
         for k, (t, u, y0, y1, rail) in enumerate(
             zip(
-                *(c.tolist() for c in (readings.t, readings.u, readings.theta_1, readings.alpha)),
+                *(c.tolist() for c in (readings.t, readings.u, readings.first, readings.second)),
                 at_rail,
                 strict=True,
             )

@@ -23,7 +23,7 @@ def made_turns(
     read = np.rint((place + noise * rng.standard_normal(t.size)) / 64) * 64
     counts = np.where(place > HIGH, 0.0, np.clip(read, 0, 65472))
     u = np.repeat(np.arange(1.0, 1 + len(omega)), 1200)
-    return Readings(t=t, u=u, theta_1=counts, alpha=np.full(t.size, 32768.0))
+    return Readings(t=t, u=u, first=counts, second=np.full(t.size, 32768.0))
 
 
 def stored_readings(data: bytes) -> dict[str, Readings]:
@@ -34,7 +34,7 @@ def stored_readings(data: bytes) -> dict[str, Readings]:
         found.setdefault(name, []).append([float(field) for field in fields])
     tables = {name: np.array(rows).T for name, rows in found.items()}
     return {
-        name: Readings(t=t_us * 1e-6, u=u, theta_1=theta_1, alpha=alpha)
+        name: Readings(t=t_us * 1e-6, u=u, first=theta_1, second=alpha)
         for name, (t_us, u, theta_1, alpha) in tables.items()
     }
 
@@ -44,4 +44,4 @@ def still(counts: float = 20_000.0, noise: float = 30.0, N: int = 300) -> Readin
     rng = np.random.default_rng(3)
     read = np.rint((counts + noise * rng.standard_normal((2, N))) / 64) * 64
     t = np.arange(N) * 0.01
-    return Readings(t=t, u=np.zeros(N), theta_1=read[0], alpha=read[1])
+    return Readings(t=t, u=np.zeros(N), first=read[0], second=read[1])

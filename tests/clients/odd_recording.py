@@ -218,8 +218,6 @@ def odd_turns() -> tuple[Readings, Readings]:
     noise = 20 * rng.standard_normal((2, u.size))
     theta_1 = np.where(place > 61_000, 0.0, np.rint((place + noise[0]) / 16) * 16)
     swing = 900 * np.exp(-np.maximum(t - 0.6, 0) / 0.2) * (t >= 0.62)
-    turns = Readings(
-        t=t, u=u, theta_1=theta_1, alpha=np.rint((25_000 + swing + noise[1]) / 16) * 16
-    )
+    turns = Readings(t=t, u=u, first=theta_1, second=np.rint((25_000 + swing + noise[1]) / 16) * 16)
     rest = np.rint((np.array([[41_000], [25_000]]) + 20 * rng.standard_normal((2, 250))) / 16) * 16
-    return Readings(t=t[:250], u=np.zeros(250), theta_1=rest[0], alpha=rest[1]), turns
+    return Readings(t=t[:250], u=np.zeros(250), first=rest[0], second=rest[1]), turns

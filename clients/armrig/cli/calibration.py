@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import platformdirs
 import typer
 from armrig_core.errors import FileError, InputError
+from armrig_core.rig.calibration import ALPHA
 from armrig_core.rig.calibration_file import raw_path
 from armrig_core.rig.channels import check_points
-from armrig_core.telemetry.channels import ALPHA
 
 import armrig
 from armrig.cli.next_step import naming, say_next, say_to_copy

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.telemetry.channels import ALPHA, THETA_1, ChannelName
+from armrig_core.rig.calibration import ALPHA, THETA_1, ChannelName
 
 import armrig
 from armrig import plots

@@ -445,7 +445,7 @@ def export(
     mat: bool = chosen(False, "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."),
     parquet: bool = chosen(False, "Write Parquet, for pandas, polars and others."),
     transforms: bool = chosen(
-        False, "Write an MCAP file with the poses of chassis and arm for Foxglove's 3D panel."
+        False, "Write an MCAP file with the poses of the arm for Foxglove's 3D panel."
     ),
     raw: bool = chosen(False, "Include the readings and times as recorded."),
     signal: str | None = chosen(

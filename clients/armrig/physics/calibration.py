@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.rig.calibration import Calibration, Driver, Figure, Made, Potentiometer
+from armrig_core.rig.calibration import (
+    ALPHA,
+    THETA_1,
+    Calibration,
+    Driver,
+    Figure,
+    Made,
+    Potentiometer,
+)
 from armrig_core.rig.volts import U_MAX_V
-from armrig_core.telemetry.channels import ALPHA, THETA_1
 from msgspec.structs import replace
 
 from armrig.numerics.quantities import plural
@@ -189,9 +196,9 @@ def estimate(
     still = _at_rest(rest)
     run = None if turns is None else readings_of(turns)
     runs = [still] if run is None else [still, run]
-    step = resolution(*(r.theta_1 for r in runs), *(r.alpha for r in runs))
+    step = resolution(*(r.first for r in runs), *(r.second for r in runs))
     turned = None if run is None else turning(run, step)
-    theta_1, alpha = spread(still.theta_1, step), spread(still.alpha, step)
+    theta_1, alpha = spread(still.first, step), spread(still.second, step)
     if turned is None:
         noise_1, noise_2 = (noise_before_rounding(s.value**2, step) for s in (theta_1, alpha))
     else:
@@ -199,7 +206,7 @@ def estimate(
         # spread over whole turns does not depend on this position. One converter reads both angles,
         # so the noise of theta_1 over turns is also the noise of alpha.
         noise_1 = noise_2 = noise_before_rounding(turned.residual_variance, step)
-    alpha_zero = mean_reading(still.alpha, step, noise_2)
+    alpha_zero = mean_reading(still.second, step, noise_2)
     sign = 0
     if deflected is not None:
         scale = (base or Calibration()).alpha.rad_per_count
@@ -208,7 +215,7 @@ def estimate(
         sign = sign_of_lag(run, alpha.value, step)
     terminal = terminal_voltage(meter, meter_std_v)
     return Estimate(
-        theta_1_zero=mean_reading(still.theta_1, step, noise_1),
+        theta_1_zero=mean_reading(still.first, step, noise_1),
         theta_1_noise=theta_1,
         alpha_zero=alpha_zero,
         alpha_noise=alpha,
@@ -231,8 +238,8 @@ def _at_rest(rest: Recording | Readings) -> Readings:
             f"the recording at rest has {plural(still.N, 'sample')}: record a second or more"
         )
     for name, counts, way_out in (
-        (THETA_1, still.theta_1, "turn the chassis out of the dead band"),
-        (ALPHA, still.alpha, "check its wires and that the arm hangs free"),
+        (THETA_1, still.first, "turn the chassis out of the dead band"),
+        (ALPHA, still.second, "check its wires and that the arm hangs free"),
     ):
         if at_rail(counts).any():
             raise InputError(
@@ -287,7 +294,7 @@ def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
     driven = np.flatnonzero(readings.u > 0)
     if not driven.size or driven[0] == 0:
         return 0
-    deflection = readings.alpha - readings.alpha[: driven[0]].mean()
+    deflection = readings.second - readings.second[: driven[0]].mean()
     seen = np.flatnonzero(np.abs(deflection) > CLEAR * noise + step)
     seen = seen[seen > driven[0]]
     return 0 if not seen.size else int(-np.sign(deflection[seen[0]]))
@@ -300,7 +307,7 @@ def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
     the reading of the arm at rest, in counts. The sign of the approximate `rad_per_count` is
     ignored.
     """
-    deflection = (readings.alpha - rest.value) * abs(rad_per_count)
+    deflection = (readings.second - rest.value) * abs(rad_per_count)
     # If a hand holds the arm, one quartile is far from 0. A released arm swings to both sides.
     low, high = np.quantile(deflection, [0.25, 0.75])
     farthest = max(low, high, key=abs)

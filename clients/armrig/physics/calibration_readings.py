@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.rig.calibration import Figure
+from armrig_core.telemetry.channels import CHANNELS
 from numpy.typing import NDArray
 
 from armrig.data.columns import Vector
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 50_000
 """Largest number of rows of the gzipped CSV; with this number, it has less than 1 MiB."""
-_HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
+_COUNTS = tuple(channel.counts_field for channel in CHANNELS)
+_HEADING = ",".join(("recording", "t_device_us", "u_v", *_COUNTS))
 RAIL_COUNTS = 64
 """Width of each rail, in counts: 1/1024 of the converter's range (PROTOCOL.md, section 7)."""
 FULL_COUNTS = 65536
@@ -34,17 +36,17 @@ class Readings:
     """Raw readings of the samples that arrived."""
 
     t: Vector
-    """Times of theta_1's readings on the device's clock, in s from the first reading, (N,)."""
+    """Times of `first` on the device's clock, in s from the first reading, (N,)."""
     u: Vector
     """Voltages of the codes that the device held from `t` on, in V, (N,)."""
-    theta_1: Vector
-    """Counts of theta_1's potentiometer, (N,)."""
-    alpha: Vector
-    """Counts of alpha's potentiometer, (N,)."""
+    first: Vector
+    """Counts of the first channel's potentiometer, (N,)."""
+    second: Vector
+    """Counts of the second channel's potentiometer, (N,)."""
 
     def __post_init__(self) -> None:
         """Refuse empty columns, and columns of different lengths."""
-        sizes = {column.size for column in (self.t, self.u, self.theta_1, self.alpha)}
+        sizes = {column.size for column in (self.t, self.u, self.first, self.second)}
         if len(sizes) != 1 or 0 in sizes:
             found = ", ".join(map(str, sorted(sizes)))
             raise InputError(
@@ -68,8 +70,8 @@ def readings_of(source: Recording | Readings) -> Readings:
     return Readings(
         t=np.asarray((t_us - t_us[0]) * 1e-6, dtype=np.float64),
         u=samples["u_applied_v"].astype(np.float64),
-        theta_1=samples["theta_1_counts"].astype(np.float64),
-        alpha=samples["alpha_counts"].astype(np.float64),
+        first=samples[_COUNTS[0]].astype(np.float64),
+        second=samples[_COUNTS[1]].astype(np.float64),
     )
 
 
@@ -89,9 +91,9 @@ def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
                 f"more than {MOST_ROWS} samples: shorten the runs, or take a longer --Ts"
             )
         t_us = np.rint(readings.t * 1e6).astype(np.int64)
-        columns = (t_us, readings.u, readings.theta_1, readings.alpha)
-        for t, u, theta_1, alpha in zip(*(c.tolist() for c in columns), strict=True):
-            out.write(f"{name},{t},{u!r},{theta_1:.0f},{alpha:.0f}\n")
+        columns = (t_us, readings.u, readings.first, readings.second)
+        for t, u, first, second in zip(*(c.tolist() for c in columns), strict=True):
+            out.write(f"{name},{t},{u!r},{first:.0f},{second:.0f}\n")
     return gzip.compress(out.getvalue().encode(), mtime=0)
 
 

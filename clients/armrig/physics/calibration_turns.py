@@ -18,7 +18,7 @@ from math import isfinite, pi, sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
-from armrig_core.rig.calibration import Figure
+from armrig_core.rig.calibration import CALIBRATED, Figure
 from armrig_core.rig.volts import U_MAX_V
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
@@ -35,6 +35,7 @@ LEAST_S = 1.0
 LEAST_TURNS = 3
 """Least number of passes of the shaft through its dead band, at all voltages together."""
 MAX_MISREAD_SHARE = 0.02  # largest share of rail readings on the track (worn spots)
+_TURNING = CALIBRATED[0]
 _REMEDY = "turn it slowly in one direction, three turns or more: see --volts and --level-seconds"
 
 
@@ -74,7 +75,7 @@ class _Settled:
 
 
 def turning(readings: Readings, step: float) -> Turning:
-    """Estimate counts per turn and edges of theta_1's track from turns at constant voltages.
+    """Estimate counts per turn and edges of a track from turns at constant voltages.
 
     An edge of the track is between the last sample with an angle and the first sample without an
     angle. The fitted straight lines give the counts of these two samples. In each turn, the edge is
@@ -91,7 +92,7 @@ def turning(readings: Readings, step: float) -> Turning:
     settled = _settled(readings)
     live = settled.live
     if np.count_nonzero(live) < 10 * (settled.volts.size + 1):
-        raise InputError(f"theta_1 shows no angle: check its wires, then {_REMEDY}")
+        raise InputError(f"{_TURNING} shows no angle: check its wires, then {_REMEDY}")
     turns, direction = _turns(settled)
     counts = settled.counts
     low, high = float(counts[live].min()), float(counts[live].max())
@@ -109,7 +110,7 @@ def turning(readings: Readings, step: float) -> Turning:
         misread = float(np.mean(~live[inside])) if inside.any() else 1.0
         if misread > MAX_MISREAD_SHARE:
             raise InputError(
-                f"theta_1 was at a rail at {100 * misread:.0f} % of its track: {_REMEDY}"
+                f"{_TURNING} was at a rail at {100 * misread:.0f} % of its track: {_REMEDY}"
             )
         inside &= live
     x, covariance, variance = _fitted(settled, n, inside, direction)
@@ -150,7 +151,7 @@ def _settled(readings: Readings) -> _Settled:
     rows = [np.arange(part.start, part.stop)[t[part] - t[part.start] > SETTLE_S] for part in held]
     level = np.repeat(np.arange(len(rows)), [r.size for r in rows])
     chosen = np.concatenate(rows)
-    counts = readings.theta_1[chosen]
+    counts = readings.first[chosen]
     return _Settled(
         level=level,
         t=t[chosen],
@@ -168,9 +169,13 @@ def _turns(settled: _Settled) -> tuple[Vector, int]:
     far = np.abs(change) > np.ptp(counts) / 2
     direction = 1 if change[~far].sum() >= 0 else -1
     if np.count_nonzero(far) < LEAST_TURNS:
-        raise InputError(f"theta_1 passed its dead band {np.count_nonzero(far)} times: {_REMEDY}")
+        raise InputError(
+            f"{_TURNING} passed its dead band {np.count_nonzero(far)} times: {_REMEDY}"
+        )
     if (change[far] * direction > 0).any():
-        raise InputError(f"theta_1 did not turn in one direction at a constant voltage: {_REMEDY}")
+        raise InputError(
+            f"{_TURNING} did not turn in one direction at a constant voltage: {_REMEDY}"
+        )
     return np.r_[0.0, np.cumsum(far)], direction
 
 
@@ -191,7 +196,7 @@ def _fitted(
     X[:, -1] = -direction * n[rows]
     basis = orthonormal(X)
     if basis.rank < X.shape[1] or t.size <= X.shape[1]:
-        raise InputError(f"theta_1 shows too few angles at one of the voltages: {_REMEDY}")
+        raise InputError(f"{_TURNING} shows too few angles at one of the voltages: {_REMEDY}")
     residuals = basis.without(settled.counts[rows])
     variance = float(residuals @ residuals) / (t.size - basis.rank)
     return basis.coefficients(settled.counts[rows]), variance * basis.W @ basis.W.T, variance
@@ -258,7 +263,7 @@ class TerminalVoltage:
 
 
 STANDSTILL_RAD_S = 0.1
-"""Least measured speed that is used, in rad/s; at a lower speed, friction holds the chassis."""
+"""Least measured speed that is used, in rad/s; at a lower speed, friction holds the rig."""
 IDEAL_DRIVER = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2, 2)))
 """Line of an ideal driver, used without a measurement: the terminal voltage is u."""
 
@@ -268,7 +273,7 @@ class Speeds:
     """Line fitted to the measured speeds: speed = rate · (terminal voltage - zero_torque)."""
 
     rate: Figure
-    """Speed of the chassis per volt at the terminals, in rad/s/V."""
+    """Speed per volt at the terminals, in rad/s/V."""
     zero_torque: Figure
     """Terminal voltage at which the line has speed 0, in V.
 

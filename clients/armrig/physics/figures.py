@@ -187,7 +187,7 @@ def plot_calibration(
         raise InputError("no figure of a calibration without turns: record turns with --volts")
     ax, below = panels(ax, 0.45, sharex=False)
     readings = readings_of(turns)
-    ax.plot(readings.t, readings.theta_1, ".", color=BLUE, ms=1.5)
+    ax.plot(readings.t, readings.first, ".", color=BLUE, ms=1.5)
     for edge, name, dash in ((turned.low, "low", "--"), (turned.high, "high", "-.")):
         text = f"{name} edge {with_std(edge.value, edge.std)}"
         ax.axhline(edge.value, color=VERMILION, ls=dash, lw=1.0, label=text)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.channels import THETA_1
+from armrig_core.rig.calibration import THETA_1
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.columns import Vector

@@ -10,7 +10,7 @@ from armrig_core.commands.rehearsal import rehearse as rehearse
 from armrig_core.process.calls import checked_call
 from armrig_core.rig.arm import ArmParameters as ArmParameters
 from armrig_core.rig.arm import arm_matrices, chassis_matrices, zero_order_hold
-from armrig_core.telemetry.channels import ALPHA, THETA_1
+from armrig_core.rig.calibration import ALPHA, THETA_1
 
 from armrig.data.argument import as_dataset
 from armrig.data.columns import Matrix

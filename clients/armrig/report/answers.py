@@ -125,7 +125,7 @@ QUESTIONS: Final = {
     ),
     "2.3": Question(
         "Two parameters changed",
-        "why these two parameters; what else you tried (`armrig model --set J_1=…`)",
+        "why these two parameters; what else you tried (`armrig model --set NAME=…`)",
     ),
     "3.1": Question(
         "Sampling time", "the method that you chose, and the sampling time that you used"

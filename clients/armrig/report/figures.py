@@ -10,6 +10,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from armrig_core.telemetry.channels import CHANNELS
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -168,7 +169,7 @@ def _of_handout(study: HandoutStudy) -> dict[str, Drawing]:
     problem, methods = study.problem, tuple(METHODS.values())
     regions = partial(plots.plot_stability_regions, problem.A, methods=methods)
     errors = partial(plots.plot_convergence, [convergence(problem, m) for m in methods])
-    speed: dict[str, Any] = {"state": 2, "label": r"$\dot\theta_1$ [rad/s]"}
+    speed: dict[str, Any] = {"state": 2, "label": f"{labelled(CHANNELS[0].rate)} [rad/s]"}
     solution = partial(plots.plot_solution, problem, 0.02, methods=methods, **speed)
     found: dict[str, Drawing] = {
         "rig": (_LEGENDS_HEIGHT, [plots.plot_rig]),
@@ -189,7 +190,7 @@ def _of_handout(study: HandoutStudy) -> dict[str, Drawing]:
         of_best = partial(plots.plot_residuals, black.best.model, data)
         of_all = partial(plots.plot_compare, data, *(m.model for m in black.models), labels=labels)
         found |= {"residuals": (_LEGENDS_HEIGHT, [of_best]), "compare": (2.95, [of_all])}
-    if study.grey is not None and study.chassis is not None:
-        fitted = partial(plots.plot_greybox, study.grey, study.chassis)
+    if study.grey is not None and study.alone is not None:
+        fitted = partial(plots.plot_greybox, study.grey, study.alone)
         found["greybox"] = _TWO_PANELS_HEIGHT, [fitted]
     return found

@@ -53,7 +53,7 @@ class HandoutStudy:
     hints: StructureHints | None = None
     black: Study | None = None
     """Models of the whole rig."""
-    chassis: Dataset | None = None
+    alone: Dataset | None = None
     """Data of the chassis without the rotating part."""
     grey: GreyFit | None = None
     split: SplitStudy | None = None
@@ -123,7 +123,7 @@ def handout_study(
         sampling=tried("sampling", lambda: sampling_time(first)) if first else None,
         hints=tried("hints", lambda: structure_hints(data)) if data else None,
         black=black,
-        chassis=alone,
+        alone=alone,
         grey=tried("grey", lambda: greybox(alone, model=chassis, free=("J_1",))) if alone else None,
         split=tried("split", lambda: split_study(alone)) if alone else None,
         loop=tried("loop", lambda: open_loop(data)) if data else None,

@@ -285,7 +285,7 @@ def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:
         figures=figure(
             "greybox",
             "(a) Measured and simulated angle of the chassis alone"
-            f"{without_turns(study.chassis) if study.chassis else ''}; (b) the error.",
+            f"{without_turns(study.alone) if study.alone else ''}; (b) the error.",
         ),
     )
 

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from armrig_core.rig.calibration import Driver
-from armrig_core.telemetry.channels import ALPHA
+from armrig_core.rig.channels import symbol
+from armrig_core.telemetry.channels import CHANNELS
 
 from armrig.data.dataset import Dataset
 from armrig.data.figures import without_ramp
@@ -28,7 +29,7 @@ from armrig.validation.linearity import in_open_loop
 
 Rows = tuple[tuple[str, ...], ...]
 _MAX_NOTES = 20  # of one recording in a report
-_ANGLE_SCALE = "theta_1_rad_per_count"
+_ANGLE_SCALE = f"{CHANNELS[0].name}_rad_per_count"
 
 
 def role(study: Study, recording: Recording) -> str:
@@ -150,7 +151,7 @@ def data_text(study: Study) -> str:
     for one in each_output(study):
         y = one.symbol
         if study.of_arm:
-            text = f"{y} is relative to the chassis."
+            text = f"{y} is relative to the {CHANNELS[0].body}."
             if one.integrates:
                 text = f"{y} is unwrapped from the raw counts. {y} grows without limit, because "
                 text += "the voltage is never negative."
@@ -193,8 +194,10 @@ def _units(study: Study) -> str:
             else "a configured driver"
         )
         volt = f"the volt is from {of}: no meter was read at the motor's terminals"
-    alpha = any(one.output == ALPHA for one in each_output(study))
-    scale = ". The scale of α is a configured value that was never measured" if alpha else ""
+    second = CHANNELS[1].name
+    scale = ""
+    if any(one.output == second for one in each_output(study)):
+        scale = f". The scale of {symbol(second)} is a configured value that was never measured"
     return f"{angle}; {volt}{scale}."
 
 

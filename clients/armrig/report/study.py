@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.channels import ALPHA, BODIES, THETA_1
+from armrig_core.rig.channels import symbol
+from armrig_core.telemetry.channels import ARM_OUTPUTS, BODIES
 
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.treatment import INTEGRATING_OUTPUTS, detrend
@@ -31,8 +32,6 @@ STEP, STAIRCASE = "step", "staircase"
 """Kinds of experiments that a report shows, but does not use for estimation."""
 OUTPUTS: Final = {name: f"{body} angle" for name, body in BODIES.items()}
 """Names of the arm's outputs in the sentences of a report."""
-SYMBOLS: Final = {THETA_1: "θ₁", ALPHA: "α"}
-"""Symbols of the outputs, in tables and names of models."""
 
 
 def kind_of(recording: Recording) -> str:
@@ -42,10 +41,10 @@ def kind_of(recording: Recording) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orders:
-    """Orders of the models of theta_1; the arm has four poles, one of them an integrator.
+    """Orders of the models of an output that integrates; the arm has four poles.
 
-    The models of alpha have one pole less and one coefficient of B less, because alpha has no
-    integrator.
+    The models of another output of the arm have one pole less and one coefficient of B less,
+    because they have no integrator.
     """
 
     na: int = ARM_POLES
@@ -61,7 +60,7 @@ class Orders:
 
     def of(self, output: str) -> Orders:
         """Return the orders of the models of one output."""
-        if output != ALPHA:
+        if output not in ARM_OUTPUTS - INTEGRATING_OUTPUTS:
             return self
         na, nb, nf = (n - 1 for n in (self.na, self.nb, self.nf))
         if min(na, nb, nf) < 1:
@@ -132,7 +131,7 @@ class Study:
     @property
     def symbol(self) -> str:
         """Symbol of the output."""
-        return SYMBOLS.get(self.output, self.output)
+        return symbol(self.output)
 
     @property
     def integrates(self) -> bool:

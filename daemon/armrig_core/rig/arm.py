@@ -77,6 +77,18 @@ class ArmParameters:
         return (self.N * self.K_m) ** 2 / self.R_m + self.b_1
 
 
+ARM_UNITS = {
+    "J_1": "kg m²",
+    "J_2": "kg m²",
+    "N": "",
+    "K_lin": "Nm/rad",
+    "R_m": "Ω",
+    "K_m": "Nm/A",
+    "b_1": "Nms/rad",
+}
+"""Unit of each parameter."""
+
+
 def require_parameters(p: object, name: str = "p") -> None:
     """Raise InputTypeError if `p` is not an `ArmParameters`; `name` is that of the argument."""
     if not isinstance(p, ArmParameters):

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from math import radians
+from typing import Final, Literal
 
 import msgspec
 
 from armrig_core.errors import InputError
 from armrig_core.rig.volts import U_MAX_V
 
-CALIBRATED = ("theta_1", "alpha")
+THETA_1: Final = "theta_1"
+ALPHA: Final = "alpha"
+ChannelName = Literal["theta_1", "alpha"]
+CALIBRATED = (THETA_1, ALPHA)
 """Names of the channels that a calibration contains, in the order of the device's readings."""
 BODY = "chassis"
 """Part of the arm whose turns the device counts."""
+ArmModel = Literal["", "arm", "chassis"]
+"""Model with the arm's parameters: the whole arm, or its first part alone; "" for none."""
 _MAX_ZERO_COUNTS = 655_360  # ten times the range of the converter
 _MIN_RAD_PER_COUNT, _MAX_RAD_PER_COUNT = 1e-8, 0.1  # 0.04° and 1000 turns for the full range
 

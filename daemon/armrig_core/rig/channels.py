@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from bisect import bisect
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from math import isfinite, nan
 from typing import NamedTuple
@@ -15,6 +17,7 @@ from armrig_core.errors import InputError
 
 MAX_CHANNELS = 2
 """Number of readings in each sample of the device; a rig may use fewer."""
+_LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _RAILS = ("ADC0_RAIL", "ADC1_RAIL")
 _WORDS = (("%", "percent"), ("°", "deg"), ("Ω", "ohm"), ("µ", "u"), ("μ", "u"), ("/", "_per_"))
 
@@ -117,6 +120,27 @@ def value_field(name: str, unit: str) -> str:
         unit = unit.replace(sign, word)
     word = re.sub(r"[^A-Za-z0-9_]", "", unit)
     return f"{name}_{word}" if word else name
+
+
+def symbol(name: str) -> str:
+    """Return a name for people: a Greek letter for its word, and a lowered number after a _."""
+    word, _, number = name.partition("_")
+    if "_" in name and not number.isdigit():
+        return name
+    return (_greek(word) or word) + number.translate(_LOWERED)
+
+
+def tex_symbol(name: str) -> str:
+    """Return a name as TeX: a Greek letter for its word, and a lowered number after a _."""
+    word, _, number = name.partition("_")
+    return ("\\" if _greek(word) else "") + word + (f"_{number}" if number else "")
+
+
+def _greek(word: str) -> str:
+    """Return the Greek letter that a word names; empty for any other word."""
+    with suppress(KeyError):
+        return unicodedata.lookup(f"GREEK SMALL LETTER {word}")
+    return ""
 
 
 def sample_names(channels: Sequence[Channel]) -> tuple[str, ...]:

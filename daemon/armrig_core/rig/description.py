@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, isfinite
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Self, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -17,7 +17,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.printable import printable
 from armrig_core.process.toml_file import convert, toml_tables
-from armrig_core.rig.calibration import CALIBRATED
+from armrig_core.rig.calibration import BODY, CALIBRATED, ArmModel
 from armrig_core.rig.channels import (
     MAX_CHANNELS,
     NO_CONVERSION,
@@ -213,7 +213,7 @@ class Model(_Table, frozen=True, kw_only=True):
     """True to allow a pole in the right half-plane."""
     file: str = ""
     """Model that `armrig identify --save` wrote; relative to the description."""
-    kind: Literal["", "arm", "chassis"] = ""
+    kind: ArmModel = ""
 
     def __post_init__(self) -> None:
         """Refuse no way or two ways of giving the model, and matrices that do not fit."""
@@ -296,8 +296,8 @@ class Description:
 
     @property
     def arm_removed(self) -> bool:
-        """True if the model is that of the chassis without the arm."""
-        return self.arm == "chassis"
+        """True if the model is that of the arm's first part alone."""
+        return self.arm == BODY
 
     @property
     def channels(self) -> tuple[Channel, ...]:

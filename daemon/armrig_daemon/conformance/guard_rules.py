@@ -133,7 +133,7 @@ def _rails(host: Host) -> None:
             expect(tripped[0].cause == Cause.ADC_RAIL and sample.state == State.FAULT, came)
             return
     raise NotTried(
-        "no potentiometer stays at a rail: turn theta_1 into its dead band, or unplug one"
+        "no potentiometer stays at a rail: turn the first into its dead band, or unplug one"
     )
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from math import radians, tau
+from typing import Any
+
+from armrig_core.rig.calibration import CALIBRATED
 
 from armrig_daemon.emulator import plant
 from armrig_daemon.emulator.sensors import REFERENCE_V, Potentiometer, wiper
@@ -10,7 +13,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 
 
 class Arm:
-    """The arm, or the chassis alone, at rest at first."""
+    """The arm, or its first part alone, at rest at first."""
 
     def __init__(self, settings: EmulatorSettings) -> None:
         """Put the arm at rest."""
@@ -20,7 +23,11 @@ class Arm:
             coulomb_nm=settings.coulomb_nm,
             stiffening=settings.stiffening,
         )
-        self._potentiometers = _potentiometers(settings)
+        first, second = CALIBRATED
+        self._potentiometers = (
+            _potentiometer(settings, first, wraps=True),
+            _potentiometer(settings, second, wraps=False),
+        )
         self.state = plant.REST
         """Angles of the arm and their rates."""
 
@@ -33,27 +40,17 @@ class Arm:
         return wiper(self._potentiometers[channel], self.state[channel])
 
 
-def _potentiometers(settings: EmulatorSettings) -> tuple[Potentiometer, Potentiometer]:
-    """Return the sensors of theta_1 and of alpha."""
-    zero_1, zero_2 = radians(settings.theta_1_zero_deg), radians(settings.alpha_zero_deg)
-    range_1, range_2 = radians(settings.theta_1_range_deg), radians(settings.alpha_range_deg)
-    if not settings.potentiometers:
-        range_1 = range_2 = tau
-    return (
-        Potentiometer(
-            range_rad=range_1,
-            zero_rad=zero_1,
-            wraps=True,
-            low=settings.theta_1_low_v / REFERENCE_V,
-            high=settings.theta_1_high_v / REFERENCE_V,
-            sign=-1.0 if settings.theta_1_reversed else 1.0,
-        ),
-        Potentiometer(
-            range_rad=range_2,
-            zero_rad=zero_2,
-            wraps=not settings.potentiometers,
-            low=settings.alpha_low_v / REFERENCE_V,
-            high=settings.alpha_high_v / REFERENCE_V,
-            sign=-1.0 if settings.alpha_reversed else 1.0,
-        ),
+def _potentiometer(settings: EmulatorSettings, name: str, *, wraps: bool) -> Potentiometer:
+    """Return the sensor of a channel, whose settings begin with the channel's name."""
+
+    def of(key: str) -> Any:
+        return getattr(settings, f"{name}_{key}")
+
+    return Potentiometer(
+        range_rad=radians(of("range_deg")) if settings.potentiometers else tau,
+        zero_rad=radians(of("zero_deg")),
+        wraps=wraps or not settings.potentiometers,
+        low=of("low_v") / REFERENCE_V,
+        high=of("high_v") / REFERENCE_V,
+        sign=-1.0 if of("reversed") else 1.0,
     )

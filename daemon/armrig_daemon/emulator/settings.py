@@ -154,6 +154,14 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             raise InputError(f"arm.{err}") from err
 
 
+def in_dead_band(baud: int) -> EmulatorSettings:
+    """Return settings with theta_1 in the dead band, to test the guard over the rails.
+
+    With this resistance the motor never turns theta_1 out of the dead band.
+    """
+    return EmulatorSettings(baud=baud, theta_1_zero_deg=356.0, arm={"R_m": 1e9})
+
+
 class _File(msgspec.Struct, frozen=True, kw_only=True):
     emulator: EmulatorSettings
 

@@ -104,9 +104,9 @@ def test_the_deviations_of_a_turn_hold_in_monte_carlo() -> None:
     ("change", "said"),
     [
         ({"u": np.zeros(2400)}, "no voltage was held for more than 3 s"),
-        ({"theta_1": np.zeros(2400)}, "theta_1 shows no angle"),
-        ({"theta_1": np.full(2400, 3000.0)}, "passed its dead band 0 times"),
-        ({"theta_1": np.tile([9000.0, 60_000.0], 1200)}, "did not turn in one direction"),
+        ({"first": np.zeros(2400)}, "theta_1 shows no angle"),
+        ({"first": np.full(2400, 3000.0)}, "passed its dead band 0 times"),
+        ({"first": np.tile([9000.0, 60_000.0], 1200)}, "did not turn in one direction"),
     ],
 )
 def test_a_run_without_full_turns_is_refused_with_the_remedy(
@@ -121,12 +121,12 @@ def test_a_voltage_at_which_one_sample_shows_an_angle_is_refused() -> None:
     """One sample has no speed."""
     readings = made_turns(noise=32.0, omega=(3.7, 1.9))
     last = np.flatnonzero(readings.u == readings.u[-1])
-    theta_1 = readings.theta_1.copy()
-    theta_1[last] = 0.0
-    theta_1[last[-1]] = 30_000.0
+    first = readings.first.copy()
+    first[last] = 0.0
+    first[last[-1]] = 30_000.0
 
     with pytest.raises(InputError, match="too few angles at one of the voltages"):
-        turning(replace(readings, theta_1=theta_1), 64.0)
+        turning(replace(readings, first=first), 64.0)
 
 
 def test_an_edge_is_anywhere_between_two_readings_with_equal_probability() -> None:
@@ -137,18 +137,18 @@ def test_an_edge_is_anywhere_between_two_readings_with_equal_probability() -> No
 def test_a_worn_track_is_reported() -> None:
     """On a worn track the straight line is no calibration."""
     readings = made_turns(noise=32.0)
-    worn = (readings.theta_1 > 20_000) & (readings.theta_1 < 26_000)
+    worn = (readings.first > 20_000) & (readings.first < 26_000)
 
     with pytest.raises(InputError, match=r"was at a rail at .* % of its track"):
-        turning(replace(readings, theta_1=np.where(worn, 0.0, readings.theta_1)), 64.0)
+        turning(replace(readings, first=np.where(worn, 0.0, readings.first)), 64.0)
 
 
 def test_an_occasional_misreading_does_not_change_the_calibration() -> None:
     """Up to 2 % of the samples on the track may show a rail."""
     readings = made_turns(noise=32.0)
-    spot = (readings.theta_1 > 55_000) & (readings.theta_1 < 55_700)
+    spot = (readings.first > 55_000) & (readings.first < 55_700)
 
-    found = turning(replace(readings, theta_1=np.where(spot, 0.0, readings.theta_1)), 64.0)
+    found = turning(replace(readings, first=np.where(spot, 0.0, readings.first)), 64.0)
 
     assert 10 < np.count_nonzero(spot) < 40
     assert found.per_turn.value == pytest.approx(D, abs=4 * found.per_turn.std)
@@ -158,9 +158,9 @@ def test_an_occasional_misreading_does_not_change_the_calibration() -> None:
 def test_a_speed_that_is_not_constant_is_reported() -> None:
     """The angle of a count depends on the constant speed."""
     steady, readings = made_turns(noise=32.0), made_turns(noise=32.0)
-    on = (readings.theta_1 > 3000) & (readings.theta_1 < 60_000)
+    on = (readings.first > 3000) & (readings.first < 60_000)
     ripple = np.rint(500 * np.sin(8 * readings.t) / 64) * 64
-    readings = replace(readings, theta_1=readings.theta_1 + on * ripple)
+    readings = replace(readings, first=readings.first + on * ripple)
 
     said = " ".join(estimate(still(), readings).warnings)
 
@@ -215,11 +215,11 @@ def test_the_deviation_of_a_spread_holds_in_monte_carlo() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"theta_1": np.zeros(300)}, "theta_1 reads 0 .* turn the chassis out of the dead band"),
-        ({"alpha": np.full(300, 65535.0)}, "alpha reads 65535 .* the arm hangs free"),
+        ({"first": np.zeros(300)}, "theta_1 reads 0 .* turn the chassis out of the dead band"),
+        ({"second": np.full(300, 65535.0)}, "alpha reads 65535 .* the arm hangs free"),
         ({"u": np.ones(300)}, "the motor was driven in the recording at rest"),
         (
-            dict.fromkeys(("t", "u", "theta_1", "alpha"), np.zeros(1)),
+            dict.fromkeys(("t", "u", "first", "second"), np.zeros(1)),
             "the recording at rest has 1 sample:",
         ),
     ],
@@ -234,11 +234,11 @@ def test_a_recording_that_is_not_at_rest_is_refused(
 @pytest.mark.parametrize(("t", "alpha"), [(np.zeros(3), np.zeros(2)), (np.zeros(0), np.zeros(0))])
 def test_readings_are_columns_of_as_many_samples(t: np.ndarray, alpha: np.ndarray) -> None:
     with pytest.raises(InputError, match="all four must have the same number, and at least 1"):
-        Readings(t=t, u=t, theta_1=t, alpha=alpha)
+        Readings(t=t, u=t, first=t, second=alpha)
 
 
 def test_without_a_motor_zeros_and_the_sign_by_hand_are_determined() -> None:
-    held = replace(still(), alpha=still().alpha - 3000.0)
+    held = replace(still(), second=still().second - 3000.0)
     base = Calibration(theta_1=Potentiometer(rad_per_count=-1e-4))
 
     found = estimate(still(), deflected=held, base=base)
@@ -263,7 +263,7 @@ def test_a_lasting_deflection_by_hand_determines_the_sign_of_alpha(
     alpha[100:200] += counts
     alpha[200:250] -= counts / 10
 
-    held = replace(still(), alpha=alpha)
+    held = replace(still(), second=alpha)
 
     assert sign_by_hand(held, rest, rad_per_count) == np.sign(counts)
 
@@ -286,8 +286,8 @@ def test_a_motion_at_rest_is_reported_with_its_deviation() -> None:
     """700 counts of 65536 are 3.8°."""
     swing = 700 * np.sqrt(2) * np.sin(tau * np.arange(300) / 30)
 
-    for name in ("theta_1", "alpha"):
-        moved = replace(still(), **{name: np.rint((20_000 + swing) / 64) * 64})
+    for name, field in (("theta_1", "first"), ("alpha", "second")):
+        moved = replace(still(), **{field: np.rint((20_000 + swing) / 64) * 64})
         [said] = [text for text in estimate(moved).warnings if "moved" in text]
         assert re.fullmatch(
             rf"{name} moved in the recording at rest: .* is 70\d counts, 3\.[89]°", said
@@ -312,7 +312,7 @@ def test_the_deviations_of_count_and_dead_band_follow_from_track_and_turn() -> N
 
 def test_a_small_deflection_determines_no_sign() -> None:
     rest = Figure(value=20_000.0, std=1.0)
-    touched = replace(still(), alpha=still().alpha + 100)
+    touched = replace(still(), second=still().second + 100)
 
     assert sign_by_hand(touched, rest, 1e-4) == 0
     assert "alpha keeps the configured sign" in " ".join(estimate(still()).warnings)
@@ -402,7 +402,7 @@ def test_the_samples_are_compressed_without_loss() -> None:
     assert data[4:8] == bytes(4), "no time in gzip's head"
     assert len(data) < 12 * sum(r.N for r in sources.values())
     for name, readings in sources.items():
-        for column in ("u", "theta_1", "alpha"):
+        for column in ("u", "first", "second"):
             assert np.array_equal(getattr(back[name], column), getattr(readings, column))
         assert back[name].t == pytest.approx(readings.t, abs=1e-9)
 

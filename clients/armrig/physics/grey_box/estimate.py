@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters, require_parameters
+from armrig_core.rig.calibration import THETA_1
 from armrig_core.rig.equations import Ode
-from armrig_core.telemetry.channels import THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_signals

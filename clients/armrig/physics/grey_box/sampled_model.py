@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
-from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.channels import OutputName
+from armrig_core.rig.arm import ARM_UNITS, ArmParameters
+from armrig_core.telemetry.channels import ARM_OUTPUTS
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, expm_frechet
 
@@ -25,19 +25,9 @@ NAMES = tuple(f.name for f in fields(ArmParameters))
 SIGNED = frozenset({"b_1"})
 """Parameters that may be 0, and are therefore not estimated as logarithms."""
 COULOMB = "T_c"
-"""Name of the parameter for the Coulomb friction of the chassis; its unit is Nm."""
-UNITS = {
-    "J_1": "kg m²",
-    "J_2": "kg m²",
-    "N": "",
-    "K_lin": "Nm/rad",
-    "R_m": "Ω",
-    "K_m": "Nm/A",
-    "b_1": "Nms/rad",
-    COULOMB: "Nm",
-}
+"""Name of the parameter for the Coulomb friction; its unit is Nm."""
+UNITS = ARM_UNITS | {COULOMB: "Nm"}
 Friction = Literal["viscous", "coulomb", "both"]
-_RECORDED = get_args(OutputName)
 Model = Callable[[ArmParameters], "control.StateSpace"]
 
 _LOG_STEP = 1e-3  # step of a numerical derivative; the fourth-order error is about 1e-12
@@ -66,7 +56,7 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
 
 def require_output(measured: str, output: str) -> None:
     """Refuse another measured output than the model's, if it is an output of a recording."""
-    if measured in _RECORDED and measured != output:
+    if measured in ARM_OUTPUTS and measured != output:
         raise InputError(
             f"the data contain {measured}, the model's output is {output}; use "
             f"recording.dataset(output={output!r})"
@@ -154,7 +144,7 @@ class Physics:
         if not callable(self.model) or hasattr(self.model, "dt"):
             raise InputTypeError(
                 f"model is a {type(self.model).__name__}: give a function of the parameters, "
-                "armrig.chassis or armrig.arm, without parentheses"
+                "such as armrig.arm, without parentheses"
             )
         system = self.model(self.fixed)
         if system.dt not in (0, None) or system.ninputs != 1:

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.part_names import PART, part_number
-from armrig_core.telemetry.channels import THETA_1
+from armrig_core.telemetry.channels import CHANNELS
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
@@ -78,7 +78,7 @@ def digest(task: Task) -> str:
     """
     asked = {name: x for name, x in msgspec.to_builtins(task).items() if x is not None}
     if isinstance(task, Identify):
-        asked.setdefault("signal", THETA_1)
+        asked.setdefault("signal", CHANNELS[0].name)
     return sha256(msgspec.json.encode(asked, order="sorted").decode())
 
 
