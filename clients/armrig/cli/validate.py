@@ -536,7 +536,7 @@ def report(
         return
     if source is not None:
         say_next("report --source", source=quote(str(source)), report=free_name())
-    elif answers or edited:
+    elif answers or edited or not all(r.description.arm for r in recordings):
         say_next("report", opener=opener(), file=quote(str(output)))
     else:
         _say_next_answers(Path(REASONS))
