@@ -289,7 +289,7 @@ def _check_name_is_free(name: str) -> None:
 def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = False) -> None:
     """Record each run and print its result; stop if the data cannot be used.
 
-    If `without_arm` is True, the experiment needs the chassis without the arm, and a rig with an
+    If `without_arm` is True, the experiment needs the rig without its arm, and a rig with an
     arm is refused.
     """
     from armrig.recordings.files.recording_summary import VALIDATION_OF

@@ -23,7 +23,7 @@ _MAX_SHOWN_CHARACTERS = 20
 
 
 class HasDataset(Protocol):
-    """An object with a method `dataset`; for a recording, the output of the Dataset is theta_1."""
+    """An object with a method `dataset`; that of a recording returns the first output."""
 
     def dataset(self) -> Dataset:
         """Return the input and the output as a Dataset."""

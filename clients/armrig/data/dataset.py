@@ -42,8 +42,8 @@ T = TypeVar("T")
 class Signals(Experiments):
     """N samples of nu inputs and ny outputs, from one or several experiments.
 
-    A `Dataset` is the view of one input and one output: `signals.dataset("alpha", "u")` returns the
-    Dataset of the output alpha and the input u. Estimators that take a Dataset also accept Signals
+    A `Dataset` is the view of one input and one output: `signals.dataset("y", "u")` returns the
+    Dataset of the output y and the input u. Estimators that take a Dataset also accept Signals
     of one input and one output.
 
     Parameters

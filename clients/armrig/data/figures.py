@@ -65,7 +65,7 @@ def without_ramp(
 def plot_data(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None) -> Axes:
     """Plot the outputs and, below, the inputs against time; times without an output are shaded.
 
-    For a recording, the output is theta_1. An output that is nearly a ramp is drawn without the
+    For a recording, the output is the first. An output that is nearly a ramp is drawn without the
     ramp: see `without_ramp`. A vertical line marks the beginning of each experiment, except the
     first.
     """

@@ -59,7 +59,7 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
         N samples, N > na + nb + max(na, nb + nk - 1) for one input and one output.
     na : int, array_like (ny, ny) or mapping
         Number of a's for each pair of outputs, >= 0: na[i][k] past values of output k affect
-        output i. A mapping has keys such as ("alpha", "theta_1"). With na = 0 the model is a finite
+        output i. A mapping has keys such as ("T2", "T1"). With na = 0 the model is a finite
         impulse response.
     nb : int, array_like (ny, nu) or mapping
         Number of b's for each output and input; 0 if the input does not affect the output.

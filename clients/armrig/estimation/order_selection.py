@@ -20,7 +20,7 @@ from armrig.numerics.regressors import past
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class OrderTables:
-    """A table of ARX structures for each output: `tables["alpha"]`."""
+    """A table of ARX structures for each output: `tables["y"]`."""
 
     tables: Mapping[str, OrderTable]
     """Table for each output; if delays were given, nk in the table is the least of these delays."""
@@ -96,7 +96,7 @@ def select_orders(
     na, nb : iterable of int
         Orders to try, na >= 0, nb >= 1.
     nk : iterable of int, or mapping
-        Delays to try, >= 0. For several signals, a mapping such as {("alpha", "u"): 2} gives the
+        Delays to try, >= 0. For several signals, a mapping such as {("y", "u"): 2} gives the
         delay of each channel, for example from `armrig.delay`; a channel that is not named has the
         delay 1.
     validation : Dataset or Signals, optional

@@ -38,7 +38,7 @@ def oe(
         own initial state.
     nb, nf : int, array_like (ny, nu) or mapping
         Numbers of coefficients of each output and input. A mapping has keys such as
-        ("alpha", "u"). nb is 0 if the input does not affect the output.
+        ("y", "u"). nb is 0 if the input does not affect the output.
     nk : int, array_like (ny, nu) or mapping, default 1
         Number of samples before u reaches y; 0 means a direct term.
     integrator : bool, str or sequence of str, default False

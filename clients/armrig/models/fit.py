@@ -48,8 +48,8 @@ class Fit(Estimate):
     """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) or a state space, with its uncertainty.
 
     A model of one input and one output has the polynomials A, B, C, D and F. The model of several
-    signals has a channel for each input and output: `fit["alpha", "u"]` is the model from u to
-    alpha, with its poles, responses, standard deviations, texts and figures.
+    signals has a channel for each input and output: `fit["y", "u"]` is the model from u to y,
+    with its poles, responses, standard deviations, texts and figures.
 
     Examples
     --------
@@ -213,7 +213,7 @@ class Fit(Estimate):
 
         Examples
         --------
-        The zero at 1 means that alpha is 0 at a constant voltage.
+        The zero at 1 means that the output is 0 at a constant voltage.
 
         >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
         >>> fit.zeros().values.round(2)

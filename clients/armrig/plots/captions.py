@@ -147,7 +147,7 @@ def in_mathtext(text: str) -> str:
 
 
 def symbol(parameter: str) -> str:
-    """Return a parameter's name in mathtext: J_1 as $J_1$, K_lin as $K_{lin}$."""
+    """Return a parameter's name in mathtext: R_m as $R_m$, K_spring as $K_{spring}$."""
     letter, _, index = parameter.partition("_")
     index = f"{{{index}}}" if len(index) > 1 else index
     return f"${letter}_{index}$" if index else f"${letter}$"

@@ -26,9 +26,9 @@ from armrig.recordings.recording import Channel
 Indices = NDArray[np.intp]
 
 HALF_TURN_S = 0.25
-"""Shortest time, in s, in which the chassis can make half a turn.
+"""Shortest time, in s, in which the arm can make half a turn.
 
-At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The constant
+At 5 V the arm turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The constant
 leaves a margin for the effect of the springs.
 """
 

@@ -161,7 +161,7 @@ class Recording:
         return self.sha256[:12]
 
     def channel(self, name: str) -> Channel:
-        """Return the values of a channel of the rig, such as "alpha".
+        """Return the values of a channel of the rig, such as "T1".
 
         Examples
         --------

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 _STRETCH_S = 1.0  # length of the intervals to which straight lines are fitted
-_START_S = 3.0  # s; in longer runs, the first second (start of the chassis) is left out
+_START_S = 3.0  # s; in longer runs, the first second (start of the motion) is left out
 _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
 FEW = 300

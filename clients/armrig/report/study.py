@@ -189,9 +189,9 @@ def study(
 ) -> Study:
     """Estimate ARX and OE models, and compare them and the physical model with validation data.
 
-    If alpha is constant, the arm was removed or held, and there is no physical model. There is none
-    for another rig either: ARMAX replaces ARX, and the level of y at u = 0 is estimated. Default
-    orders are then those of `structure_hints`.
+    If the deflection is constant, the arm was removed or held, and there is no physical model.
+    There is none for another rig either: ARMAX replaces ARX, and the level of y at u = 0 is
+    estimated. Default orders are then those of `structure_hints`.
 
     Steps and staircases are used neither for estimation nor for validation. Of the other
     recordings, the first is used for estimation, and the second for validation. A single other

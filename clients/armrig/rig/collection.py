@@ -101,7 +101,7 @@ class Plan:
     dead_man: float | None = None
     """Time in s without a sign of life after which the daemon stops the run; None for no limit."""
     without_arm: bool = False
-    """True if the experiment needs the chassis without the arm."""
+    """True if the experiment needs the rig without its arm."""
     of_arm: bool = False
     """True if the experiment calibrates the potentiometers of the arm."""
 
@@ -326,7 +326,7 @@ ARM_OFF = (
     "remove the rotating part (handout, figure 6), set [arm] removed = true in armrigd's "
     "configuration (for an emulated rig also [emulator] arm_removed = true), and restart armrigd"
 )
-"""Instructions to the user, to remove the arm before an experiment with the chassis."""
+"""Instructions to the user, to remove the arm before an experiment without it."""
 
 
 def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:

@@ -67,7 +67,7 @@ def stream(
     ------
     Sample, LiveGap or protobuf message
         A sample is a named tuple; the names of its fields are those of the rig and contain the unit
-        (`u_applied_v`, `theta_1_rad`). A `LiveGap` is a gap between two samples. Every other
+        (`u_applied_v`, `T1_degC`). A `LiveGap` is a gap between two samples. Every other
         message is an `armrig.v1` message.
 
     Raises

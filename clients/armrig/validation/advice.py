@@ -86,7 +86,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     -------
     Advice
         Its fields are .findings and .warnings; its repr prints the findings. For several signals,
-        the result is `ByChannel`: `found["alpha", "u"]` is the advice on one channel.
+        the result is `ByChannel`: `found["y", "u"]` is the advice on one channel.
 
     Raises
     ------

@@ -57,7 +57,7 @@ def answer(
 
 
 def simulation(rows: Sequence[Comparison]) -> str:
-    """Return the fits of a model as text, such as: theta_1 to 99.9 % (rms 0.0035 rad) and alpha ….
+    """Return the fits of a model as text, such as: T1 to 99.9 % (rms 0.03 degC) and T2 ….
 
     The text is the end of a sentence whose subject is the model.
     """

@@ -204,7 +204,7 @@ def compare(
     ComparisonTable
         A row for each model and output: fit in percent, rms error in y's unit, ŷ (N,). `table()`
         compares gain, poles, resonances, bandwidth and step response; `explain()` names the
-        differences. `of("alpha")` is the comparison of one of several outputs.
+        differences. `of("y")` is the comparison of one of several outputs.
 
     Raises
     ------

@@ -165,7 +165,7 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     -------
     Linearity
         .linear, .p, .kind, .numbers, .remedy, .explain(), .plot(). For Signals with several
-        channels, the result is `ByChannel`: `found["alpha", "u"]` is the result of one channel.
+        channels, the result is `ByChannel`: `found["y", "u"]` is the result of one channel.
 
     Raises
     ------

@@ -206,7 +206,7 @@ class ResidualTest:
         )
 
     def __getitem__(self, channel: tuple[str, str]) -> PairTest:
-        """Return the tests of one output and input: tests["alpha", "u"].
+        """Return the tests of one output and input: tests["y", "u"].
 
         Raises
         ------

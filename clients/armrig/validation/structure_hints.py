@@ -200,7 +200,7 @@ def structure_hints(
     -------
     StructureHints
         Orders and estimates; its repr and explain() give the reasons. For Signals with several
-        channels, the result is `ByChannel`: `found["alpha", "u"]` are the hints of one channel. The
+        channels, the result is `ByChannel`: `found["y", "u"]` are the hints of one channel. The
         last line of its repr is one call of `oe` for all channels.
 
     Raises

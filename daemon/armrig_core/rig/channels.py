@@ -36,7 +36,7 @@ class Channel(NamedTuple):
     rate: str = ""
     """Name of the channel's rate if the rate is an output; otherwise empty."""
     body: str = ""
-    """Part of the rig whose motion the channel shows, such as "chassis"; otherwise empty."""
+    """Part of the rig whose motion the channel shows, such as "arm"; otherwise empty."""
 
     @property
     def value_field(self) -> str:

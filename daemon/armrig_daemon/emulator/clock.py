@@ -50,13 +50,13 @@ class Timer:
     """Ticks at device times t_0 + k Ts, each computed from k, so that no errors accumulate."""
 
     first_ns: int
-    """Time t_0 at which the conversion of theta_1 in sample 0 is triggered."""
+    """Time t_0 at which the conversion of channel 0 in sample 0 is triggered."""
     period_ns: int
     """Sampling time Ts."""
     lead_ns: int
-    """Time from a sample's first trigger to the trigger of its last conversion of theta_1."""
+    """Time from a sample's first trigger to the trigger of its last conversion of channel 0."""
     hold_ns: int
-    """Time from theta_1's trigger to the latch of u."""
+    """Time from the trigger of channel 0 to the latch of u."""
     k_stop: int
     """Number of samples to take; 0 for a run without an end."""
     k: int = 0

@@ -37,7 +37,7 @@ class Hardware:
     """Properties of the hardware."""
 
     conversion_ns: int
-    """Time of one conversion, in ns; in a sample, alpha is converted first, then theta_1."""
+    """Time of one conversion, in ns; in a sample, channel 1 is converted first, then channel 0."""
     hold_ns: int
     """Time from the trigger of a conversion to the hold of its input, in ns."""
     adc_bits: int
@@ -76,7 +76,7 @@ class PendingCal(msgspec.Struct, frozen=True, gc=False):
     due_ns: int
     """Device time of the first conversion."""
     channel: int
-    """Channel: 0 is theta_1, 1 is alpha."""
+    """Channel, 0 or 1, in the order of the rig's outputs."""
     n: int
 
 

@@ -19,7 +19,7 @@ _START = TYPES[Start]
 _U32 = (1 << 32) - 1
 _TOLERANCE_US = 3
 _MAX_HOLDS = 64
-"""Largest number of stored readings of theta_1 that no SAMPLE has reported yet."""
+"""Largest number of stored readings of channel 0 that no SAMPLE has reported yet."""
 
 
 class Pins:
@@ -54,7 +54,7 @@ class Pins:
                 self._low_from, self._start = None, message.seq
 
     def hold(self, cycle: int) -> None:
-        """Note the cycle at which the converter held theta_1; u is latched just after it."""
+        """Note the cycle at which the converter held channel 0; u is latched just after it."""
         self._holds.append(cycle)
 
     def measure(self, duty: Duty) -> None:
@@ -100,8 +100,8 @@ class Pins:
             self._note(Violated(hold, Violation.CODE_NOT_AT_PIN))
 
     def _hold_of(self, begun: int, m: Sample) -> int | None:
-        """Return the cycle of the hold of theta_1 for a sample; None until the clock is known."""
-        # theta_1 may already be held for the next sample when a SAMPLE leaves. Each stored cycle
+        """Return the cycle of the hold of channel 0 for a sample; None until the clock is known."""
+        # channel 0 may already be held for the next sample when a SAMPLE leaves. Each stored cycle
         # before the SAMPLE is possible, until later samples leave only one possibility.
         held = {hold // CYCLES_PER_US - m.t_us & _U32: hold for hold in self._holds if hold < begun}
         if self._offsets_us:

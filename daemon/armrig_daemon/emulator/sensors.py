@@ -1,9 +1,9 @@
 """Readings of the two potentiometers by the converter.
 
-A wiper moves over `range_rad` of track. If the shaft can turn further (theta_1), the rest of the
-turn is a dead band. In the dead band the wiper has no contact. The pull-down resistor of the wiring
-guide grounds the input, so the reading is 0 and has no noise. If the shaft cannot turn further
-(alpha), the wiper stops at the end of its track.
+A wiper moves over `range_rad` of track. If the shaft can turn further, the rest of the turn is a
+dead band. In the dead band the wiper has no contact. The pull-down resistor of the wiring guide
+grounds the input, so the reading is 0 and has no noise. If the shaft cannot turn further, the wiper
+stops at the end of its track.
 """
 
 from __future__ import annotations

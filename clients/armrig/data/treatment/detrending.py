@@ -34,8 +34,8 @@ def detrend(data: Signals, order: int = 0) -> Signals:
     Estimators without this option are `arx`, `iv4`, `n4sid` and `ss`, and all estimators of several
     inputs or outputs. For `armax`, `oe`, `bj` and `ararx` of one input and one output, prefer raw
     data with ``offset=True``: the mean of a record is not exactly an equilibrium. Never
-    remove a line from an integrating output, such as theta_1. Instead, use ``integrator=True`` with
-    raw data, or compute the rate with `difference` and remove its mean.
+    remove a line from an integrating output, such as an angle. Instead, use ``integrator=True``
+    with raw data, or compute the rate with `difference` and remove its mean.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def drift(
 
     Examples
     --------
-    The drift of alpha is less than two standard deviations.
+    The drift of the output is less than two standard deviations.
 
     >>> (found,) = armrig.drift(armrig.example_recording().dataset("alpha"))
     >>> print(f"{1e3 * found.rate:.2f} ± {1e3 * found.std:.2f} mrad/s")

@@ -60,8 +60,8 @@ def etfe(
     period_length : int, optional
         Length of the period in samples. By default the period is detected in u.
     integrator : bool, optional
-        True if y integrates u. By default theta_1 integrates, and any other y is tested. If the
-        test finds an integrator, a note of the result reports it.
+        True if y integrates u. By default the turning angle of the arm integrates, and any other y
+        is tested. If the test finds an integrator, a note of the result reports it.
 
     Returns
     -------
@@ -232,7 +232,7 @@ def bla(
     not remove this distortion. The standard deviations `std_*` of the mean over realisations
     include noise and distortion. With one realisation they include only the noise.
 
-    A missing y (for example in the dead band of theta_1) is replaced by the mean over the other
+    A missing y (for example in a dead band) is replaced by the mean over the other
     periods at the same instant of the period. The replacement does not bias G. Let n_k be the
     number of known values at instant k in the P periods. Then s²_r is multiplied by (P - 1) / (mean
     of n_k - 1) and by the mean of P/n_k. The two factors assume white noise.

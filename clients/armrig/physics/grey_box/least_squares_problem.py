@@ -176,14 +176,14 @@ class GreyBoxWithFriction:
 
     The vector of coordinates contains the coordinates of the parameters, then T_c, then x0 of each
     experiment. If the input is bipolar, u0 follows x0. With an input of one sign, as on the rig,
-    the chassis hardly ever turns back, and the friction keeps its sign. Friction of constant sign
+    the motor hardly ever turns back, and the friction keeps its sign. Friction of constant sign
     cannot be distinguished from an offset, so the offset u0 is held at 0.
     """
 
     plain: GreyBox
     """Problem without Coulomb friction."""
     speed: int
-    """Index of the state that is the speed of the chassis."""
+    """Index of the state that is the speed of the motor."""
 
     def start(self, eta: Vector) -> Vector:
         """Return start coordinates, computed from the coordinates of the problem without friction.

@@ -1,13 +1,13 @@
-"""Response of a sampled physical model with friction of the chassis, and its derivatives.
+"""Response of a sampled physical model with friction of the motor, and its derivatives.
 
-Coulomb friction T_c acts on the chassis against its motion. It is equivalent to a voltage V = T_c
+Coulomb friction T_c acts on the motor against its motion. It is equivalent to a voltage V = T_c
 R_m / (N K_m) at the motor's terminals. The model is linear during slip and linear during stick::
 
     slip    x(k+1) = Phi x + Gamma (u - s V),    s = sign of the speed
     stick   x(k+1) = P (Phi x + Gamma u),        P = I - Gamma e' / (e' Gamma)
 
 e is the unit vector of the state that is the speed. During stick a friction of at most V keeps the
-speed at 0. If the chassis turns back within a step, s is the mean of both signs, weighted by their
+speed at 0. If the motor turns back within a step, s is the mean of both signs, weighted by their
 durations.
 """
 
@@ -91,8 +91,8 @@ def _held(model: Sampled, by: Sampled, x: Matrix, u: Vector, speed: int) -> Matr
 def _reversed(
     model: Sampled, S: Matrix, w: Matrix, x: Vector, u: float, V: float, speed: int
 ) -> Matrix:
-    """Return the derivatives after a step in which the chassis turns back."""
-    # With the friction s V in the whole step, the speed v of sign s would become v'. The chassis
+    """Return the derivatives after a step in which the motor turns back."""
+    # With the friction s V in the whole step, the speed v of sign s would become v'. The motor
     # turns back after the share f = v / (v - v'), so that the mean friction is s V (2 f - 1).
     row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
     s = np.sign(v)
@@ -112,7 +112,7 @@ def _reversed(
 
 
 REVERSAL = 2
-"""Value used instead of a sign for a step in which the chassis turns back."""
+"""Value used instead of a sign for a step in which the motor turns back."""
 
 
 def _walk(
@@ -120,7 +120,7 @@ def _walk(
 ) -> tuple[Matrix, Vector, list[tuple[int, int, int]]]:
     """Return the states (N, n), the friction of each step in volts, and the intervals of motion."""
     # An interval is its first step, its last step + 1, and its motion as returned by `_step`.
-    # If a search tries a V below 0, the chassis never sticks.
+    # If a search tries a V below 0, the motor never sticks.
     alone = not np.delete(model.Phi[speed], speed).any()
     frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
     signs = np.array(steps, dtype=np.int_)

@@ -38,7 +38,7 @@ Result = TypeVar("Result", bound=Explained)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ByChannel(Generic[Result]):
-    """Results of a test for each channel: `found["alpha", "u"]`."""
+    """Results of a test for each channel: `found["y", "u"]`."""
 
     results: Mapping[Name, Result]
     """Result for each output and input."""

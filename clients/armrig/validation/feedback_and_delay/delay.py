@@ -80,8 +80,9 @@ def delay(
         several experiments. For Signals with several channels, each pair of an output and an
         input is tested separately, without the effects of the other inputs (`other_inputs`).
     integrator : bool, optional
-        True if y integrates. The default is True for theta_1. For any other y a test decides, and
-        `remarks` contains the result of this test. With several inputs this argument has no effect.
+        True if y integrates. The default is True for the turning angle of the arm. For any other y
+        a test decides, and `remarks` contains its result. With several inputs this argument has no
+        effect.
     progress : callable, optional
         Called before each slow estimate with the number of finished estimates, the number of all
         estimates, and the tested lag as text.
@@ -93,7 +94,7 @@ def delay(
         the time delay (dead time) in whole samples, in addition to the sample of the hold. If
         `interval` contains several nk, `delay` is the least possible delay, but at least 0. For
         the response to a step, use `step_analysis`. For Signals with several channels, the result
-        is `ByChannel`: `found["alpha", "u"]` is the `Delay` of one channel, and `refused` contains
+        is `ByChannel`: `found["y", "u"]` is the `Delay` of one channel, and `refused` contains
         the channels without a visible response.
 
     Raises

@@ -148,7 +148,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     OpenLoop
         .feedback (None if u follows from its own past, or if y has no noise), .p_value,
         .explain(), .plot(). For Signals with several channels, the result is `ByChannel`:
-        `found["alpha", "u"]` is the `OpenLoop` of one channel.
+        `found["y", "u"]` is the `OpenLoop` of one channel.
 
     Raises
     ------
