@@ -289,7 +289,7 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
 
     fit, data, signals, columns = found.fit, found.data, found.signals, found.data.signals()
     one = (fit.ny, fit.nu) == (1, 1)
-    options, given, file = _options(found, findings), signals.options(), typed(found.file)
+    options, given, file = options_after(found, findings), signals.options(), typed(found.file)
     if found.validate is not None:
         validation = typed(found.validate)
     else:
@@ -319,33 +319,6 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         say_next("identify --save", **values | {"given": replace(signals, assume=None).options()})
     else:
         say_next("identify alone" if signals.read else "identify check", **values)
-
-
-def _options(found: Found, findings: Sequence[Finding]) -> str:
-    """Return the options of the next estimation; `CHECK` if the data must be tested first."""
-    fit, request, searched = found.fit, found.request, found.search is not None
-    if (fit.ny, fit.nu) == (1, 1):
-        detrended = found.signals.detrend
-        return options_after(fit, request, findings, searched=searched, detrended=detrended)
-    about = {f.about for f in findings}
-    rejected = found.validation is not None and found.validation.tests.rejects
-    if searched or not (rejected or about & _REJECTED):
-        return options_of(request)
-    return _better_options(request, found.data, about)
-
-
-def _better_options(request: Request, data: Dataset | Signals, about: Set[str]) -> str:
-    """Return the options of the next estimation of several signals after coloured residuals."""
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
-    if not from_arm(data):
-        may_offset = "offset" in STRUCTURES[request.structure].takes
-        if has_level(data) and not request.offset:  # with the level the orders may fit
-            levelled = structs.replace(request, offset=may_offset)
-            return options_of(levelled) + " --detrend" * (not may_offset)
-    elif not INTEGRATING_OUTPUTS.isdisjoint(data.signals().outputs) and not request.integrator:
-        return "--structure oe --integrator"
-    return CHECK if "feedback" in about else "--search"
 
 
 def after_validate(
@@ -393,20 +366,16 @@ def options_of(request: Request) -> str:
     return " ".join([f"--structure {request.structure}", *given])
 
 
-def options_after(
-    fit: Fit,
-    request: Request,
-    findings: Sequence[Finding],
-    *,
-    searched: bool,
-    detrended: bool,
-) -> str:
+def options_after(found: Found, findings: Sequence[Finding]) -> str:
     """Return the options with which `armrig identify` applies the remedies of the findings.
 
     If no finding has a remedy, the result contains the options of the request. If the data must be
-    tested first, the result is `CHECK`. If a search chose the model (`searched`), another search
-    would not improve its residuals. `detrended` data are without their means.
+    tested first, the result is `CHECK`. If a search chose the model, another search would not
+    improve its residuals.
     """
+    fit, request, searched = found.fit, found.request, found.search is not None
+    if (fit.ny, fit.nu) != (1, 1):
+        return _of_several(found, {f.about for f in findings})
     kind = STRUCTURES[fit.structure]
     orders, remedies = fit.orders, {f.remedy for f in findings}
     if "structure" in remedies:
@@ -417,7 +386,7 @@ def options_after(
     asked = "integrator" in remedies and not level
     integrator = (fit.integrator or asked) and "integrator" in kind.takes
     offset = (fit.offset or level) and "offset" in kind.takes and not (integrator or fit.integrator)
-    detrend = level and not (offset or detrended)
+    detrend = level and not (offset or found.signals.detrend)
     # If the level was removed or estimated and is found again, the order is too high.
     seen = level and not detrend and offset == fit.offset
     form = f"{request.form}I" if request.form and asked else request.form
@@ -436,6 +405,24 @@ def options_after(
             return options_of(structs.replace(request, form=richer))
         return "--search" if kind.continuous else f"--structure {fit.structure} --search"
     return options
+
+
+def _of_several(found: Found, about: Set[str]) -> str:
+    """Return the options of the next estimation of several signals; others only if rejected."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    request, data = found.request, found.data
+    rejected = found.validation is not None and found.validation.tests.rejects
+    if found.search is not None or not (rejected or about & _REJECTED):
+        return options_of(request)
+    if not from_arm(data):
+        may_offset = "offset" in STRUCTURES[request.structure].takes
+        if has_level(data) and not request.offset:  # with the level the orders may fit
+            levelled = structs.replace(request, offset=may_offset)
+            return options_of(levelled) + " --detrend" * (not may_offset)
+    elif not INTEGRATING_OUTPUTS.isdisjoint(data.signals().outputs) and not request.integrator:
+        return "--structure oe --integrator"
+    return CHECK if "feedback" in about else "--search"
 
 
 def _richer(form: str) -> str:

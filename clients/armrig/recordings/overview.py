@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from math import tau
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.rig.channels import Channel
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from armrig.data.dataset import Dataset
 
-T = TypeVar("T")
 _MIN_INPUT_CHANGES = 20  # as many as the coefficients of u in the model that finds outliers
 
 _RATE_INTERVAL_S = 0.1
@@ -99,7 +98,7 @@ def overview(recording: Recording) -> Overview:
     known, channels = np.isfinite(recording.u), recording.description.channels
     reasons = _reasons(recording)
 
-    def each(names: Iterable[str], search: Callable[[Dataset], T]) -> Iterator[tuple[str, T]]:
+    def each(names: Iterable[str], search: Callable[[Dataset], Any]) -> Iterator[tuple[str, Any]]:
         for name in names:
             if name not in reasons:
                 try:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig import Signals
-from armrig.cli.next_step import CHECK, _better_options, after_validate, options_after
+from armrig.cli.next_step import CHECK, after_validate, options_after
 from armrig.cli.recorded_data import SignalChoice
 from armrig.data.finding import warning
 from armrig.estimation.request import Request
@@ -66,18 +66,28 @@ def test_the_next_estimation_follows_the_findings(
     request = Request(**asked)
     numbers = {"poles": int(how[0])} if "poles" in how else {}
     findings: Any = [warning("x", "text", name, **numbers) for name in remedies.split()]  # type: ignore[arg-type]
-    fit: Any = SimpleNamespace(
-        structure=request.structure,
+    fit = SimpleNamespace(
+        **{"ny": 1, "nu": 1, "structure": request.structure},
         orders=request.orders | {"nk": request.nk},
         integrator=request.integrator,
         offset=request.offset,
     )
 
     options = options_after(
-        fit, request, findings, searched="searched" in how, detrended="detrended" in how
+        _found(
+            fit=fit,
+            request=request,
+            search=fit if "searched" in how else None,
+            signals=SignalChoice(detrend="detrended" in how),
+        ),
+        findings,
     )
 
     assert options == wanted
+
+
+def _found(**fields: Any) -> Any:
+    return SimpleNamespace(**({"search": None, "validation": None} | fields))
 
 
 @pytest.mark.parametrize(
@@ -121,9 +131,12 @@ def _data(source: str, outputs: tuple[str, ...], mean: float = 0.0) -> Signals:
 def test_coloured_residuals_of_several_signals_suggest_means_integrator_or_search(
     source: str, outputs: tuple[str, ...], mean: float, about: str, wanted: str
 ) -> None:
-    found = _better_options(Request(**OE), _data(source, outputs, mean), {*about.split()})
+    of = {"fit": SimpleNamespace(ny=2, nu=2), "request": Request(**OE)}
 
-    assert found == wanted
+    found = _found(data=_data(source, outputs, mean), **of)
+
+    findings = [warning(name, "text") for name in about.split()]
+    assert options_after(found, findings) == wanted
 
 
 @pytest.mark.parametrize(
