@@ -111,22 +111,20 @@ def _wrong_samples(data: Dataset, e: Vector) -> Iterator[Finding]:
     if share < _MIN_OUTLIER_SHARE:
         return
     try:
-        found = hampel(data)
+        count, text = looking_wrong(data)
     except ValueError:
         return
-    wrong = np.flatnonzero(data.valid & ~found.valid)
-    if not wrong.size:
-        return
-    where = ", ".join(map(str, wrong[:_MAX_LISTED])) + (", …" if wrong.size > _MAX_LISTED else "")
-    yield warning(
-        "outliers",
-        f"{plural(wrong.size, 'sample')} of {data.output} look wrong ({where}) and make "
-        f"{percent(100 * share)} of the squared residuals: the model follows them; "
-        "mark them missing (hampel)",
-        "outliers",
-        count=wrong.size,
-        share=share,
-    )
+    if count:
+        text += f" and make {percent(100 * share)} of the squared residuals: the model follows "
+        text += "them; mark them missing (hampel)"
+        yield warning("outliers", text, "outliers", count=count, share=share)
+
+
+def looking_wrong(data: Dataset) -> tuple[int, str]:
+    """Return the number of outliers, and a text that names them; raise the errors of `hampel`."""
+    wrong = np.flatnonzero(data.valid & ~hampel(data).valid)
+    where = ", ".join([*map(str, wrong[:_MAX_LISTED]), *["…"] * (wrong.size > _MAX_LISTED)])
+    return wrong.size, f"{plural(wrong.size, 'sample')} of {data.output} look wrong ({where})"
 
 
 def _doubtful(residuals: Sequence[Vector]) -> bool:

@@ -12,7 +12,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.data.finding import Finding, good, warning
 from armrig.data.step import LINE, codes_of
-from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
+from armrig.data.treatment import INTEGRATING_OUTPUTS, drift
 from armrig.data.treatment.integrating import Integration, integration
 from armrig.estimation.arx import arx
 from armrig.estimation.data_faults import (
@@ -21,12 +21,13 @@ from armrig.estimation.data_faults import (
     OFFSET_OF_TRANSIENT,
     constant_input,
     level_without_input,
+    looking_wrong,
 )
 from armrig.estimation.polynomial_structures import oe
 from armrig.excitation.input_description import excitation_order
 from armrig.models.fit import Fit
 from armrig.models.transfer_function import TransferFunction
-from armrig.numerics.quantities import p_relation, percent, plural
+from armrig.numerics.quantities import p_relation, percent
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, OpenLoop, open_loop
@@ -218,16 +219,12 @@ def _about_integrator(decided: Integration) -> Finding:
 
 def _about_outliers(data: Dataset) -> Finding:
     try:
-        wrong = np.flatnonzero(data.valid & ~hampel(data).valid)
+        count, text = looking_wrong(data)
     except ValueError as err:
         return good("outliers", f"not looked for: {err}")
-    if not wrong.size:
+    if not count:
         return good("outliers", "none")
-    where = ", ".join(map(str, wrong[:5]))
-    text = (
-        f"{plural(wrong.size, 'sample')} of {data.output} look wrong (first {where}), and a model "
-    )
-    text += "follows them: mark them missing (hampel)"
+    text += ", and a model follows them: mark them missing (hampel)"
     return warning("outliers", text, "outliers")
 
 
