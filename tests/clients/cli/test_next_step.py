@@ -12,7 +12,14 @@ import armrig
 import pytest
 import typer
 from armrig.cli import app, main
-from armrig.cli.next_step import AFTER, free_name, naming, next_line
+from armrig.cli.next_step import (
+    AFTER,
+    estimation_of,
+    free_name,
+    naming,
+    next_line,
+    validation_beside,
+)
 from armrig.excitation import telegraph
 from armrig.rig.collection import Collected
 from armrig_core.recording_file.manifest import Outcome
@@ -218,6 +225,22 @@ def test_the_next_command_after_a_report_is_the_questions_then_the_answers(
     assert fill == "fill in reasons.toml before the next command"
     files = "@0000000a @0000000a/validation --answers reasons.toml"
     assert goes_on == f"next: armrig report --handout {files} -o report.pdf"
+
+
+@pytest.mark.parametrize(
+    ("outcome", "Ts", "found"),
+    [("complete", 0.01, True), ("stopped", 0.01, False), ("", 0.02, False)],
+)
+def test_a_pair_is_complete_and_has_one_sampling_time(
+    pair: Path, outcome: str, Ts: float, *, found: bool
+) -> None:
+    next(pair.glob("*-validation-*")).unlink()
+    of = {"validation_of": "0000000a"}
+    put(pair, "blackbox-validation", "0000000c", outcome=outcome, details=of, Ts=Ts)
+    [first, other] = (next(pair.glob(f"*{run_id}.mcap")) for run_id in ("0000000a", "0000000c"))
+
+    names = ("@0000000a/validation", "@0000000a") if found else ("", "")
+    assert (validation_beside(first), estimation_of(other)) == names
 
 
 def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:
