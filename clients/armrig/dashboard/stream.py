@@ -50,6 +50,7 @@ _OF_EMULATED = {
     "stale": f"{_EMULATOR}; if this host was late, close other programs (`armrig doctor`)",
     "reset": "press Reset: the emulator was started again",
     "request": _EMULATOR,
+    "firmware": _EMULATOR,
 }
 """Remedy of an emulated rig, by the id of a fault whose usual remedy names a cable or a supply."""
 
