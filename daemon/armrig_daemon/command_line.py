@@ -265,7 +265,9 @@ def emulate(
     ],
     config: Annotated[
         Path | None,
-        typer.Option(help="File (TOML) with a table [emulator].", show_default="no file"),
+        typer.Option(
+            help="File (TOML) with a table [emulator], and [rig] file.", show_default="no file"
+        ),
     ] = None,
     trace: Annotated[
         Path | None,
@@ -311,7 +313,8 @@ def emulate(
             end_with_parent(parent)
             chosen = msgspec.json.decode(settings, type=EmulatorSettings)
         else:
-            chosen = EmulatorSettings() if config is None else load(config)
+            chosen, file = (EmulatorSettings(), None) if config is None else load(config)
+            rig_file = rig_file or file
         given = {"seed": seed, "baud": baud}
         given = {key: value for key, value in given.items() if value is not None}
         described = read_description(path_of(rig_file)) if rig_file else shipped("arm")

@@ -166,17 +166,20 @@ class _File(msgspec.Struct, frozen=True, kw_only=True):
     emulator: EmulatorSettings
 
 
-def load(path: Path) -> EmulatorSettings:
-    """Return the settings in the table `[emulator]` of the TOML file `path`.
+def load(path: Path) -> tuple[EmulatorSettings, Path | None]:
+    """Return the settings in the table `[emulator]` of a TOML file, and the file in `[rig] file`.
 
-    Other tables are ignored; a missing key has its default.
+    Other tables are ignored; a missing key has its default, and a missing file is None.
 
     Raises InputError if the file cannot be read, is not TOML, or contains a key or value that is
     not allowed.
     """
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)
-        return convert({"emulator": tables.get("emulator", {})}, _File).emulator
+        rig = tables.get("rig")
+        file = rig.get("file") if isinstance(rig, dict) else None
+        settings = convert({"emulator": tables.get("emulator", {})}, _File).emulator
+        return settings, path.parent / str(file) if file else None
     except OSError as err:
         raise InputError(f"{path}: {err.strerror}") from err
     except ValueError as err:

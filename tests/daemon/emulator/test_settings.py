@@ -23,11 +23,11 @@ def refusal(tmp_path: Path, text: str) -> str:
 
 def test_an_empty_table_gives_the_settings_of_the_demo(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
-    path.write_text("[rig]\nname = 'x'\n")
+    path.write_text("[rig]\nid = 'x'\n")
 
-    settings = load(path)
+    settings, described = load(path)
 
-    assert settings == EmulatorSettings()
+    assert (settings, described) == (EmulatorSettings(), None)
     assert (settings.potentiometers, settings.adc_bits, settings.pwm_bits) == (True, 10, 10)
     assert settings.adc_noise_v > 0
     assert (settings.coulomb_nm, settings.stiffening) == (0.0, 0.0)
@@ -35,11 +35,12 @@ def test_an_empty_table_gives_the_settings_of_the_demo(tmp_path: Path) -> None:
 
 def test_settings_of_the_file_replace_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
-    path.write_text("[emulator]\nadc_bits = 12\nseed = 9\n[emulator.arm]\nJ_2 = 0.005\n")
+    text = "[rig]\nfile = 'led.toml'\n[emulator]\nadc_bits = 12\nseed = 9\narm.J_2 = 0.005\n"
+    path.write_text(text)
 
-    settings = load(path)
+    settings, described = load(path)
 
-    assert (settings.adc_bits, settings.seed) == (12, 9)
+    assert (described, settings.adc_bits, settings.seed) == (tmp_path / "led.toml", 12, 9)
     assert settings.arm_parameters().J_2 == 0.005
     assert settings.arm_parameters().J_1 == 1.7e-3
 
