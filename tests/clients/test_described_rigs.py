@@ -143,6 +143,8 @@ def test_a_report_of_another_rig_has_no_physical_model(rc: list[Path]) -> None:
 
     said = repr(study_contents(done, ()))
     assert done.reference is None
+    assert [one.name for one in done.estimated] == ["ARMAX", "OE", "P2"]
+    assert "time constant 2 [s]" in said
     assert not [word for word in ARM_WORDS if word in said]
 
 

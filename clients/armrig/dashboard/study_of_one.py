@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.dashboard.bins import rate
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.estimation.request import Request
+from armrig.estimation.transfer_functions import process
 from armrig.models.fit import Fit
 from armrig.recordings.files.loading import load
 from armrig.recordings.files.recording_summary import shown_path
@@ -118,17 +121,19 @@ def identified(path: Path, validation: Path | None, output: str) -> dict[str, An
         stable=True,
         shared=None if one else True,
     ).estimated(estimation)
-    table = compare(other, fit)
+    in_s = _process(estimation, [found.process for found in hints.values()])
+    table = compare(other, fit, *in_s)
     tests = residuals(fit, other)
     return {
         "model": fit.label,
-        "answer": answer(fit, table, tests, tuple(examine_fit_of(estimation, fit))),
+        "answer": answer(fit, compare(other, fit), tests, tuple(examine_fit_of(estimation, fit))),
         "simulated": {
             row.output: _drawn(recording.t, _degrees(row.unit, row.y)) for row in compare(data, fit)
         },
         "judged": "the second half of the recording" if validation is None else validation.name,
         "texts": [
             ("model", repr(fit)),
+            *(("the same in time constants", repr(model)) for model in in_s),
             ("why these orders", _of_each({name: h.explain() for name, h in hints.items()})),
             ("comparison with validation data", repr(table)),
             ("residuals", repr(tests)),
@@ -140,6 +145,13 @@ def identified(path: Path, validation: Path | None, output: str) -> dict[str, An
         ],
         "figures": _figures(fit, table, tests),
     }
+
+
+def _process(data: Dataset | Signals, forms: list[str]) -> list[Fit]:
+    """Return the process model of a single output, if the data suggest one and determine it."""
+    with suppress(InputError):
+        return [process(data, form) for form in forms if form and len(forms) == 1]
+    return []
 
 
 def _data(recording: Recording, output: str) -> Dataset | Signals:

@@ -70,6 +70,10 @@ def _coefficients(fit: Fit, reference: Fit | None) -> Iterator[tuple[str, ...]]:
         if reference:
             row += (fixed(float(theirs[name]), decimals) if name in theirs else "–",)
         yield row
+    for q in fit.quantities().values() if fit.Ts == 0 else ():
+        value, std = (fixed(x, places(q.std)) for x in (q.value, q.std))
+        trusted = ("–", std) if fit.trusts_robust else (std, "–")
+        yield (f"{q.name} [{q.unit or '–'}]", value, *trusted)
 
 
 def structure(study: Study) -> str:
@@ -97,7 +101,8 @@ def fixed_roots(study: Study) -> list[str]:
     """Return a sentence on each integrator that a model has by construction."""
     return [
         f"{one.symbol} integrates the voltage, so {m.model.integrating.upper()} of "
-        f"{_named(m, one, study)} has the factor 1 − q⁻¹ by construction."
+        f"{_named(m, one, study)} has the factor "
+        f"{'1 − q⁻¹' if m.model.Ts else 's'} by construction."
         for one in each_output(study)
         for m in one.estimated
         if m.model.integrator

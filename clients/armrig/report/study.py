@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
@@ -18,6 +19,7 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS, detrend
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import armax, oe
 from armrig.estimation.request import require_sensible
+from armrig.estimation.transfer_functions import process
 from armrig.models.fit import Fit
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.systems import physical_model
@@ -57,6 +59,8 @@ class Orders:
     """Number of samples before u affects y, in both models."""
     integrator: bool = True
     """True if the OE model has a fixed integrator; all poles of the ARX model are estimated."""
+    form: str = ""
+    """Form of an additional process model, such as "P1D"."""
 
     def of(self, output: str) -> Orders:
         """Return the orders of the models of one output."""
@@ -278,7 +282,9 @@ def _recommended(data: Sequence[Dataset]) -> Orders:
     hints = [structure_hints(one) for one in data]
     nb, nf = (max(getattr(found, name) for found in hints) for name in ("nb", "nf"))
     integrator = any(found.integrator for found in hints)
-    return Orders(na=nf, nb=nb, nf=nf, nk=min(f.nk for f in hints), integrator=integrator)
+    form = hints[0].process if len(hints) == 1 else ""
+    nk = min(found.nk for found in hints)
+    return Orders(na=nf, nb=nb, nf=nf, nk=nk, integrator=integrator, form=form)
 
 
 def _require_sensible(data: Dataset, orders: Orders) -> None:
@@ -298,7 +304,11 @@ def _fits(data: Dataset | Signals, orders: Orders, *, of_arm: bool) -> dict[str,
     if len(each) == 1 and not of_arm:  # the level of y at u = 0 need not be 0
         how |= {"integrator": first.integrator, "offset": not first.integrator}
         found = {"ARMAX": armax(data, na=first.na, nc=first.na, **how)}
-        return found | {"OE": oe(data, nf=first.nf, **how)}
+        found["OE"] = oe(data, nf=first.nf, **how)
+        if first.form:
+            with suppress(InputError):  # such as a pole that is too fast for Ts
+                found[first.form] = process(data, first.form, offset=how["offset"])
+        return found
     # A is diagonal: each output depends on its own past only, as in the model of one output.
     found = {"ARX": arx(data, na=np.diag([own.na for own in each]), **how)}
     if len(each) == 1:

@@ -81,7 +81,8 @@ def test_a_model_is_validated_on_data_not_used_for_estimation(
     def hints(data: Any) -> Any:
         seen.append(np.ravel(data.u).tolist())
         orders = {"nb": 2, "nf": 3, "nk": 4, "integrator": data.output == "theta_1"}
-        return SimpleNamespace(**orders, explain=lambda: "hints")
+        form = "P1I" if orders["integrator"] else ""
+        return SimpleNamespace(**orders, process=form, explain=lambda: "hints")
 
     def tested(fit: Any, data: Any) -> Any:
         seen.append(np.ravel(data.u).tolist())
@@ -108,6 +109,10 @@ def test_a_model_is_validated_on_data_not_used_for_estimation(
     validated = u[half:] if is_alone else load(validation).u.tolist()
     assert seen == [*[estimated] * len(outputs), estimated, validated]
     assert found["judged"] == judged
+    assert [name for name in texts if "constants" in name] == (
+        ["the same in time constants"] if output == "theta_1" else []
+    )
+    assert ("PROCESS(P1I)" in texts["comparison with validation data"]) == (output == "theta_1")
     assert "Simulated on the validation data it fits " in found["answer"]
     assert texts["residuals"].startswith("residuals on validation data")
     hinted = "hints" if len(outputs) == 1 else "theta_1:\nhints\nalpha:\nhints"
