@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -157,7 +157,8 @@ def moved_modes(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
     s = roots(monic(f)).astype(np.complex128)
     rates = np.geomspace(max(2.0 / problem.N, 1e-4), _FASTEST_MODE, _RATES)
     reals = [k for k in range(s.size) if s[k].imag == 0]
-    pairs = [(k, m) for k in range(s.size) for m in range(s.size) if _paired(s, k, m)]
+    up = [k for k in range(s.size) if s[k].imag > 0]
+    pairs = [(k, m) for k, m in product(up, range(s.size)) if s[m] == np.conj(s[k])]
     pairs += [(k, m) for k, m in combinations(reals, 2)][:_MAX_REAL_PAIRS]
     each: list[tuple[tuple[int, ...], Any]] = [((k,), [-rate]) for k in reals for rate in rates]
     for pair in pairs:
@@ -168,10 +169,6 @@ def moved_modes(problem: ContinuousProblem, theta: Array) -> Iterator[Array]:
         moved = np.real(np.poly(np.append(np.delete(s, removed), added)))[1:]
         if problem.admits(theta := problem.joined(noise, moved, delay)):
             yield theta
-
-
-def _paired(s: Array, k: int, m: int) -> bool:
-    return bool(s[k].imag > 0 and s[m] == np.conj(s[k]))
 
 
 def _derivatives(x: Array, system: SampledSystem) -> Array:

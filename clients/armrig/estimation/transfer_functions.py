@@ -149,9 +149,9 @@ def tf(
         delay=given,
         longest=longest,
     )
-    text, size = f"poles={poles}, zeros={zeros}", problem.size + zeros + 1
-    needed = size + nuisance(problem.sampled_problem) + 1
-    require_samples(text, needed=needed, got=int(np.isfinite(data.y).sum()))
+    text, measured = f"poles={poles}, zeros={zeros}", int(np.isfinite(data.y).sum())
+    needed = problem.size + zeros + 2 + nuisance(problem.sampled_problem)
+    require_samples(text, needed=needed, got=measured)
     problem, ends = searched(problem)
     theta = ends[0][1].theta
     point = problem.at(theta)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -151,87 +150,81 @@ class Quantity:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Quantities(Mapping[str, Quantity]):
-    """Physical numbers of a model by name, as a table to print."""
+class Quantities(dict[str, Quantity]):
+    """Physical numbers of a model by name, as a table to print: gain, poles, zeros and delay."""
 
-    numbers: tuple[Quantity, ...]
-    """Gain, poles, zeros and delay, in the order of the table."""
-
-    def __getitem__(self, name: str) -> Quantity:
-        """Return the number with this name."""
-        for item in self.numbers:
-            if item.name == name:
-                return item
+    def __missing__(self, name: str) -> Quantity:
+        """Refuse a name that the model does not have."""
         raise KeyError(f"{name!r}: the model has {', '.join(self)}")
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
-        return (item.name for item in self.numbers)
-
-    def __len__(self) -> int:
-        """Return how many numbers there are."""
-        return len(self.numbers)
 
     def __repr__(self) -> str:
         """Return a table with a line for each number."""
         width = max(map(len, self), default=0)
         return "\n".join(
-            f"{q.name:{width}}  {q.value:.5g} ± {q.std:.2g} {q.unit}".rstrip() for q in self.numbers
+            f"{name:{width}}  {q.value:.5g} ± {q.std:.2g} {q.unit}".rstrip()
+            for name, q in self.items()
         )
+
+
+_Row = tuple[str, float, Vector, str]  # name, value, gradient by theta, unit
 
 
 def quantities(fit: Fit) -> Quantities:
     """Return the physical numbers of a model, as `Fit.quantities` documents."""
     fit = continuous(fit)
     form = _transfer_function(fit)
-    each = [_gain(fit, form)]
-    each += _of_roots(fit, "f", "time constant", "natural frequency", "damping")
-    each += _of_roots(fit, "b", "zero's time constant", "zero's frequency", "zero's damping")
+    rows = [_gain(fit, form)]
+    rows += _of_roots(fit, "f", "time constant", "natural frequency", "damping")
+    rows += _of_roots(fit, "b", "zero's time constant", "zero's frequency", "zero's damping")
     if form.delay or form.delay_estimated:
-        of_delay = np.diag(fit.trusted_covariance)[form.slice_of("delay")]  # empty if it was given
-        std = float(np.sqrt(np.maximum(of_delay.sum(), 0.0)))
-        each.append(Quantity(name="delay", value=form.delay, std=std, unit="s"))
-    return Quantities(tuple(each))
+        of_delay = np.zeros(form.theta.size)
+        of_delay[form.slice_of("delay")] = 1.0
+        rows.append(("delay", form.delay, of_delay, "s"))
+    gradients = np.array([gradient for _, _, gradient, _ in rows])
+    std = standard_deviations(gradients, fit.trusted_covariance).tolist()
+    return Quantities(
+        {
+            name: Quantity(name=name, value=float(value), std=s, unit=unit)
+            for (name, value, _, unit), s in zip(rows, std, strict=True)
+        }
+    )
 
 
-def _gain(fit: Fit, form: TransferFunction) -> Quantity:
+def _gain(fit: Fit, form: TransferFunction) -> _Row:
     """Return B(0)/F(0), or that of the rate of an integrating output."""
     theta, f = form.theta, form.slice_of("f")
     at_b, at_f = form.slice_of("b").stop - 1, f.stop - 1 - int(form.integrators[0])
-    gradient = np.zeros((1, theta.size))
+    gradient = np.zeros(theta.size)
     with np.errstate(divide="ignore", invalid="ignore"):
         below = theta[at_f] if at_f >= f.start else np.float64(1.0)  # 1/s has no f but 0
         value = theta[at_b] / below
-        gradient[0, at_b] = 1 / below
+        gradient[at_b] = 1 / below
         if at_f >= f.start:
-            gradient[0, at_f] = -value / below
+            gradient[at_f] = -value / below
     rate = "/s" if form.integrators[0] else ""
     unit = f"{fit.unit}{rate}/{fit.input_unit}" if fit.unit and fit.input_unit else ""
-    std = float(standard_deviations(gradient, fit.trusted_covariance)[0])
-    return Quantity(name="gain (rate)" if rate else "gain", value=float(value), std=std, unit=unit)
+    return "gain (rate)" if rate else "gain", value, gradient, unit
 
 
-def _of_roots(fit: Fit, letter: str, real: str, frequency: str, damping: str) -> list[Quantity]:
+def _of_roots(fit: Fit, letter: str, real: str, frequency: str, damping: str) -> list[_Row]:
     """Return -1/s of each real root, and |s| and -Re s/|s| of each pair, slowest first."""
-    s, ds = root_derivatives(fit, letter)
-    P = fit.trusted_covariance[fit.slice_of(letter), fit.slice_of(letter)]
+    s, by_own = root_derivatives(fit, letter)
+    ds = np.zeros((s.size, fit.theta.size), dtype=np.complex128)
+    ds[:, fit.slice_of(letter)] = by_own
     order = [k for k in np.argsort(np.abs(s)) if s[k].imag >= 0 and abs(s[k]) > _ORIGIN_TOLERANCE]
     reals = [k for k in order if s[k].imag == 0]
     pairs = [k for k in order if s[k].imag > 0]
-    rows = [(real, -1 / s[k].real, ds[k].real / s[k].real ** 2, "s", reals, k) for k in reals]
+
+    def named(name: str, k: int, group: list[int]) -> str:
+        return name if len(group) == 1 else f"{name} {group.index(k) + 1}"
+
+    rows: list[_Row] = [
+        (named(real, k, reals), -1 / s[k].real, ds[k].real / s[k].real ** 2, "s") for k in reals
+    ]
     for k in pairs:
         size = abs(s[k])
         by_size = (np.conj(s[k]) * ds[k]).real / size
-        rows.append((frequency, size, by_size, "rad/s", pairs, k))
+        rows.append((named(frequency, k, pairs), size, by_size, "rad/s"))
         by_damping = -ds[k].real / size + s[k].real * by_size / size**2
-        rows.append((damping, -s[k].real / size, by_damping, "", pairs, k))
-    return [
-        Quantity(
-            name=name if len(group) == 1 else f"{name} {group.index(k) + 1}",
-            value=float(value),
-            std=float(standard_deviations(gradient[None], P)[0]),
-            unit=unit,
-        )
-        for name, value, gradient, unit, group, k in rows
-    ]
+        rows.append((named(damping, k, pairs), -s[k].real / size, by_damping, ""))
+    return rows

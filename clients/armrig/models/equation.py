@@ -479,7 +479,7 @@ def estimation_facts(fit: Fit) -> dict[str, Any]:
         "answers": fit.summary().facts(),
     }
     if fit.Ts == 0:
-        facts["quantities"] = {q.name: q for q in fit.quantities().numbers}
+        facts["quantities"] = dict(fit.quantities())
     if fit.canonical_correlations.size:
         facts |= _fields(fit, "canonical_correlations suggested_order")
     return facts
