@@ -113,15 +113,6 @@ def test_an_integrator_is_exact() -> None:
     assert gain.unit == "rad/s/s/V"
 
 
-def test_a_process_has_the_numbers_of_a_plant() -> None:
-    fit = process(data(delay=1.23, B=(2.0,), F=(1, 0.8)), "P1D")
-
-    for name, value in (("gain", 2.5), ("time constant", 1.25), ("delay", 1.23)):
-        found = fit.quantities()[name]
-        assert found.value == pytest.approx(value, abs=4 * found.std)
-        assert 0 < found.std < 0.1 * value
-
-
 def test_a_straight_line_between_samples_is_an_option_of_the_data() -> None:
     rng = np.random.default_rng(1)
     u = np.cumsum(rng.standard_normal(600)) / 3
