@@ -39,7 +39,7 @@ WIDTH = 6.4
 """Width of a figure in inches, as wide as the text of report.typ, so that sizes are as printed."""
 MIN_SIZE = 7.0
 """Smallest size of a text in a figure, in points."""
-DETAIL_S = 4.0
+_DETAIL_S, _DETAIL_SHARE = 4.0, 0.1  # least length of a detail, and its share of the data
 _LOW_HEIGHT, _HEIGHT = 1.6, 1.75
 _TWO_PANELS_HEIGHT, _LEGENDS_HEIGHT, _HIGH_LEGENDS_HEIGHT = 2.1, 1.85, 2.6
 """Heights, in inches, of a figure with two stacked panels, and of panels with long legends."""
@@ -131,16 +131,21 @@ def _of_output(study: Study) -> dict[str, Drawing]:
     }
 
 
+def detail_s(data: Dataset) -> float:
+    """Return the length of the detail of a simulation, in s."""
+    return max(_DETAIL_S, _DETAIL_SHARE * data.N * data.Ts)
+
+
 def plot_velocity(study: Study, *, ax: Axes) -> None:
     """Plot a detail of the simulation; of an output that integrates, plot the rate."""
-    data = study.validation
+    data, seconds = study.validation, detail_s(study.validation)
 
     def of(y: Vector) -> Vector:
         return np.diff(y) / data.Ts if study.integrates else y[1:]
 
     t = data.t[1:]
-    begin = min(data.N // 3 * data.Ts, max(data.t[-1] - DETAIL_S, 0.0))
-    shown = (t >= begin) & (t <= begin + DETAIL_S)
+    begin = min(data.N // 3 * data.Ts, max(data.t[-1] - seconds, 0.0))
+    shown = (t >= begin) & (t <= begin + seconds)
     measured = of(data.y)[shown]
     ax.plot(t[shown], measured, ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
     for model, pen in zip(study.estimated, layout.pens(len(study.estimated)), strict=True):
@@ -149,7 +154,7 @@ def plot_velocity(study: Study, *, ax: Axes) -> None:
     lowest, highest = np.nanmin(measured), np.nanmax(measured)
     room = 0.15 * (highest - lowest)
     ax.set_ylim(lowest - room, highest + room)
-    ax.set_xlim(begin, begin + DETAIL_S)
+    ax.set_xlim(begin, begin + seconds)
     ax.set_xlabel("$t$ [s]")
     symbol = labelled(data.output)
     change = rf"$\Delta{symbol[1:-1]}/T_s$" if symbol.startswith("$") else f"Δ{symbol}/Ts"

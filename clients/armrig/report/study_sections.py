@@ -13,7 +13,7 @@ from armrig.numerics.quantities import error, listed, percent
 from armrig.recordings.figures import varying_times
 from armrig.recordings.usability import different_calibrations, emulation
 from armrig.report import model_facts, recording_facts
-from armrig.report.figures import DETAIL_S, suffix
+from armrig.report.figures import detail_s, suffix
 from armrig.report.recording_facts import run_name, without_turns
 from armrig.report.sections import Contents, Figure, Section, Table, figure, numbered
 from armrig.report.study import OUTPUTS, STEP, Study, each_output, kind_of
@@ -275,8 +275,8 @@ def _captions(one: Study) -> dict[str, str]:
         "compare": f"(a) Measured and simulated {angle} of the validation data (recording "
         f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model has a "
         "much larger error, the scale is logarithmic beyond the dotted lines.",
-        "velocity": f"Detail of {DETAIL_S:g} s: {detail} (recording {validation}). The simulation "
-        "of the models starts at the beginning of the data.",
+        "velocity": f"Detail of {detail_s(one.validation):.3g} s: {detail} (recording "
+        f"{validation}). The simulation of the models starts at the beginning of the data.",
         "bode": f"Frequency response from voltage to {angle}, (a) magnitude and (b) phase, with "
         "95 % bands. A band is linearised or, if a linearisation is poor, sampled from the "
         "covariance of the parameters. Dots: spectral analysis of the estimation data with 95 % "
