@@ -31,7 +31,16 @@ _DEPTH_LIMIT = 32
 _INDEX_LIMIT = 1 << 62
 
 
-class Manifest(msgspec.Struct, frozen=True, kw_only=True):
+class _Record(msgspec.Struct, frozen=True, kw_only=True):
+    """Contents of a metadata record."""
+
+    def metadata(self) -> dict[str, str]:
+        """Return the fields as MCAP needs them; each value is a JSON text."""
+        fields = msgspec.structs.asdict(self)
+        return {key: msgspec.json.encode(value).decode() for key, value in fields.items()}
+
+
+class Manifest(_Record, frozen=True, kw_only=True):
     """Description of a run; each field is one entry of the metadata, as JSON."""
 
     rig: str
@@ -98,12 +107,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
         """True if the identity of the device or the port belongs to an emulator."""
         return is_emulated(uid=str(self.device.get("uid", "")), port=str(self.host.get("port", "")))
 
-    def metadata(self) -> dict[str, str]:
-        """Return the fields as MCAP needs them; each value is a JSON text."""
-        return _metadata(self)
 
-
-class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+class Outcome(_Record, frozen=True, kw_only=True):
     """End of a run."""
 
     outcome: str
@@ -115,12 +120,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     code: str = OutcomeCode.UNKNOWN
     """Outcome for programs, an `OutcomeCode`."""
 
-    def metadata(self) -> dict[str, str]:
-        """Return the fields as MCAP needs them; each value is a JSON text."""
-        return _metadata(self)
 
-
-class Recovered(msgspec.Struct, frozen=True, kw_only=True):
+class Recovered(_Record, frozen=True, kw_only=True):
     """Completion of a file that its daemon left unfinished."""
 
     when: str
@@ -133,15 +134,6 @@ class Recovered(msgspec.Struct, frozen=True, kw_only=True):
     """Length of the damaged rest, which was cut off, in B."""
     damage: str
     """Omitted attachments, and reason why the rest is unreadable; empty for an undamaged file."""
-
-    def metadata(self) -> dict[str, str]:
-        """Return the fields as MCAP needs them; each value is a JSON text."""
-        return _metadata(self)
-
-
-def _metadata(record: Manifest | Outcome | Recovered) -> dict[str, str]:
-    fields = msgspec.structs.asdict(record)
-    return {key: msgspec.json.encode(value).decode() for key, value in fields.items()}
 
 
 def _fields(metadata: dict[str, str]) -> dict[str, Any]:
