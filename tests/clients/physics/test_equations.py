@@ -203,3 +203,29 @@ def test_friction_has_the_curve_of_stribeck() -> None:
         rates, coulomb=1.0, viscous=0.1, static=2.0, stribeck_rate=0.1, width=1e-3
     )
     assert found == pytest.approx([-1.5, 0.0, 1 + np.exp(-0.25) + 0.005, 1.5], abs=1e-9)
+
+
+def test_a_start_that_ends_in_a_poorer_minimum_is_not_the_last() -> None:
+    """From a single start, 7 of 19 such chassis did not reach their optimum."""
+
+    def chassis(factors: Any) -> armrig.Ode:
+        def f(t: Any, x: Any, u: Any, p: Any) -> Any:
+            curve = {"coulomb": p.T_c, "static": p.T_s, "stribeck_rate": p.v_s, "viscous": p.b}
+            friction = armrig.friction(x[1], width=0.05, **curve)
+            return [x[1], (0.167 * u[0] - 0.0897 * x[1] - friction) / p.J]
+
+        truth = {"J": 1.7e-3, "b": 5e-3, "T_c": 0.02, "T_s": 0.04, "v_s": 0.5}
+        starts = zip(truth.items(), factors, strict=True)
+        own = {name: P(value * factor, low=0) for (name, value), factor in starts}
+        return armrig.Ode(f=f, output=lambda t, x, u, p: x[0], states=["a", "r"], parameters=own)
+
+    rng = np.random.default_rng(2010)
+    u = np.repeat(rng.uniform(-5, 5, 100), 20)
+    noise = rng.standard_normal(2000)
+    y = chassis(np.ones(5)).simulate(u, Ts=0.01, steps=8)[:, 0] + 3e-3 * noise
+    data = armrig.Dataset(u=u, y=y, Ts=0.01)
+
+    fit = armrig.greybox(data, chassis(3.0 ** rng.uniform(-1, 1, 5)))
+
+    assert fit.converged
+    assert fit.loss < 9e-6 * np.mean(noise**2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
+from armrig.numerics.whiteness import default_lags, joined, ljung_box
 from armrig.physics.grey_box.fit import GreyFit
-from armrig.physics.grey_box.inference import Held, grey_fit
+from armrig.physics.grey_box.inference import Held, grey_fit, require_samples
 from armrig.physics.grey_box.least_squares_problem import by_experiment
 from armrig.physics.grey_box.shooting import (
     COLUMNS,
@@ -36,7 +37,11 @@ MAX_MOVE = 12.0
 """Largest change of a bounded coordinate; e^12 is 160 000."""
 _MAX_SOLVER_SHARE = 0.1  # largest error of the solver, as a share of the noise's deviation
 _MAX_ROUNDS = 8
-_GOOD_SHARE = 0.05  # share of the outputs' variance: with a smaller loss no second start is tried
+_MIN_P = 1e-6  # p value of the test of whiteness above which no other start is tried
+_EXACT_SHARE = 1e-5  # largest residual of data without noise, as a share of the deviation
+_MAX_DRAWS = 8
+_TRIAL_STEPS = 30  # of the search from each start
+_DRAWN = 1.4  # largest change of a coordinate in a drawn start; e^1.4 is 4
 _SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds end
 
 
@@ -67,7 +72,7 @@ class Equations:
             problem = _problem(self.model, (), {**self.model.values, **values}, experiments)
             nothing = np.zeros(0)
             z = problem.relaxed(nothing, problem.begun(nothing))
-            return _residuals(problem, _searched(problem, z).theta)
+            return _residuals(problem, _searched(problem, z))
 
     def to_control(self, parameters: Any) -> control.StateSpace:
         """Refuse: own equations may be nonlinear."""
@@ -89,13 +94,7 @@ def estimated(data: Signals, ode: Ode, fixed: Mapping[str, float], output: str |
     if not names:
         raise InputError("all parameters are fixed: there is nothing to estimate")
     experiments = tuple(data.experiments())
-    n, d = len(ode.states), len(names)
-    needed = d + n * len(experiments) + 1
-    if np.count_nonzero(data.valid) < needed or min(part.N for part in experiments) < 2:
-        raise InputError(
-            f"{np.count_nonzero(data.valid)} values are too few to estimate {d} parameters and "
-            f"{n * len(experiments)} initial states: record longer"
-        )
+    require_samples(data, names, unknown=len(ode.states))
     with np.errstate(all="ignore"):
         returned = ode.simulate(data.u[:2], Ts=data.equidistant(), values=fixed, steps=1).shape[1]
         if returned != data.ny:
@@ -125,6 +124,7 @@ def _problem(
         fixed=dict(values),
         experiments=parts,
         std=np.where(spread > 0, spread, 1.0),
+        spread=spread,
         length=length,
         scale=np.ones(len(ode.states)),
         box=Box(low=start - reach, high=start + reach),
@@ -140,24 +140,55 @@ def _minimised(
     def problem(parts: tuple[Signals, ...]) -> Shooting:
         return _problem(ode, names, values, parts)
 
-    start = problem(experiments).coordinates.of([values[name] for name in names])
     windows = tuple(map(liveliest, experiments))
-    eta = start
-    if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
+    start = problem(windows).coordinates.of([values[name] for name in names])
+    found: list[tuple[float, Shooting, Optimum]] = []
+    failed = InputError("no start leads to finite outputs")
+    for at in _starts(start):
         short = problem(windows)
-        eta = _searched(short, short.relaxed(start, short.begun(start))).theta[: start.size]
-    best: tuple[Shooting, Optimum] | None = None
-    for at, relaxes in ((eta, True), (start, False)):
-        whole = problem(experiments)
-        states = whole.begun(at)
-        z = whole.relaxed(at, states) if relaxes else whole.packed(at, [s[:, 0] for s in states])
-        found = _searched(whole, z)
-        if best is None or found.cost < best[1].cost:
-            best = whole, found
-        if best[1].converged and best[1].cost < _GOOD_SHARE * sum(part.N for part in experiments):
+        try:
+            z = short.relaxed(at, short.begun(at))
+            trial = _refined(short, _searched(short, z, _TRIAL_STEPS), _TRIAL_STEPS)
+        except InputError as err:
+            failed = err if at is start else failed
+            continue
+        e = _residuals(*trial)
+        found.append((float(np.sum(np.log(np.nanmean(e**2, axis=0)))), *trial))
+        if _is_white(*trial):
             break
-    assert best is not None  # noqa: S101 - the loop has two turns
-    return *_refined(*best), start
+    if not found:
+        raise failed
+    _, whole, best = min(found, key=lambda trial: trial[0])
+    if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
+        whole, eta = problem(experiments), best.theta[: start.size]
+        best = _searched(whole, whole.relaxed(eta, whole.begun(eta)))
+    elif not best.converged:
+        best = _searched(whole, best.theta)
+    whole, best = _refined(whole, best)
+    if whole.std.size == 1:  # the inference of a single output takes errors in its unit
+        best = replace(best, cost=best.cost * float(whole.std[0]) ** 2)
+        whole = whole.changed(std=np.ones(1))
+    return whole, best, start
+
+
+def _starts(start: Vector) -> Iterator[Vector]:
+    """Yield starts of the search: the given one, and others within a factor of 4."""
+    yield start
+    rng = np.random.default_rng(0)
+    for _ in range(_MAX_DRAWS):
+        yield start + rng.uniform(-_DRAWN, _DRAWN, start.size)
+
+
+def _is_white(problem: Shooting, best: Optimum) -> bool:
+    """Return whether the residuals are noise, so that no other start leads to a lower minimum."""
+    e = by_experiment(problem.linearise(best.theta)[0], problem.experiments, problem.std)
+    lags = default_lags(min(part.shape[0] for part in e))
+    for i, spread in enumerate(problem.spread):
+        of_output = joined([part[:, i] for part in e], lags)
+        exact = np.nanmax(np.abs(of_output)) <= _EXACT_SHARE * spread
+        if not (exact or ljung_box(of_output, lags) > _MIN_P):
+            return False
+    return True
 
 
 def liveliest(data: Signals) -> Signals:
@@ -171,19 +202,19 @@ def liveliest(data: Signals) -> Signals:
     return windows[int(np.nanargmax(spreads))]
 
 
-def _searched(problem: Shooting, z: Vector) -> Optimum:
+def _searched(problem: Shooting, z: Vector, most: int = MAX_STEPS) -> Optimum:
     """Return the minimum that a search from z finds, inside the box of the problem."""
     free = np.full(z.size - problem.box.low.size, np.inf)
     walls = Box(low=np.append(problem.box.low, -free), high=np.append(problem.box.high, free))
     return levenberg_marquardt(
-        problem.linearise, walls.inside(z, z), admissible=lambda _: True, walls=walls
+        problem.linearise, walls.inside(z, z), admissible=lambda _: True, most=most, walls=walls
     )
 
 
-def _refined(problem: Shooting, best: Optimum) -> tuple[Shooting, Optimum]:
+def _refined(problem: Shooting, best: Optimum, most: int = MAX_STEPS) -> tuple[Shooting, Optimum]:
     """Return problem and minimum with the noise of several outputs, and with enough steps."""
     for _ in range(_MAX_ROUNDS):
-        e = _residuals(problem, best.theta)
+        e = _residuals(problem, best)
         noise = np.sqrt(np.nanmean(e**2, axis=0))
         steps, _ = problem.solver_error(best.theta, _MAX_SOLVER_SHARE * noise)
         finer = steps > problem.steps
@@ -192,16 +223,15 @@ def _refined(problem: Shooting, best: Optimum) -> tuple[Shooting, Optimum]:
         if settled and not finer:
             break
         problem = problem.changed(std=std, steps=steps if finer else problem.steps)
-        best = _searched(problem, best.theta)
-    if problem.std.size == 1:  # the inference of a single output takes errors in its unit
-        best = replace(best, cost=best.cost * float(problem.std[0]) ** 2)
-        problem = problem.changed(std=np.ones(1))
+        best = _searched(problem, best.theta, most)
     return problem, best
 
 
-def _residuals(problem: Shooting, theta: Vector) -> Matrix:
+def _residuals(problem: Shooting, best: Optimum) -> Matrix:
     """Return the residuals (N, ny) of all experiments."""
-    return np.vstack(by_experiment(problem.linearise(theta)[0], problem.experiments, problem.std))
+    return np.vstack(
+        by_experiment(problem.linearise(best.theta)[0], problem.experiments, problem.std)
+    )
 
 
 def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int) -> GreyFit:
@@ -214,7 +244,7 @@ def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int)
             f"{', '.join(lost)}: no effect on the output at the end of the search; hold fixed, "
             "start nearer, or check whether the equations contain it"
         )
-    noise = np.sqrt(np.nanmean(_residuals(problem, best.theta) ** 2, axis=0))
+    noise = np.sqrt(np.nanmean(_residuals(problem, best) ** 2, axis=0))
     allowed = _MAX_SOLVER_SHARE * noise
     error = problem.solver_error(best.theta, allowed)[1][i]
     bounded = problem.coordinates.bounded()
@@ -227,7 +257,7 @@ def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int)
     return grey_fit(
         data,
         i,
-        problem,
+        problem.std,
         at,
         best,
         values=values,

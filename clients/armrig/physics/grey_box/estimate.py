@@ -19,7 +19,7 @@ from armrig.numerics.criteria import fit_percent
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.physics.grey_box.equations_estimate import estimated
 from armrig.physics.grey_box.fit import GreyFit, below_zero, scales
-from armrig.physics.grey_box.inference import Held, grey_fit
+from armrig.physics.grey_box.inference import Held, grey_fit, require_samples
 from armrig.physics.grey_box.least_squares_problem import (
     GreyBox,
     GreyBoxWithFriction,
@@ -149,7 +149,7 @@ def greybox(
     if data.ny == 1:
         require_output(data.outputs[0], output)
     experiments = tuple(data.experiments())
-    _require_samples(data, experiments, names, states=len(physics[0].labels()[1]))
+    require_samples(data, names, unknown=len(physics[0].labels()[1]) + 1)
     spread = np.nanstd(data.y, axis=0) if data.ny > 1 else np.ones(1)
     plain = GreyBox(
         physics=physics,
@@ -184,20 +184,6 @@ def _require_channels(data: Signals, names: Sequence[str], output: str) -> None:
         raise InputError(
             'friction: Coulomb friction is estimated from one output; give friction="viscous", or '
             'signals.dataset("theta_1")'
-        )
-
-
-def _require_samples(
-    data: Signals, experiments: Sequence[Signals], names: Sequence[str], *, states: int
-) -> None:
-    samples = int(np.count_nonzero(data.valid.any(axis=1)))
-    needed = len(names) + (states + 1) * len(experiments) + 1
-    if samples < needed or min(part.N for part in experiments) < 2:
-        count = len(experiments)
-        where = f" in {count} experiments, and two in each experiment" if count > 1 else ""
-        raise InputError(
-            f"{samples} samples are too few to estimate {', '.join(names)}, which needs at least "
-            f"{needed}{where}: record longer, or cut into fewer parts"
         )
 
 
@@ -260,7 +246,7 @@ def _fit(
     return grey_fit(
         data,
         i,
-        plain,
+        plain.std,
         at,
         best,
         values=values,

@@ -17,11 +17,7 @@ from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.stretches import Mask
 from armrig.physics.grey_box.fit import GreyFit, PhysicalModel
-from armrig.physics.grey_box.least_squares_problem import (
-    Linearised,
-    WeightedData,
-    by_experiment,
-)
+from armrig.physics.grey_box.least_squares_problem import Linearised, by_experiment
 from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED
 
 _ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
@@ -44,10 +40,24 @@ class Held:
     """Standard deviations of the coordinates of `names`."""
 
 
+def require_samples(data: Signals, names: Sequence[str], *, unknown: int) -> None:
+    """Refuse too few samples; each experiment has a number of unknown initial values."""
+    samples = int(np.count_nonzero(data.valid.any(axis=1)))
+    experiments = tuple(data.experiments())
+    count = len(experiments)
+    needed = len(names) + unknown * count + 1
+    if samples < needed or min(part.N for part in experiments) < 2:
+        where = f" in {count} experiments, and two in each experiment" if count > 1 else ""
+        raise InputError(
+            f"{samples} samples are too few to estimate {', '.join(names)}, which needs at least "
+            f"{needed}{where}: record longer, or cut into fewer parts"
+        )
+
+
 def grey_fit(
     data: Signals,
     i: int,
-    problem: WeightedData,
+    weights: Vector,
     at: Linearised,
     best: Optimum,
     *,
@@ -61,13 +71,13 @@ def grey_fit(
 ) -> GreyFit:
     """Return the result, whose loss, fit and whiteness are those of output i.
 
-    `slopes` are the derivatives of the parameters with respect to their coordinates. Parameters
-    that `stopped` at a bound have no standard deviation. `doubts` returns warnings from the
-    standard deviations.
+    `weights` are the deviations by which the residuals were divided, and `slopes` the derivatives
+    of the parameters with respect to their coordinates. Parameters that `stopped` at a bound have
+    no standard deviation. `doubts` returns warnings from the standard deviations.
     """
     names, free = tuple(values), np.flatnonzero(~stopped)
     basis = determined(at.Psi[:, free], [names[j] for j in free])
-    found = inferred(problem, at, basis)
+    found = inferred(tuple(data.experiments()), weights, at, basis)
     influence = np.zeros((free.size, 0))
     if held.Psi is not None:
         influence = -basis.W @ (basis.Q.T @ held.Psi)
@@ -83,7 +93,7 @@ def grey_fit(
     std, quality = _named_std(names, covariance), found.quality[i]
     own = [data.dataset(name, data.inputs[0]) for name in data.outputs]
     steps = [quantum(output) for output in own]
-    rounding = _ROUNDING_SHARE * float(np.nansum((data.y / problem.std) ** 2))
+    rounding = _ROUNDING_SHARE * float(np.nansum((data.y / weights) ** 2))
     converged = best.converged or best.cost <= rounding
     return GreyFit(
         names=names,
@@ -140,14 +150,12 @@ def _named_influence(
     }
 
 
-def inferred(plain: WeightedData, at: Linearised, basis: Basis) -> Inference:
+def inferred(parts: Sequence[Signals], weights: Vector, at: Linearised, basis: Basis) -> Inference:
     """Return covariances of the coordinates, and the quality for each output."""
-    ny, begin, experiments = plain.std.size, 0, []
-    for data, e, Z in zip(
-        plain.experiments, by_experiment(at.e, plain.experiments, plain.std), at.spans, strict=True
-    ):
+    ny, begin, experiments = weights.size, 0, []
+    for data, e, Z in zip(parts, by_experiment(at.e, parts, weights), at.spans, strict=True):
         outputs = []
-        for i, std in enumerate(plain.std):
+        for i, std in enumerate(weights):
             known = data.valid[:, i]
             rows = slice(begin, begin + int(known.sum()))
             begin = rows.stop

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -48,18 +48,6 @@ class Linearised:
     """Orthonormal basis of each experiment's free response."""
     free: tuple[Vector, ...]
     """Initial state and input offset of each experiment, (n + 1,)."""
-
-
-class WeightedData(Protocol):
-    """Problem whose outputs are weighted by the deviation of their noise."""
-
-    @property
-    def experiments(self) -> tuple[Signals, ...]:
-        """Data of each experiment."""
-
-    @property
-    def std(self) -> Vector:
-        """Standard deviation of the noise of each output, (ny,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,8 +22,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.rig.equations import Ode, Parameter
-from armrig_core.rig.integration import Course, integrated, steps_and_error
+from armrig_core.rig.equations import Course, Ode, Parameter, integrated, steps_and_error
 from scipy.linalg import solve_triangular
 
 from armrig.data.columns import Matrix, Vector
@@ -40,14 +39,14 @@ COLUMNS = 1500
 """Number of trajectories at which the time of an array operation equals its overhead."""
 MIN_SEGMENT = 10  # least number of samples of a segment
 _STEP = 1e-5  # step of a central difference, as a share of the coordinate's scale
-_JOINED = 1e-5  # largest defect of joined segments, as a share of the state's magnitude
+_JOINED = 1e-5  # largest defect of joined segments, as a share of the state's scale
 _MAX_JOINS = 12
+_NOTHING = np.zeros(0)
 _MAX_BEGINNINGS = 4
 _WEIGHTS = (0.01, 0.1, 1.0, 1e2, 1e4, 1e7)
 """Weights of the defects of the relaxed problem, for each sample of a segment."""
 _MAX_RELAXED = 12
 _RELAXED_CHANGE = 1e-2  # relative change of the cost at which the relaxed problem is solved
-_PRIOR = 1e-4  # weight of the simulated states in the start of the segments
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,8 +105,6 @@ class Point:
     """Derivatives of the end of each segment with respect to (eta, s), (S, n, d + n)."""
     defects: Matrix
     """End of each segment minus the start of the next, (S - 1, n)."""
-    largest: Vector
-    """Largest magnitude of each state, (n,)."""
 
     def states_by(self) -> NDArray[np.float64]:
         """Return the derivatives of joined s with respect to (eta, x0), (S, n, d + n)."""
@@ -208,6 +205,8 @@ class Shooting:
     experiments: tuple[Signals, ...]
     std: Vector
     """Standard deviation of the noise of each output, (ny,)."""
+    spread: Vector
+    """Standard deviation of each output, (ny,)."""
     length: int
     """Samples of a segment."""
     steps: int = 1
@@ -217,7 +216,9 @@ class Shooting:
     segments: tuple[Segments, ...] = ()
     box: Box
     """Walls of the coordinates of the parameters."""
-    best: tuple[float, Vector, tuple[Point, ...]] | None = field(default=None, init=False)
+    best: tuple[float, Vector, tuple[Point, ...]] = field(
+        default=(np.inf, _NOTHING, ()), init=False
+    )
     """Cost, coordinates and points of the best joined trajectories so far."""
 
     @property
@@ -229,22 +230,13 @@ class Shooting:
     def changed(self, **fields: Any) -> Shooting:
         """Return the problem with other fields; the trajectories found so far remain its start."""
         new = replace(self, **fields)
-        if self.best is not None:
-            new.best = (np.inf, *self.best[1:])
+        new.best = (np.inf, *self.best[1:])
         return new
 
     def values(self, z: Vector) -> dict[str, float]:
         """Return the values of the free parameters."""
         found = self.coordinates.values(z[: len(self.names)])
         return {k: float(v) for k, v in zip(self.names, found, strict=True)}
-
-    def initial(self, z: Vector) -> list[Vector]:
-        """Return the initial state of each experiment."""
-        return list((z[len(self.names) :].reshape(len(self.experiments), -1)) * self.scale)
-
-    def packed(self, eta: Vector, initial: Sequence[Vector]) -> Vector:
-        """Return the coordinates of parameters and initial states."""
-        return np.concatenate([eta, *(x / self.scale for x in initial)])
 
     def point(self, eta: Vector, part: Segments, s: Matrix) -> Point:
         """Integrate the segments of an experiment, with all derivatives."""
@@ -268,7 +260,6 @@ class Shooting:
             y_by=(found.y[:, :, 1::2] - found.y[:, :, 2::2]) / (2 * h),
             end_by=np.moveaxis(end_by, 2, 0),
             defects=((found.end[:, 0, :-1] - s[:, 1:]) / self.scale[:, None]).T,
-            largest=found.largest / self.scale,
         )
 
     def relaxed(self, eta: Vector, starts: Sequence[Matrix]) -> Vector:
@@ -278,32 +269,23 @@ class Shooting:
         """
         points = [self.point(eta, p, s) for p, s in zip(self.segments, starts, strict=True)]
         for weight in _WEIGHTS:
-            eta, points = self._relaxed(eta, points, weight * self.length)
-        z = self.packed(eta, [p.s[:, 0] for p in points])
+            eta, points = self.relax(eta, points, weight * self.length)
+        z = np.concatenate([eta, *(p.s[:, 0] / self.scale for p in points)])
         self.best = np.inf, z, tuple(points)
         return z
 
-    def _relaxed(
-        self, eta: Vector, points: list[Point], weight: float
-    ) -> tuple[Vector, list[Point]]:
+    def relax(self, eta: Vector, points: list[Point], weight: float) -> tuple[Vector, list[Point]]:
         """Return coordinates and points of a lower cost for one weight of the defects."""
-        cost, damping, d = self._relaxed_cost(points, weight), 1e-4, eta.size
+        cost, damping = self._relaxed_cost(points, weight), 1e-4
         for _ in range(_MAX_RELAXED):
-            A, b = self._relaxed_equations(points, weight)
-            if not np.all(np.isfinite(A)):
+            move, moves = self._relaxed_step(points, weight, damping)
+            if not moves:
                 break
-            size = np.linalg.norm(A, axis=0)
-            size[size == 0] = 1.0
-            damped = np.vstack([A / size, np.sqrt(damping) * np.eye(size.size)])
-            Q, R = np.linalg.qr(damped)
-            move = solve_triangular(R, Q[: b.size].T @ b) / size
-            states, begin = [], d
-            for p in points:
-                own = move[begin : begin + p.s.size].reshape(p.s.shape[::-1])
-                states.append(p.s + own.T * self.scale[:, None])
-                begin += p.s.size
-            new = self.box.inside(eta + move[:d], eta)
-            found = [self.point(new, p, s) for p, s in zip(self.segments, states, strict=True)]
+            new = self.box.inside(eta + move, eta)
+            found = [
+                self.point(new, part, p.s + of_states.T * self.scale[:, None])
+                for part, p, of_states in zip(self.segments, points, moves, strict=True)
+            ]
             value = self._relaxed_cost(found, weight)
             if np.isfinite(value) and value < cost:
                 fell, eta, points, cost = cost - value, new, found, value
@@ -324,31 +306,59 @@ class Shooting:
                 return np.inf
         return cost
 
-    def _relaxed_equations(self, points: Sequence[Point], weight: float) -> tuple[Matrix, Vector]:
-        """Return matrix and right side of the linear equations for eta and all s."""
-        d, n = len(self.names), self.scale.size
-        columns, begin = d + sum(p.s.size for p in points), d
-        rows, right = [], []
+    def _relaxed_step(
+        self, points: Sequence[Point], weight: float, damping: float
+    ) -> tuple[Vector, list[Matrix]]:
+        """Return the damped change of eta, and of s (S, n) of each experiment; [] without any.
+
+        The states of a segment occur only in its errors and in its two defects. The least-squares
+        problem is therefore solved by an orthogonal elimination of the states, segment by segment.
+        """
+        d, n, join = len(self.names), self.scale.size, np.sqrt(weight)
+        blocks, rows, sizes = [], [], np.zeros(d)
         for point, part in zip(points, self.segments, strict=True):
-            for i in range(point.s.shape[1]):
-                known = np.isfinite(part.y[..., i])
-                J = point.y_by[..., i] / self.std[:, None]
-                e = (part.y - point.y)[..., i] / self.std
-                # The triangular factor has the same normal equations with fewer rows.
-                R: Matrix = np.asarray(np.linalg.qr(np.column_stack([J[known], e[known]]), "r"))
-                own = slice(begin + n * i, begin + n * (i + 1))
-                block = np.zeros((R.shape[0], columns))
-                block[:, :d], block[:, own] = R[:, :d], R[:, d:-1]
-                rows.append(block)
-                right.append(R[:, -1])
-                if i + 1 < point.s.shape[1]:
-                    join = np.zeros((n, columns))
-                    join[:, :d], join[:, own] = point.end_by[i, :, :d], point.end_by[i, :, d:]
-                    join[:, own.stop : own.stop + n] = -np.eye(n)
-                    rows.append(np.sqrt(weight) * join)
-                    right.append(-np.sqrt(weight) * point.defects[i])
-            begin += point.s.size
-        return np.vstack(rows), np.concatenate(right)
+            e, J = (part.y - point.y) / self.std[:, None], point.y_by / self.std[:, None, None]
+            known = np.isfinite(e)
+            whole = np.concatenate([J * known[:, :, None], np.where(known, e, 0.0)[:, :, None]], 2)
+            # Columns: the states, eta, and the right side.
+            stacked = np.moveaxis(whole.reshape(-1, *whole.shape[2:]), 2, 0)
+            order = [*range(d, d + n), *range(d), d + n]
+            own = np.asarray(np.linalg.qr(stacked[..., order], "r"))
+            ends = join * np.concatenate([point.end_by[..., d:], point.end_by[..., :d]], 2)
+            squares = np.sum(own[..., :-1] ** 2, axis=1)
+            squares[:-1] += np.sum(ends[:-1] ** 2, axis=1)
+            squares[1:, :n] += weight
+            sizes += np.sum(squares[:, n:], axis=0)
+            carry, eliminated = np.zeros((0, n + d + 1)), []
+            for i, (R, end) in enumerate(zip(own, ends, strict=True)):
+                above = np.vstack([R, carry, np.zeros((n, n + d + 1))])
+                above[-n:, :n] = np.diag(np.sqrt(damping * np.maximum(squares[i, :n], 1e-300)))
+                # A column block for the states of the next segment.
+                above = np.insert(above, [n] * n, 0.0, axis=1)
+                if i + 1 < own.shape[0]:
+                    defect = np.concatenate(
+                        [end[:, :n], -join * np.eye(n), end[:, n:], -join * point.defects[[i]].T], 1
+                    )
+                    above = np.vstack([above, defect])
+                R = np.asarray(np.linalg.qr(above, "r"))
+                eliminated.append(R[:n])
+                carry = R[n:, n:]
+            blocks.append(eliminated)
+            rows.append(carry[:, n:])
+        sizes[sizes == 0] = 1.0
+        A = np.vstack([*rows, np.pad(np.diag(np.sqrt(damping * sizes)), ((0, 0), (0, 1)))])
+        if not np.all(np.isfinite(A)):
+            return np.zeros(d), []
+        move = np.linalg.lstsq(A[:, :d], A[:, d], rcond=None)[0]
+        moves = []
+        for eliminated in blocks:
+            after, of_states = np.zeros(n), []
+            for R in reversed(eliminated):
+                right = R[:, -1] - R[:, n : 2 * n] @ after - R[:, 2 * n : -1] @ move
+                after = solve_triangular(R[:, :n], right)
+                of_states.append(after)
+            moves.append(np.array(of_states[::-1]))
+        return move, moves
 
     def _condensed(self, points: Sequence[Point]) -> tuple[Vector, Matrix]:
         """Return errors of joined segments, and their derivatives with respect to z."""
@@ -371,22 +381,14 @@ class Shooting:
 
     def joined(self, z: Vector) -> tuple[Point, ...] | None:
         """Return the points of trajectories without defects, or None if there are none."""
-        eta, initial = z[: len(self.names)], self.initial(z)
-        near = self.best
-        found = []
-        for i, (part, x0) in enumerate(zip(self.segments, initial, strict=True)):
-            if near is None:
-                s = self.simulated(eta, part, x0)
-            else:
-                _, at, points = near
-                n = x0.size
-                own = slice(eta.size + n * i, eta.size + n * (i + 1))
-                move = np.append(eta - at[: eta.size], z[own] - at[own])
-                s = points[i].s + (points[i].states_by() @ move).T * self.scale[:, None]
-                s[:, 0] = x0
+        eta, n, found = z[: len(self.names)], self.scale.size, []
+        _, at, points = self.best
+        for i, (part, near) in enumerate(zip(self.segments, points, strict=True)):
+            own = slice(eta.size + n * i, eta.size + n * (i + 1))
+            move = np.append(eta - at[: eta.size], z[own] - at[own])
+            s = near.s + (near.states_by() @ move).T * self.scale[:, None]
+            s[:, 0] = z[own] * self.scale
             point = self._joined(eta, part, s)
-            if point is None and near is None:
-                point = self._joined(eta, part, self.simulated(eta, part, x0))
             if point is None:
                 return None
             found.append(point)
@@ -399,26 +401,10 @@ class Shooting:
             point = self.point(eta, part, s)
             if not np.all(np.isfinite(point.y)):
                 return None
-            worst = np.max(np.abs(point.defects) / point.largest, initial=0.0)
-            if worst <= _JOINED:
+            if np.max(np.abs(point.defects), initial=0.0) <= _JOINED:
                 return point
             s = s + point.joining().T * self.scale[:, None]
         return None
-
-    def simulated(self, eta: Vector, part: Segments, x0: Vector) -> Matrix:
-        """Return the states at the start of each segment, integrated one after another."""
-        values = self.fixed | {
-            k: float(v) for k, v in zip(self.names, self.coordinates.values(eta), strict=True)
-        }
-        x, course = x0[:, None, None], part.course
-        states = [x0]
-        for i in range(course.u.shape[2] - 1):
-            own = Course(
-                u=course.u[:, :, [i]], t=course.t[:, [i]], Ts=course.Ts, linear=course.linear
-            )
-            x = integrated(self.ode, own, x, values, self.steps).end
-            states.append(x[:, 0, 0])
-        return np.array(states).T
 
     def linearise(self, z: Vector) -> tuple[Vector, Matrix]:
         """Return residuals and derivatives of the joined trajectories."""
@@ -428,7 +414,7 @@ class Shooting:
             return np.full(M, np.inf), np.zeros((M, z.size))
         e, J = self._condensed(points)
         cost = float(e @ e)
-        if self.best is None or cost <= self.best[0]:
+        if cost <= self.best[0]:
             self.best = cost, z.copy(), points
         return e, J
 
@@ -442,52 +428,25 @@ class Shooting:
             d,
             self.experiments,
             [slice(d + n * i, d + n * (i + 1)) for i in range(len(self.experiments))],
-            [np.append(x0, 0.0) for x0 in self.initial(z)],
+            [np.append(x0 * self.scale, 0.0) for x0 in z[d:].reshape(-1, n)],
         )
 
     def starts(self, eta: Vector) -> list[Matrix]:
-        """Return states at the start of each segment, from the segment's own data.
+        """Return states at the start of each segment, from the data near the segment.
 
-        The states minimise the errors of the segment, plus a small multiple of their squared
-        distance from the end of the segment before, if that starts at 0.
+        The states minimise the relaxed problem for given parameters. The search begins with the
+        states that a segment from 0 reaches in one segment's time.
         """
-        found = []
-        n = self.scale.size
-        for part, data in zip(self.segments, self.experiments, strict=True):
+        values, nothing = self.fixed | self.values(eta), np.zeros(0)
+        alone = replace(self, names=(), fixed=values, box=Box(low=nothing, high=nothing))
+        n, points = self.scale.size, []
+        for part in self.segments:
             S = part.course.u.shape[2]
-            values = self.fixed | self.values(eta)
             # A segment that starts at 0 ends near the states of the next, unless they integrate.
-            ends = integrated(self.ode, part.course, np.zeros((n, 1, S)), values, self.steps).end[
-                :, 0
-            ]
-            prior = np.nan_to_num(np.column_stack([np.zeros(n), ends[:, :-1]]), posinf=0, neginf=0)
-            s = prior
-            weight = np.sqrt(_PRIOR * part.y.shape[0]) * np.eye(n)
-            for _ in range(3):
-                x = np.repeat(s[:, None, :], 1 + 2 * n, axis=1)
-                for i in range(n):
-                    x[i, 1 + 2 * i] += _STEP * self.scale[i]
-                    x[i, 2 + 2 * i] -= _STEP * self.scale[i]
-                y = integrated(self.ode, part.course, x, values, self.steps).y
-                by = (y[:, :, 1::2] - y[:, :, 2::2]) / (2 * _STEP)
-                spread = np.maximum(np.nanstd(data.y, axis=0), self.std)
-                e = (part.y - y[:, :, 0]) / spread[:, None]
-                moved = s.copy()
-                for i in range(S):
-                    known = np.isfinite(e[..., i])
-                    J = (
-                        np.moveaxis(by[..., i], 2, 0).reshape(n, -1).T
-                        / np.tile(spread, by.shape[0])[:, None]
-                    )
-                    J, own = J[known.ravel()], e[..., i][known]
-                    back = (prior[:, i] - s[:, i]) / self.scale
-                    A, b = np.vstack([J, weight]), np.append(own, weight @ back)
-                    if np.all(np.isfinite(A)) and np.all(np.isfinite(b)):
-                        move = np.linalg.lstsq(A, b, rcond=None)[0]
-                        moved[:, i] += self.scale * move
-                s = moved
-            found.append(s)
-        return found
+            ends = integrated(self.ode, part.course, np.zeros((n, 1, S)), values, self.steps).end
+            s = np.column_stack([np.zeros(n), ends[:, 0, :-1]])
+            points.append(alone.point(nothing, part, np.nan_to_num(s, posinf=0, neginf=0)))
+        return [p.s for p in alone.relax(nothing, points, _WEIGHTS[0] * self.length)[1]]
 
     def begun(self, eta: Vector) -> list[Matrix]:
         """Return states at the start of each segment; set enough steps and the states' scale."""
