@@ -7,7 +7,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
-from typing import TypeVar
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -20,7 +19,6 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.data_faults import CONSTANT_INPUT, level_without_input
 from armrig.estimation.orders import integrating_outputs
-from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OfferedName
@@ -31,8 +29,6 @@ from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
 from armrig.validation.search_result import Candidate, Scored, SearchResult
 
-Data = TypeVar("Data", Dataset, Signals)
-
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is decided
 _SEARCHABLE = [name for name, row in OFFERED.items() if not row.continuous]
@@ -41,7 +37,6 @@ _ALWAYS_TRIED = 5  # highest default order that does not depend on the models of
 _MAX_PROCESSES = 3  # process models that the other models suggest, with 1 to 3 time constants
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
-_CIRCLE_TOLERANCE = 1e-6
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of u in the data
 _MIN_BATCHES = 7  # fewest batches for a standard error
@@ -149,11 +144,6 @@ def search(
     ValueError
         No model could be estimated, an argument is out of range, or u is constant.
 
-    References
-    ----------
-    .. [1] T. Hastie, R. Tibshirani, J. Friedman, *The Elements of Statistical Learning*, 2nd ed.,
-       2009, section 7.10 (one standard error).
-
     Examples
     --------
     >>> import armrig
@@ -167,16 +157,14 @@ def search(
     rising = orders is None
     whole, halved, orders = data, False, several("orders", _ORDERS if orders is None else orders)
     if validation is None:
-        data, validation = _estimation_and_validation(data)  # type: ignore[type-var]
+        data, validation = _estimation_and_validation(data)
         halved = data is not whole
     own = validation is whole
     if isinstance(data, Dataset):
         validation = as_dataset(validation)
     folds = [(data, validation), *([(validation, data)] if halved else [])]
     judged = whole if halved else validation
-    plan = _planned(data, validation, families, orders, nk, integrator, offset, horizon)
-    if integrator is None and isinstance(whole, Dataset) and integration(whole, None).undecided:
-        plan = _with_integrators(plan)
+    plan = _planned(whole, data, validation, families, orders, nk, integrator, offset, horizon)
     score = partial(_score, folds=folds, horizon=plan.horizon, own=own)
     runner = map if executor is None else executor.map
     tell = progress or (lambda done, total, name: None)
@@ -230,6 +218,7 @@ class _Plan:
 
 
 def _planned(
+    whole: Dataset | Signals,
     data: Dataset | Signals,
     validation: Dataset | Signals,
     families: Sequence[OfferedName] | None,
@@ -241,22 +230,22 @@ def _planned(
 ) -> _Plan:
     """Test the data, and return the candidates."""
     notes: list[str] = []
+    poles: tuple[bool | tuple[str, ...], ...]
     if isinstance(data, Dataset):
-        if isinstance(integrator, Sequence):
-            names = [integrator] if isinstance(integrator, str) else integrator
-            integrator = data.output in names
-        known = tested(data, integrator)
-        fixed: bool | tuple[str, ...] = known.integration.integrates
-        likely = _likely_delays(known)
+        (mark,) = (None,) if integrator is None else integrating_outputs(integrator, data)
+        known = tested(data, mark)
+        decided, likely = known.integration, _likely_delays(known)
+        both = integration(as_dataset(whole), mark).undecided
+        poles = (False, True) if both else (decided.integrates,)
         if families is None:
             open_loop = not known.closed
             rows = [(name, row) for name, row in OFFERED.items() if row.searched]
             families = [name for name, row in rows if open_loop or row.closed_loop]
         offered = several_of("families", families, _SEARCHABLE)
-        offset, against, notes = _offset(
-            data, as_dataset(validation), known, offset, offered, doubts(data, known)
-        )
-        notes = [*known.integration.notes, *notes]
+        if not decided.integrates:
+            offset, notes = _offset(data, as_dataset(validation), offset, offered)
+        against = [f for f in doubts(data, known) if not (offset and f.about == "level")]
+        notes = [*decided.notes, *notes, *([_BOTH_TRIED] if both else [])]
         horizon = 1 if horizon is None and known.closed else horizon
     else:
         if offset is not None:
@@ -269,9 +258,10 @@ def _planned(
             integrator = [name for name in data.outputs if able and name in INTEGRATING_OUTPUTS]
         marks = integrating_outputs(integrator, data)
         fixed = tuple(name for name, mark in zip(data.outputs, marks, strict=True) if mark)
+        poles = (fixed or False,)
         likely, allowed = [1], [name for name, row in OFFERED.items() if row.searched_of_several]
         offered = several_of("families", allowed if families is None else families, allowed)
-        offered = ["oe"] if fixed else offered
+        offered = ["oe"] if poles[0] else offered
         against = [*doubts_of_channels(data)]
     delays = likely if nk is None else several("nk", nk) if isinstance(nk, Iterable) else [nk]
     for n in orders:
@@ -282,49 +272,34 @@ def _planned(
         Candidate(
             family=family,
             orders=(*named.items(), ("nk", k)),
-            integrator=(fixed or False) if "integrator" in OFFERED[family].takes else False,
+            integrator=pole,
             offset=bool(offset) and "offset" in OFFERED[family].takes,
             simulates=horizon is None and "focus" in OFFERED[family].takes,
+            named_by_pole=len(poles) > 1 and "integrator" in OFFERED[family].takes,
         )
         for family in offered
         for k in delays
         for n in orders
         for named in _orders(family, n)
+        for pole in (poles if "integrator" in OFFERED[family].takes else (False,))
     ]
     return _Plan(candidates=candidates, horizon=horizon, doubts=tuple(against), notes=tuple(notes))
 
 
-def _with_integrators(plan: _Plan) -> _Plan:
-    """Return the plan with a second candidate for each that can have or lack a pole at 1."""
-    able = [c for c in plan.candidates if "integrator" in OFFERED[c.family].takes]
-    pairs = [replace(c, integrator=i, named_by_pole=True) for c in able for i in (False, True)]
-    others = [c for c in plan.candidates if c not in able]
-    return replace(plan, candidates=[*others, *pairs], notes=(*plan.notes, _BOTH_TRIED))
-
-
 def _offset(
-    data: Dataset,
-    validation: Dataset,
-    known: Tested,
-    offset: bool | None,
-    families: Sequence[OfferedName],
-    against: list[Finding],
-) -> tuple[bool, list[Finding], list[str]]:
-    """Decide whether the input offset is estimated; return the decision, doubts and notes."""
-    level = [f for f in against if f.about == "level"]
-    of_validation = None
-    if offset is None and not known.integration.integrates:
-        # A constant level that only the validation data have would distort the ranking.
-        of_validation = level_without_input(validation, _MIN_LEVEL_SIGMAS)
-        offset = bool(of_validation or level_without_input(data, _MIN_LEVEL_SIGMAS))
-    found = level_without_input(data) if level else of_validation
-    if not (offset and found):
-        return bool(offset), against, []
-    where = "" if level else "in the validation data "
+    data: Dataset, validation: Dataset, offset: bool | None, families: Sequence[OfferedName]
+) -> tuple[bool, list[str]]:
+    """Decide whether the input offset is estimated; return the decision and a note."""
+    # A constant level that only the validation data have would distort the ranking.
+    found = level_without_input(data, _MIN_LEVEL_SIGMAS), ""
+    if not found[0]:
+        found = level_without_input(validation, _MIN_LEVEL_SIGMAS), "in the validation data "
+    level, where = found
+    if offset is False or not level:
+        return bool(offset), []
     able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
     remedy = f"{able} can estimate it (option offset)" if able else "remove the means (detrend)"
-    note = f"{where}{found.text}: {remedy}"
-    return True, [f for f in against if f not in level], [note]
+    return True, [f"{where}{level.text}: {remedy}"]
 
 
 def _stage(candidate: Candidate, highest: int) -> int:
@@ -456,16 +431,7 @@ def _fault(fit: Fit, error: Vector, data: Dataset | Signals) -> str:
     bound = np.where(largest > 0, _UNBOUNDED * largest, np.inf)
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         return "its output is unbounded"
-    farthest = _largest_unstable(fit)
-    return f"a pole at |z| = {farthest:.4f} is not inside the unit circle" if farthest else ""
-
-
-def _largest_unstable(fit: Fit) -> float:
-    """Return the largest |z| of the poles outside the unit circle, or 0."""
-    if (fit.ny, fit.nu) == (1, 1):
-        return largest_unstable(fit if fit.Ts else fit.to_discrete())
-    largest = float(np.max(np.abs(np.linalg.eigvals(fit.form.realised().A)), initial=0.0))
-    return largest if largest > 1 + _CIRCLE_TOLERANCE else 0.0
+    return next((f.text for f in fit.findings if f.about == "unstable"), "")
 
 
 def _ranked(
@@ -510,7 +476,9 @@ def _compared(errors: list[Vector], judged: Dataset | Signals) -> tuple[Vector, 
     return squared.mean(axis=1), difference.mean(axis=1), np.maximum(std_of_mean, rounding)
 
 
-def _estimation_and_validation(data: Data) -> tuple[Data, Data]:
+def _estimation_and_validation(
+    data: Dataset | Signals,
+) -> tuple[Dataset | Signals, Dataset | Signals]:
     """Return two parts in which each input moves, cut as near to the middle as possible.
 
     Without an input that moves, a part does not distinguish models. If no cut leaves two such

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +15,8 @@ from armrig.data.finding import Finding
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES, OfferedName
-from armrig.numerics.quantities import p_relation, plural
-from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation.residual_test import ResidualTest
+from armrig.numerics.quantities import plural
+from armrig.validation.residual_test import ResidualTest, results
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -252,16 +250,15 @@ class SearchResult:
         """
         what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)
-        where = "validation data"
-        if self.halved:
-            where = "part of the data that did not estimate them"
-        lines = [f"{count} models, {what}, ranked by their error on the {where}"]
+        where = "part of the data that did not estimate them" if self.halved else "validation data"
         width = max(len(j.candidate.name) for j in self.ranked)
         unit = f" [{self.unit}]" if self.unit else ""
         square = f" [{f'({self.unit})' if '/' in self.unit else self.unit}²]" if self.unit else ""
         over = f"excess mean square ± se{square}"
-        head = f"  {'model':{width}} {'parameters':>10} {f'rms{unit}':>11}  {over:>24}"
-        lines.append(head)
+        lines = [
+            f"{count} models, {what}, ranked by their error on the {where}",
+            f"  {'model':{width}} {'parameters':>10} {f'rms{unit}':>11}  {over:>24}",
+        ]
         shown = sorted({*range(min(most, len(self.ranked))), self.chosen_index})
         for i in shown:
             j = self.ranked[i]
@@ -317,16 +314,18 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
             f"with --max-order {2 * n} (in Python, orders=range(1, {2 * n + 1}))"
         )
     families = [j.candidate.family for j in found.ranked]
-    if "arx" in families and "oe" in families:
-        arx, oe = families.index("arx"), families.index("oe")
-        ratio = float(found.rms[arx] / found.rms[oe]) if found.rms[oe] > 0 else 0.0
-        if isfinite(ratio) and not found.within[arx] and ratio > 1.1:
+    if "arx" in families and "oe" in families and not found.within[families.index("arx")]:
+        arx, oe = (found.rms[families.index(name)] for name in ("arx", "oe"))
+        if arx > 1.1 * oe > 0:
             yield (
-                f"the best ARX model's error is {ratio:.3g} times the error of the best OE "
+                f"the best ARX model's error is {arx / oe:.3g} times the error of the best OE "
                 "model: noise on the output causes a bias of A in an ARX model"
             )
     yield from found.notes
-    yield from _about_tests(found.tests)
+    if found.tests.powerless:
+        yield f"the tests of its residuals have no power: {found.tests.powerless}"
+    rejected = (f for f in results(found.tests) if f.level == "unusable")
+    yield from (f"tests of its residuals: {f.text}" for f in rejected)
     for f in chosen.model.findings if warnings else ():
         if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.remedy == "order":
             yield f.text
@@ -338,19 +337,3 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
         )
     if found.halved:
         yield "the chosen model was then estimated from all the data"
-
-
-def _about_tests(tests: ResidualTest) -> Iterator[str]:
-    if tests.powerless:
-        yield f"the tests of its residuals have no power: {tests.powerless}"
-    if tests.missing_dynamics < WHITE_LEVEL:
-        p = p_relation(tests.missing_dynamics)
-        yield f"the input still explains its residuals: dynamics are missing (p {p})"
-    elif tests.feedback < WHITE_LEVEL:
-        p = p_relation(tests.feedback)
-        yield f"its residuals are correlated with later input: feedback, or nk is too large (p {p})"
-    if tests.white.coloured:
-        yield (
-            f"its residuals are {tests.white}: simulate with this model, but trust the "
-            "robust deviations, and estimate a noise model for prediction"
-        )

@@ -177,7 +177,7 @@ def test_a_pole_that_rounding_leaves_outside_is_reported(monkeypatch: pytest.Mon
 
     monkeypatch.setattr("armrig.arx", unstable)
 
-    with pytest.raises(ValueError, match=r"first, ARX\[1 1 1\]: a pole at \|z\| = 1.0040 is not"):
+    with pytest.raises(ValueError, match=r"ARX\[1 1 1\]: a pole is unstable, \|z\| = 1.0040"):
         search(data, families=("arx",), orders=(1,))
 
 

@@ -9,17 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.finding import Finding, warning
+from armrig.data.finding import warning
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
 from armrig.validation.model_search import _ranked
-from armrig.validation.recommended_structures import (
-    Recommendation,
-    Recommended,
-    _busiest,
-    _trimmed,
-)
+from armrig.validation.recommended_structures import Recommendation, Recommended, _busiest
 from armrig.validation.search_result import Candidate, Scored, SearchResult, _free
 from armrig.validation.structure_hints import _agreed, _confirmed
 
@@ -40,14 +35,14 @@ def scored(family: str, order: int, *, reason: str = "", **fields: Any) -> Score
     )
 
 
-def of_residuals(**fields: Any) -> Any:
-    values = {
-        "powerless": "",
-        "missing_dynamics": 0.5,
-        "feedback": 0.5,
-        "white": Whiteness(p_value=0.5, test="portmanteau test"),
-    }
-    return SimpleNamespace(**(values | fields))
+_PASSED: Any = SimpleNamespace(
+    powerless="",
+    blind="",
+    larger="",
+    missing_dynamics=0.5,
+    feedback=0.5,
+    white=Whiteness(p_value=0.5, test="portmanteau test"),
+)
 
 
 def result(**fields: Any) -> SearchResult:
@@ -62,7 +57,7 @@ def result(**fields: Any) -> SearchResult:
         "doubts": (),
         "notes": (),
         "halved": False,
-        "tests": of_residuals(),
+        "tests": _PASSED,
         "horizon": None,
         "unit": "rad/s",
     }
@@ -108,10 +103,9 @@ def test_findings_of_the_chosen_model_are_reasons(family: str, expected: list[st
     assert found.explain(warnings=False).splitlines() == lines[: -len(expected)]
 
 
-@pytest.mark.parametrize("integrates", [False, True])
 @pytest.mark.parametrize("asked", [None, False, True])
 def test_an_offset_is_estimated_if_one_of_the_data_sets_has_a_level(
-    asked: bool | None, integrates: bool, monkeypatch: pytest.MonkeyPatch
+    asked: bool | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flat, high = (Dataset(u=[0.0, 1.0], y=[level, level], Ts=1.0) for level in (0.0, 5.0))
 
@@ -119,29 +113,17 @@ def test_an_offset_is_estimated_if_one_of_the_data_sets_has_a_level(
         return SimpleNamespace(text=f"y is about {data.y[0]:g}") if data.y[0] else None
 
     monkeypatch.setattr(model_search, "level_without_input", level_of)
-    level = Finding(level="warning", about="level", text="x")
-    other = Finding(level="warning", about="outliers", text="y")
-    known: Any = SimpleNamespace(integration=SimpleNamespace(integrates=integrates))
 
-    for data, validation, against in (
-        (flat, flat, [other]),
-        (high, flat, [level, other]),
-        (flat, high, [other]),
-        (high, high, [other, level]),
-    ):
-        offset, left, notes = model_search._offset(
-            data, validation, known, asked, ("arx", "oe", "bj"), against
-        )
+    for data, validation in ((flat, flat), (high, flat), (flat, high), (high, high)):
+        offset, notes = model_search._offset(data, validation, asked, ("arx", "oe", "bj"))
 
         has = data is high or validation is high
-        assert offset == (asked if asked is not None else has and not integrates)
-        told = offset and (data is high or (validation is high and asked is None))
-        assert left == ([other] if told else against)
-        assert len(notes) == told
-        if told:
+        assert offset == (has if asked is None else asked)
+        assert len(notes) == (has and asked is not False)
+        if notes:
             where = "in the validation data " if data is flat else ""
             assert notes == [f"{where}y is about 5: OE, BJ can estimate it (option offset)"]
-            *_, [note] = model_search._offset(data, validation, known, asked, ("arx",), against)
+            _, [note] = model_search._offset(data, validation, asked, ("arx",))
             assert note == f"{where}y is about 5: remove the means (detrend)"
 
 
@@ -237,32 +219,6 @@ def test_long_data_are_shortened_to_the_part_with_input_changes() -> None:
     assert cut.N == 3000
     assert cut.y[0] == 5142  # the sixth of eight begins from 0 to 6000
     assert _busiest(data[:3000]).N == 3000
-
-
-def test_the_cost_without_a_b_coefficient_rises_as_its_covariance_predicts() -> None:
-    """Least squares of b alone: leaving out columns of X raises the squared error exactly."""
-    rng = np.random.default_rng(3)
-    X = rng.standard_normal((80, 4))
-    y = X @ np.array([0.1, 1.0, -0.5, 0.2]) + rng.standard_normal(80)
-    b = np.linalg.lstsq(X, y, rcond=None)[0]
-    cost = float(np.sum((y - X @ b) ** 2))
-    structure = Recommended(nb=4, nf=2, nk=3, integrator=False)
-    solved = SimpleNamespace(Psi=X, ab=b)
-    problem = SimpleNamespace(solve=lambda f: solved, experiments=(1, 2))
-    fitted: Any = SimpleNamespace(
-        structure=structure, problem=problem, f=None, cost=cost, past=4, N=80
-    )
-
-    found = {(t.structure.nb, t.structure.nk): t.bits for t in _trimmed(fitted)}
-
-    assert set(found) == {(4 - i - j, 3 + i) for i in range(4) for j in range(4 - i)}
-    for (nb, nk), bits in found.items():
-        kept = X[:, nk - 3 : nk - 3 + nb]
-        rest = y - kept @ np.linalg.lstsq(kept, y, rcond=None)[0]
-        # Two of four quantities of the past for each experiment count as coefficients.
-        loss, d = float(rest @ rest) / 76, nb + 2 + 2
-        expected = 80 * (np.log(2 * np.pi * loss) + 1) + d * np.log(80)
-        assert bits == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(("direct", "free"), [(False, 3 * (2 + 6)), (True, 3 * (2 + 6) + 6)])
