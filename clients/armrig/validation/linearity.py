@@ -145,12 +145,11 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
 
         A(q) y(t) = c + B(q) u(t) + e(t),     x = B/A u
 
-    A tenth of the rows in parameters gives the number of lags, 30 to 100. Fewer lags leave effects
-    of slow poles, which look nonlinear. If the rig is linear, e is not correlated with nonlinear
-    effects, filtered by A or B. The effects are squares and cubes of u and x, their product,
-    ``|Δu|``, and the sign and the square of Δx. A joint test gives `p`. If x does not follow y, the
-    prediction of y replaces x. If the test rejects, the kind with the least BIC is reported. An
-    output is also saturated if it stays at exactly its largest or smallest value.
+    The model has 30 to 100 lags. If the rig is linear, e is not correlated with nonlinear effects,
+    filtered by A or B. The effects are squares and cubes of u and x, their product, ``|Δu|``, and
+    the sign and the square of Δx. A joint test gives `p`. If x does not follow y, the prediction of
+    y replaces x. If the test rejects, the kind with the least BIC is reported. An output is also
+    saturated if it stays at exactly its largest or smallest value.
 
     Parameters
     ----------
@@ -202,9 +201,10 @@ def _tested(data: Signals, *, level: float) -> Linearity | ByChannel[Linearity]:
         closed = together and not loop.few_levels
     # In closed loop, u(t) contains e(t).
     model = _long_model(data, first=int(closed and not direct))
-    at, rails = rails_of(one.y) if one.valid.any() else (one.valid, [])
-    p = _p_value(model)
+    p, (at, rails) = _p_value(model), rails_of(one.y)
     found = _kind(model) if rails or p < level else {}
+    if found:
+        found["gain_of"] = u if found["gain_of"] == "u" else y
     if rails:
         numbers = {"at": rails[-1], "share": float(np.mean(at[one.valid]))}
         found |= {"kind": "saturation", "numbers": numbers}
@@ -245,7 +245,6 @@ class _LongModel:
     x: Array  # course of y that u causes
     y: Array  # measured output; 0 where it is missing
     means: Mapping[str, float]  # of u, x and y
-    names: Mapping[str, str]
 
     def effects(self, P: Array, *signals: Array) -> Array:
         """Return signals that are filtered by A or B, (N, k)."""
@@ -263,8 +262,8 @@ def _long_model(data: Signals, first: int) -> _LongModel:
     if all(np.ptp(part.u[:, 0]) == 0 for part in data.experiments()):
         raise InputError(CONSTANT_INPUT)
     affordable = min(N // _ROWS_PER_PARAMETER, _MAX_SIZE // max(N, 1)) // (1 + nu)
-    p = max(_MIN_LAGS, min(affordable, _MAX_LAGS))
-    p = min(p, N // (_MIN_ROWS_PER_PARAMETER * (1 + nu)) - 2)
+    most = N // (_MIN_ROWS_PER_PARAMETER * (1 + nu)) - 2
+    p = min(max(_MIN_LAGS, min(affordable, _MAX_LAGS)), most)
     if p < 2:
         needed = 4 * _MIN_ROWS_PER_PARAMETER * (1 + nu)
         raise InputError(f"the test of linearity needs at least {needed} samples, got {N}")
@@ -281,17 +280,8 @@ def _long_model(data: Signals, first: int) -> _LongModel:
     if not left < _MAX_LEFT * np.var(y[arx.rows]):
         x = np.nan_to_num(y)
         x[arx.rows] -= arx.errors(y)
-    (output,), input = data.outputs, data.inputs[0]
-    return _LongModel(
-        arx=arx,
-        A=A,
-        B=B[0],
-        u=data.u[:, 0] - mean[0],
-        x=x,
-        y=np.nan_to_num(y),
-        means={"u": float(mean[0]), "x": y_0, "y": y_0},
-        names={"u": input, "x": output, "y": output},
-    )
+    u, means = data.u[:, 0] - mean[0], {"u": float(mean[0]), "x": y_0, "y": y_0}
+    return _LongModel(arx=arx, A=A, B=B[0], u=u, x=x, y=np.nan_to_num(y), means=means)
 
 
 def _p_value(model: _LongModel) -> float:
@@ -337,8 +327,8 @@ def _gains(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
         levels, numbers = at + model.means[name], dict[str, float]()
         for i, k in enumerate(sorted((int(np.argmin(gains)), int(np.argmax(gains)))), 1):
             numbers |= {f"level_{i}": float(levels[k]), f"gain_{i}": float(gains[k])}
-        found = {"kind": "gain by level", "numbers": numbers, "levels": levels, "gains": gains}
-        yield bic, found | {"gain_of": model.names[name]}
+        of = {"numbers": numbers, "gain_of": name, "levels": levels, "gains": gains}
+        yield bic, {"kind": "gain by level"} | of
 
 
 def _thresholds(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
