@@ -183,7 +183,7 @@ def continuous_denominator(F: Array) -> Array:
     z[(z.real <= 0) & (np.abs(z.imag) < _REAL)] = _FAST
     s = np.log(z)
     s.real = np.clip(s.real, -_START_RATE, -_SLOWEST)
-    return np.asarray(np.real(np.poly(s))[1:])
+    return np.atleast_1d(np.real(np.poly(s)))[1:]
 
 
 _REAL = 1e-9

@@ -99,7 +99,7 @@ def _from_sampled(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:
 
 
 def _filter(n: int, cutoff: float) -> Array:
-    return np.asarray(np.poly(np.full(n, -cutoff))[1:])
+    return np.atleast_1d(np.poly(np.full(n, -cutoff)))[1:]
 
 
 def _by_instruments(problem: ContinuousProblem) -> Iterator[tuple[str, Array]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from armrig.numerics.polynomial import Array, monic, roots
 
 Delay = float | str | None  # seconds, or "estimate"
 
+_MAX_POLES = 20  # the coefficients of more poles have too few digits
 _LONGEST_SHARE = 0.25  # share of the record that an estimated delay may have
 _MAX_LONGEST = 400  # samples
 _LIMIT_SHARE = 0.9  # share of the largest rate above which a pole is at the limit
@@ -112,9 +114,14 @@ def tf(
     >>> fit.poles().values.round(1)
     array([-37.  +0.j ,  -8.1+17.1j,  -8.1-17.1j])
     """
+    require_integers(poles=(poles, 1))
     zeros = poles - 1 if zeros is None else zeros
+    if not isinstance(noise, Sequence) or len(noise) != 2:
+        raise InputError(f"noise={noise!r} must be the numbers (nc, nd), such as (1, 1)")
     nc, nd = noise
-    require_integers(poles=(poles, 1), zeros=(zeros, 0), nc=(nc, 0), nd=(nd, 0))
+    require_integers(zeros=(zeros, 0), nc=(nc, 0), nd=(nd, 0))
+    if poles > _MAX_POLES:
+        raise InputError(f"poles={poles} must be at most {_MAX_POLES}; lower poles")
     if zeros >= poles:
         raise InputError(
             f"zeros={zeros} must be less than poles={poles}: a sampled record does not show a "
@@ -220,7 +227,7 @@ def process(
     gain (rate)    1.86... ± 0.0014 rad/s/V
     time constant  0.083... ± 0.0011 s
     """
-    found = _PROCESS.fullmatch(form)
+    found = _PROCESS.fullmatch(str(form))
     marks = found["marks"] if found else ""
     if not found or len(set(marks)) < len(marks) or ("U" in marks and found["poles"] in "01"):
         raise InputError(
@@ -260,8 +267,8 @@ def _delay(delay: Delay, data: Dataset) -> tuple[float | None, float]:
     if delay == "estimate":
         return None, min(_LONGEST_SHARE * shortest, _MAX_LONGEST)
     try:
-        samples = float(delay or 0.0) / data.Ts
-    except ValueError:
+        samples = np.nan if isinstance(delay, bool) else float(delay or 0.0) / data.Ts
+    except (TypeError, ValueError):
         raise InputError(f'delay={delay!r} must be a number of seconds or "estimate"') from None
     if not 0 <= samples < shortest:
         raise InputError(

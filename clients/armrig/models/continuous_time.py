@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 from armrig.models.responses import root_derivatives, standard_deviations
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.models.transfer_function import TransferFunction
+from armrig.numerics.checks import require_numbers
 from armrig.numerics.polynomial import roots
 
 if TYPE_CHECKING:
@@ -24,7 +25,8 @@ _ROUNDING = 1e-9
 def discrete(fit: Fit, Ts: float | None) -> Fit:
     """Return the sampled model, as `Fit.to_discrete` documents."""
     form = _transfer_function(fit)
-    Ts = form.Ts if Ts is None else float(Ts)
+    Ts = form.Ts if Ts is None else Ts
+    require_numbers(Ts=Ts)
     if not (np.isfinite(Ts) and Ts > 0):
         raise InputError(f"Ts={Ts} s must be a positive number")
     sampled, J = form.sampled(Ts)

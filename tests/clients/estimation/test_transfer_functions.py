@@ -74,9 +74,7 @@ def test_with_all_zeros_the_model_is_the_sampled_one() -> None:
 
 
 def test_fewer_zeros_have_smaller_deviations() -> None:
-    x = data()
-
-    few, all_ = tf(x, poles=2, zeros=0), tf(x, poles=2)
+    few, all_ = (tf(data(), poles=2, zeros=zeros) for zeros in (0, 1))
 
     assert np.all(few.std[few.slice_of("f")] < all_.std[all_.slice_of("f")])
 
@@ -111,6 +109,8 @@ def test_an_integrator_is_exact() -> None:
     assert gain.value == pytest.approx(2.0, abs=4 * gain.std)
     assert time.value == pytest.approx(0.5, abs=4 * time.std)
     assert gain.unit == "rad/s/s/V"
+    alone = process(data(B=(2.0,), F=(1, 0.0), integrates=True), "P0I").quantities()
+    assert alone["gain (rate)"].value == pytest.approx(2.0, abs=4 * alone["gain (rate)"].std)
 
 
 def test_a_straight_line_between_samples_is_an_option_of_the_data() -> None:
@@ -144,6 +144,11 @@ def test_a_delay_at_zero_is_no_parameter() -> None:
         ({"poles": 2, "delay": 81.0}, "shorter than the record, 80 s"),
         ({"poles": 2, "delay": -1.0}, "must be 0 or more"),
         ({"poles": 2, "delay": "guess"}, 'or "estimate"'),
+        ({"poles": 2, "delay": [0.1]}, 'or "estimate"'),
+        ({"poles": 2, "delay": True}, "must be 0 or more"),
+        ({"poles": 2, "noise": 1}, "must be the numbers"),
+        ({"poles": "2"}, "must be an integer"),
+        ({"poles": 30}, "at most 20"),
     ],
 )
 def test_a_refusal_says_what_is_allowed(options: dict[str, Any], said: str) -> None:
@@ -156,8 +161,8 @@ def test_a_plant_too_fast_for_its_sampling_is_refused() -> None:
         tf(data(B=(400.0,), F=(1, 400.0), std=0.0), poles=1)
 
 
-@pytest.mark.parametrize("kind", ["P4", "PID", "P1DD", "P1U", "p1"])
-def test_an_unknown_process_is_refused(kind: str) -> None:
+@pytest.mark.parametrize("kind", ["P4", "PID", "P1DD", "P1U", "p1", None])
+def test_an_unknown_process_is_refused(kind: Any) -> None:
     with pytest.raises(InputError, match=r"process model: give P|more poles"):
         process(data(), kind)
 
