@@ -17,7 +17,7 @@ from armrig.data.dataset import Signals
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
 from armrig.numerics.whiteness import default_lags, joined, ljung_box
 from armrig.physics.grey_box.fit import GreyFit
-from armrig.physics.grey_box.inference import Held, grey_fit, require_samples
+from armrig.physics.grey_box.inference import MAX_LOG_FACTOR, Held, grey_fit, require_samples
 from armrig.physics.grey_box.least_squares_problem import by_experiment
 from armrig.physics.grey_box.shooting import (
     COLUMNS,
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 WINDOW = 2000
 """Samples with which the search begins in a longer experiment."""
-MAX_MOVE = 12.0
-"""Largest change of a bounded coordinate; e^12 is 160 000."""
 _MAX_SOLVER_SHARE = 0.1  # largest error of the solver, as a share of the noise's deviation
 _MAX_ROUNDS = 8
 _MIN_P = 1e-6  # p value of the test of whiteness above which no other start is tried
@@ -113,7 +111,7 @@ def _problem(
     own = [ode.parameters[name] for name in names]
     space = Coordinates(parameters=tuple(p for p in own if isinstance(p, Parameter)))
     start = space.of([values[name] for name in names])
-    reach = np.where(space.bounded(), MAX_MOVE, np.inf)
+    reach = np.where(space.bounded(), MAX_LOG_FACTOR, np.inf)
     spread = np.nanstd(np.vstack([part.y for part in parts]), axis=0)
     columns, N = 1 + 2 * (len(names) + len(ode.states)), max(part.N for part in parts)
     count = int(np.clip(COLUMNS / columns, 1, max(N // MIN_SEGMENT, 1)))
@@ -236,24 +234,12 @@ def _residuals(problem: Shooting, best: Optimum) -> Matrix:
 
 def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int) -> GreyFit:
     """Return the result, whose loss, fit and whiteness are those of output i."""
-    names, d = problem.names, len(problem.names)
+    d = len(problem.names)
     at, values = problem.at(best.theta), problem.values(best.theta)
-    lost = [n for n, s in zip(names, at.size, strict=True) if not s > 0]
-    if lost:
-        raise InputError(
-            f"{', '.join(lost)}: no effect on the output at the end of the search; hold fixed, "
-            "start nearer, or check whether the equations contain it"
-        )
     noise = np.sqrt(np.nanmean(_residuals(problem, best) ** 2, axis=0))
     allowed = _MAX_SOLVER_SHARE * noise
     error = problem.solver_error(best.theta, allowed)[1][i]
-    bounded = problem.coordinates.bounded()
-    stopped = bounded & (np.abs(best.theta[:d] - start) >= MAX_MOVE)
-    doubts = [
-        f"{names[j]} ended at its bound, and has no deviation" for j in np.flatnonzero(stopped)
-    ]
-    if error > 2 * allowed[i]:
-        doubts.append(f"the integration is exact to {error:.1g}; the noise is {noise[i]:.1g}")
+    doubts = [f"the integration is exact to {error:.1g}; the noise is {noise[i]:.1g}"]
     return grey_fit(
         data,
         i,
@@ -262,6 +248,7 @@ def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int)
         best,
         values=values,
         slopes=problem.coordinates.slopes(best.theta[:d]),
+        moved=np.where(problem.coordinates.bounded(), best.theta[:d] - start, 0.0),
         held=Held(values={**problem.fixed, **values}),
         physics=Equations(
             model=problem.ode,
@@ -269,7 +256,6 @@ def _fit(data: Signals, problem: Shooting, best: Optimum, start: Vector, i: int)
             steps=problem.steps,
             solver_error=float(error),
         ),
-        doubts=lambda std: doubts,
-        stopped=stopped,
+        doubts=lambda std: doubts if error > 2 * allowed[i] else [],
         has_friction=True,
     )

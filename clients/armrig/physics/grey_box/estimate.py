@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,6 @@ from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters, require_parameters
 from armrig_core.rig.calibration import THETA_1
 from armrig_core.rig.equations import Ode
-from numpy.typing import NDArray
 
 from armrig.data.argument import takes_signals
 from armrig.data.columns import Vector
@@ -18,8 +17,8 @@ from armrig.data.dataset import Signals
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.physics.grey_box.equations_estimate import estimated
-from armrig.physics.grey_box.fit import GreyFit, below_zero, scales
-from armrig.physics.grey_box.inference import Held, grey_fit, require_samples
+from armrig.physics.grey_box.fit import GreyFit, below_zero, logarithmic, scales
+from armrig.physics.grey_box.inference import MAX_LOG_FACTOR, Held, grey_fit, require_samples
 from armrig.physics.grey_box.least_squares_problem import (
     GreyBox,
     GreyBoxWithFriction,
@@ -29,7 +28,6 @@ from armrig.physics.grey_box.least_squares_problem import (
 from armrig.physics.grey_box.sampled_model import (
     COULOMB,
     NAMES,
-    SIGNED,
     Friction,
     Model,
     Physics,
@@ -40,10 +38,6 @@ from armrig.physics.grey_box.sampled_model import (
 from armrig.physics.systems import arm, chassis
 
 SPEED_STATE = "theta_1_rate"
-_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses do not explain
-MAX_LOG_FACTOR = 12.0
-"""Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
-_BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
 _MIN_LOG_RATIO = 10.0  # least N ln(ratio of two costs) of a significant difference
 _MIN_COST = 1e-300
 _MAX_ROUNDS = 8  # largest number of estimates of the outputs' noise
@@ -210,7 +204,7 @@ def searched(
     By default `around` is `start`.
     """
     plain = problem if isinstance(problem, GreyBox) else problem.plain
-    logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])
+    logarithms = np.flatnonzero(logarithmic(plain.names))
     centre = start if around is None else around
 
     def admissible(eta: Vector) -> bool:
@@ -237,11 +231,6 @@ def _fit(
     values = plain.values(best.theta[: len(plain.names)])
     if COULOMB in names:
         values[COULOMB] = float(best.theta[len(plain.names)])
-    seen = np.linalg.norm(at.Psi, axis=0) > _MIN_SEEN_SHARE * at.size
-    if lost := [name for name, there in zip(names, seen, strict=True) if not there]:
-        raise InputError(
-            f"the data do not determine {', '.join(lost)}: hold it fixed, or excite the rig more"
-        )
     held = tuple(x for x in NAMES if x not in names)
     return grey_fit(
         data,
@@ -251,6 +240,7 @@ def _fit(
         best,
         values=values,
         slopes=scales(names, values),
+        moved=np.where(logarithmic(names), (best.theta - start)[: len(names)], 0.0),
         held=Held(
             values=physics.parameters(values),
             names=held,
@@ -260,25 +250,9 @@ def _fit(
             / scales(held, {x: getattr(physics.fixed, x) for x in held}),
         ),
         physics=physics,
-        doubts=lambda std: [
-            *at_bound(plain.names, best.theta - start),
-            *worse,
-            *below_zero(values, std),
-        ],
-        stopped=np.zeros(len(names), np.bool_),
+        doubts=lambda std: [*worse, *below_zero(values, std)],
         has_friction=bool({"b_1", COULOMB} & {*names}),
     )
-
-
-def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
-    """Yield a warning for each free parameter that the search moved to its bound."""
-    for name, by in zip(names, moved, strict=False):
-        if name not in SIGNED and abs(float(by)) > _BOUND_SHARE * MAX_LOG_FACTOR:
-            yield (
-                f"the search for {name} ended at its bound, a factor {np.exp(MAX_LOG_FACTOR):.0f} "
-                "from its start: begin nearer, with another `fixed`, or check whether the data "
-                f"determine {name}"
-            )
 
 
 def worse_with_friction(data: Signals, without: float, best: float) -> tuple[str, ...]:

@@ -314,6 +314,11 @@ def below_zero(values: Mapping[str, float], std: Mapping[str, float]) -> list[st
     ]
 
 
+def logarithmic(names: Sequence[str]) -> list[bool]:
+    """Return True for each parameter whose coordinate is its logarithm."""
+    return [name not in SIGNED | {COULOMB} for name in names]
+
+
 def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
     """Return the derivative of each parameter with respect to its coordinate."""
-    return np.array([1.0 if x in SIGNED | {COULOMB} else values[x] for x in names])
+    return np.where(logarithmic(names), [values[name] for name in names], 1.0)

@@ -23,6 +23,14 @@ from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED
 _ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
 _MIN_COMPONENT = 0.05  # least component of a parameter in a combination without effect
 _MIN_INFLUENCE = 1e-9
+_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses do not explain
+MAX_LOG_FACTOR = 12.0
+"""Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
+_BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
+_AT_BOUND = (
+    f"ended at its bound, a factor {np.exp(MAX_LOG_FACTOR):.0f} from its start: begin nearer, or "
+    "check whether the data determine it"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,33 +71,43 @@ def grey_fit(
     *,
     values: dict[str, float],
     slopes: Vector,
+    moved: Vector,
     held: Held,
     physics: PhysicalModel,
     doubts: Callable[[Mapping[str, float]], Iterable[str]],
-    stopped: Mask,
     has_friction: bool,
 ) -> GreyFit:
     """Return the result, whose loss, fit and whiteness are those of output i.
 
-    `weights` are the deviations by which the residuals were divided, and `slopes` the derivatives
-    of the parameters with respect to their coordinates. Parameters that `stopped` at a bound have
-    no standard deviation. `doubts` returns warnings from the standard deviations.
+    `weights` are the deviations by which the residuals were divided. `slopes` are the derivatives
+    of the parameters with respect to their coordinates, and `moved` the distances of the
+    coordinates from the start, 0 without a bound. A parameter at its bound has no standard
+    deviation, unless all are. `doubts` returns warnings from the standard deviations.
     """
-    names, free = tuple(values), np.flatnonzero(~stopped)
+    names = tuple(values)
+    seen = np.linalg.norm(at.Psi, axis=0) > _MIN_SEEN_SHARE * at.size
+    if lost := [name for name, there in zip(names, seen, strict=True) if not there]:
+        raise InputError(
+            f"the data do not determine {', '.join(lost)}: no effect on the output; hold it fixed, "
+            "excite the rig more, or start nearer"
+        )
+    stopped = np.abs(moved) > _BOUND_SHARE * MAX_LOG_FACTOR
+    free = np.flatnonzero(stopped.all() | ~stopped)
     basis = determined(at.Psi[:, free], [names[j] for j in free])
     found = inferred(tuple(data.experiments()), weights, at, basis)
     influence = np.zeros((free.size, 0))
     if held.Psi is not None:
         influence = -basis.W @ (basis.Q.T @ held.Psi)
-    moved = influence * held.coordinate_std
+    added = influence * held.coordinate_std
+    added = added @ added.T
 
     def whole(part: Matrix) -> Matrix:
         covariance = np.full((len(names), len(names)), np.nan)
         covariance[np.ix_(free, free)] = part
         return covariance * np.outer(slopes, slopes)
 
-    noise, covariance = whole(found.covariance), whole(found.covariance + moved @ moved.T)
-    robust = whole(found.covariance_robust + moved @ moved.T)
+    noise, covariance = whole(found.covariance), whole(found.covariance + added)
+    robust = whole(found.covariance_robust + added)
     std, quality = _named_std(names, covariance), found.quality[i]
     own = [data.dataset(name, data.inputs[0]) for name in data.outputs]
     steps = [quantum(output) for output in own]
@@ -122,6 +140,7 @@ def grey_fit(
         by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
         warnings=(
             *([] if converged else [f"no convergence in {best.iterations} steps"]),
+            *(f"the search for {names[j]} {_AT_BOUND}" for j in np.flatnonzero(stopped)),
             *_no_model(min(q.fit_percent for q in found.quality)),
             *doubts(std),
             *_noise_warnings(data.outputs, steps, found, has_friction=has_friction),
