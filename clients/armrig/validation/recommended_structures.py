@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain, product
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.order_selection import select_orders
@@ -32,10 +32,8 @@ _ARX_ORDERS = range(1, 7)  # na and nb of the ARX models that propose values of 
 _MAX_LAGS = 6  # values of nk that are tried with each order
 _EXTRA_COEFFICIENTS = 2  # additional b's before lag nk, and after lag nk + nf - 1
 _MAX_STEPS = 30  # steps of one search
-_MAX_SEARCHES = 2  # searches for each structure, from the start values with the least cost
 _ADDED_ROOTS = (0.3, 0.8)  # roots that are added to F if a start value has fewer than nf roots
 _MAX_SAMPLES = 3000  # longer data are cut to the part in which u changes most
-_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,17 +61,7 @@ class Recommended:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tried:
-    """A structure, its description length, and the model that the structure was derived from."""
-
-    structure: Recommended
-    bits: float
-    """Description length (MDL): N log(loss), plus log N for each coefficient."""
-    fitted: _Fitted
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Fitted:
+class Fitted:
     """An output-error model of prewhitened data."""
 
     structure: Recommended
@@ -86,6 +74,19 @@ class _Fitted:
     """Number of quantities, such as initial states, that represent the unknown past in the fit."""
     N: int
     """Number of residuals."""
+
+    @property
+    def bits(self) -> float:
+        """Description length (MDL): N log(loss), plus log N for each coefficient.
+
+        Each dimension of one experiment's initial state costs log N, as a coefficient does.
+        Otherwise a pair of poles on the unit circle and the initial state could fit any sine in the
+        noise.
+        """
+        s, experiments = self.structure, len(self.problem.experiments)
+        loss = max(self.cost / (self.N - self.past), np.finfo(np.float64).tiny)
+        d = s.nb + s.nf - s.integrator + self.past / experiments
+        return float(mdl(loss, d, self.N))
 
     @property
     def B(self) -> Vector:
@@ -177,8 +178,8 @@ def recommended(
     An autoregression 1/D describes the residuals of a first model, so that the noise of the
     filtered signals D u and D y is white. The output-error estimate then maximises the likelihood,
     and the description length (MDL) distinguishes the orders. Each order is fitted at the given
-    lags, the likeliest first, and at the lags that ARX models prefer. The joint covariance of the
-    b's decides which b's are kept. If `decide` is True, the description length may decide against
+    lags, the likeliest first, and at the lags that ARX models prefer. Then all neighbours of the
+    best structures are fitted. If `decide` is True, the description length may decide against
     `integrates`; if it does not decide, the result has structures with and without an integrator.
     """
     data = _busiest(data)
@@ -186,46 +187,39 @@ def recommended(
     record = _Record(parts=tuple(data.experiments()), latest=max(*nks, 1) + _EXTRA_COEFFICIENTS)
     record.require_samples()
     kinds = (False, True) if decide else (integrates,)
-    first = [m for i in kinds for n in _FIRST_ORDERS for m in _fits(record, n, nks, integrates=i)]
+    first = [m for i in kinds for n in _FIRST_ORDERS for m in _full(record, n, nks, i, {})]
     if not first:
         raise InputError(
             "u excites no model of third order: record with a richer input (telegraph, PRBS)"
         )
-    D, _ = autoregression(min(first, key=_bits).residuals(), mdl)
+    D, _ = autoregression(_joined([first])[0].residuals(), mdl)
     record.require_samples(past=D.size - 1)
     white = record.filtered(D)
     scans = [_refined(white, s) for i in kinds if (s := _scanned(white, nks, integrates=i))]
-    C, _ = autoregression(_joined(scans)[0].fitted.residuals(), mdl)
+    C, _ = autoregression(_joined(scans)[0].residuals(), mdl)
     if C.size > 1:
         scans = [_refined(record.filtered(np.convolve(D, C)), s) for s in scans]
     ranked = _joined(scans)
-    best = ranked[0].fitted
-    other = min((t.bits for t in ranked if t.structure.integrator != integrates), default=np.inf)
-    shown = other - ranked[0].bits >= BARE
-    return Recommendation(
-        structures=tuple(
-            sorted(
-                (t.structure for t in _chosen(scans, shown=shown)),
-                key=lambda s: not shown and s.integrator != integrates,  # `integrates` is first
-            )
-        ),
-        shown=shown,
-        B=best.B,
-        F=best.F,
-    )
+    best = ranked[0]
+    other = min((m.bits for m in ranked if m.structure.integrator != integrates), default=np.inf)
+    shown = other - best.bits >= BARE
+    chosen = [m.structure for m in _chosen(scans, shown=shown)]
+    if not shown:
+        chosen[:2] = sorted(chosen[:2], key=lambda s: s.integrator != integrates)
+    return Recommendation(structures=tuple(chosen), shown=shown, B=best.B, F=best.F)
 
 
-def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
+def _chosen(scans: list[list[Fitted]], *, shown: bool) -> list[Fitted]:
     """Return at most three structures with the shortest description lengths."""
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
-    full = [t for t in ranked if shown and t.structure.nb == t.structure.nf]
+    full = [m for m in ranked if shown and m.structure.nb == m.structure.nf]
     return [*dict.fromkeys([*two, *full[:1], *ranked])][:RECOMMENDED]
 
 
-def _joined(scans: Iterable[list[Tried]]) -> list[Tried]:
+def _joined(scans: Iterable[list[Fitted]]) -> list[Fitted]:
     """Return the structures of all scans, least description length first."""
-    return sorted(chain.from_iterable(scans), key=lambda t: t.bits)
+    return sorted(chain.from_iterable(scans), key=lambda m: m.bits)
 
 
 def _busiest(data: Dataset) -> Dataset:
@@ -252,43 +246,45 @@ def _arx_lags(data: Dataset) -> list[int]:
     return [int(table.nk[np.argmin(bits)]), *found]
 
 
-def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Tried]:
-    """Return structures of all orders, least description length first."""
-    found: dict[Recommended, Tried] = {}
-    best, worse = np.inf, 0
-    near: Vector = np.ones(1)
+def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Fitted]:
+    """Return structures with nb = nf of all orders, least description length first."""
+    scan: list[list[Fitted]] = []
+    known, least = dict[int, Vector](), [np.inf]
     for nf in range(1, HIGHEST + 1):
-        models = [*_fits(record, nf, nks, integrates=integrates, near=near)]
-        for tried in (t for model in models for t in _trimmed(model)):
-            s = tried.structure
-            if s not in found or tried.bits < found[s].bits:
-                found[s] = tried
+        models = _full(record, nf, nks, integrates, known)
         if models:
-            near = np.append(1.0, min(models, key=lambda m: m.cost).f)
-        lowest = min((t.bits for t in found.values() if t.structure.nf == nf), default=np.inf)
-        worse = worse + 1 if lowest > best else 0
-        best = min(best, lowest)
-        if worse == 2:
+            known[nf] = min(models, key=lambda m: m.cost).f
+        scan.append(models)
+        least.append(min((m.bits for m in models), default=np.inf))
+        if min(least[-2:]) > min(least[:-2], default=np.inf):
             break
-    return sorted(found.values(), key=lambda t: t.bits)
+    return _joined(scan)
 
 
-def _refined(record: _Record, ranked: list[Tried]) -> list[Tried]:
+def _full(
+    record: _Record, nf: int, nks: list[int], integrates: bool, known: Mapping[int, Vector]
+) -> list[Fitted]:
+    """Return models with nb = nf at the likeliest lag, and at the two lags of least start cost."""
+    structures = [Recommended(nb=nf, nf=nf, nk=k, integrator=integrates) for k in nks]
+    begun = [start for s in structures if (start := _start(record, s, known))]
+    likeliest = (*begun[:1], *sorted(begun[1:], key=itemgetter(0))[:2])
+    return [model for start in likeliest if (model := _fitted(*start[1:]))]
+
+
+def _refined(record: _Record, ranked: list[Fitted]) -> list[Fitted]:
     """Fit structures one by one, until all neighbours of the best three are fitted."""
-    shortest = {t.structure.nf: t for t in reversed(ranked)}
-    known = {nf: t.fitted.f for nf, t in shortest.items()}
-    found: dict[Recommended, Tried | None] = {}
-    coming = [t.structure for t in (*ranked[:RECOMMENDED], *shortest.values())]
+    shortest = {m.structure.nf: m for m in reversed(ranked)}
+    known = {nf: m.f for nf, m in shortest.items()}
+    found: dict[Recommended, Fitted | None] = {}
+    coming = [m.structure for m in (*ranked[:RECOMMENDED], *shortest.values())]
     while coming:
-        for s in dict.fromkeys(coming):
-            model = _exact(record, s, known)
-            found[s] = Tried(structure=s, bits=_bits(model), fitted=model) if model else None
-        fitted = sorted((t for t in found.values() if t), key=lambda t: t.bits)
+        found |= {s: _exact(record, s, known) for s in dict.fromkeys(coming)}
+        fitted = _joined([[m for m in found.values() if m]])
         if not fitted:
             return ranked
         first = fitted[:RECOMMENDED]
-        known |= {t.structure.nf: t.fitted.f for t in reversed(first)}
-        coming = [s for t in first for s in _neighbours(t.structure) if s not in found]
+        known |= {m.structure.nf: m.f for m in reversed(first)}
+        coming = [s for m in first for s in _neighbours(m.structure) if s not in found]
     return fitted
 
 
@@ -300,22 +296,25 @@ def _neighbours(s: Recommended) -> Iterator[Recommended]:
             yield replace(s, nb=nb, nf=nf, nk=nk)
 
 
-def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted | None:
-    """Return the best model of a structure, from F of `_starts` and of models of other orders."""
+def _exact(record: _Record, s: Recommended, known: Mapping[int, Vector]) -> Fitted | None:
+    """Return the model of a structure; None if there is no start value."""
+    start = _start(record, s, known)
+    return _fitted(*start[1:]) if start else None
+
+
+def _start(
+    record: _Record, s: Recommended, known: Mapping[int, Vector]
+) -> tuple[float, Recommended, PolynomialProblem, Vector] | None:
+    """Return the start value f of least cost: of `_starts`, or of a model of another order."""
     if s.nk > record.latest:
         return None
     problem = record.problem(s)
-    nf = problem.size
-    starts = [F for F in _starts(problem) if F.size == nf + 1]
+    starts = [F for F in _starts(problem) if F.size == problem.size + 1]
     for more in range(-1, 3):
         if (f := known.get(s.nf + more)) is not None:
-            starts.extend(_of_order(np.append(1.0, f), nf))
-    priced = sorted(((problem.cost(F[1:]), F[1:]) for F in starts), key=lambda x: x[0])
-    best: _Fitted | None = None
-    for _, f in priced[:_MAX_SEARCHES]:
-        found = _fitted(problem, s, f, known=best.cost if best else np.nan)
-        best = min((e for e in (best, found) if e), key=lambda e: e.cost, default=None)
-    return best
+            starts.extend(_of_order(np.append(1.0, f), problem.size))
+    priced = ((problem.cost(F[1:]), s, problem, F[1:]) for F in starts)
+    return min(priced, key=itemgetter(0), default=None)
 
 
 def _of_order(F: Vector, nf: int) -> Iterator[Vector]:
@@ -328,43 +327,16 @@ def _of_order(F: Vector, nf: int) -> Iterator[Vector]:
         yield from _of_order(lower, nf)
 
 
-def _fits(
-    record: _Record,
-    nf: int,
-    nks: list[int],
-    *,
-    integrates: bool,
-    near: Vector = np.ones(1),  # noqa: B008
-) -> Iterator[_Fitted]:
-    """Yield models of an order at the likeliest lags, with more b's than expected."""
-    if nf < integrates:
-        return
-    begun = [s for k in nks if (s := _begun(record, nf, k, integrates, near))]
-    likeliest = [*begun[:1], *sorted(begun[1:], key=lambda s: s[0])[:2]]
-    for _, nk, f in likeliest:
-        first = max(nk - _EXTRA_COEFFICIENTS, min(nk, 1))
-        wide = Recommended(
-            nb=nf + nk - first + _EXTRA_COEFFICIENTS, nf=nf, nk=first, integrator=integrates
-        )
-        if model := _fitted(record.problem(wide), wide, f):
-            yield model
-
-
-def _fitted(
-    problem: PolynomialProblem, s: Recommended, f: Vector, *, known: float = np.nan
-) -> _Fitted | None:
-    """Return the model that a search from f finds; None if there are too few residuals.
-
-    The search ends early at the cost `known` of another search.
-    """
+def _fitted(s: Recommended, problem: PolynomialProblem, f: Vector) -> Fitted | None:
+    """Return the model that a search from f finds; None if there are too few residuals."""
     N = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
     if 3 * (s.nb + s.nf) >= N:
         return None
-    end = problem.minimise(f, most=_MAX_STEPS, known=known)
+    end = problem.minimise(f, most=_MAX_STEPS)
     past = sum(past.rank for past in problem.solve(end.theta).past)
     if past + s.nb + s.nf >= N:
         return None
-    return _Fitted(structure=s, problem=problem, f=end.theta, cost=end.cost, past=past, N=N)
+    return Fitted(structure=s, problem=problem, f=end.theta, cost=end.cost, past=past, N=N)
 
 
 def _starts(problem: PolynomialProblem) -> list[Vector]:
@@ -378,47 +350,3 @@ def _starts(problem: PolynomialProblem) -> list[Vector]:
         return [F, *steiglitz_mcbride([path], F, n.nf[0], iterations=3)]
     except (ValueError, np.linalg.LinAlgError):
         return []
-
-
-def _begun(
-    record: _Record, nf: int, nk: int, integrates: bool, near: Vector
-) -> tuple[float, int, Vector] | None:
-    """Return the best start value f as (cost, nk, f); None if there is no start value."""
-    problem = record.problem(Recommended(nb=nf, nf=nf, nk=nk, integrator=integrates))
-    starts = _starts(problem)
-    if starts and near.size == problem.size:
-        starts.append(np.convolve(near, [1.0, -0.3]))
-    return min(((problem.cost(F[1:]), nk, F[1:]) for F in starts), key=lambda s: s[0], default=None)
-
-
-def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
-    """Return the description length if removal of `fewer` coefficients raises the cost by `more`.
-
-    Each dimension of one experiment's initial state costs log N, as a coefficient does. Otherwise
-    a pair of poles on the unit circle and the initial state could fit any sine in the noise.
-    """
-    s = model.structure
-    loss = max((model.cost + more) / (model.N - model.past), np.finfo(np.float64).tiny)
-    state = model.past / len(model.problem.experiments)
-    return float(mdl(loss, s.nb + s.nf - s.integrator - fewer + state, model.N))
-
-
-def _trimmed(model: _Fitted) -> Iterator[Tried]:
-    """Yield structures without some first and last b's; predict their description lengths."""
-    solution = model.problem.solve(model.f)
-    R: Vector = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
-    scale = np.sqrt(np.sum(R**2, axis=0))
-    scale[scale == 0] = 1.0
-    inverse = np.linalg.pinv(R / scale, rcond=_RANK_TOLERANCE) / scale[:, None]
-    P, b, s = inverse @ inverse.T, solution.ab, model.structure
-    for i in range(s.nb):
-        for j in range(s.nb - i):
-            out = [*range(i), *range(s.nb - j, s.nb)]
-            rise = (
-                b[out] @ np.linalg.lstsq(P[np.ix_(out, out)], b[out], rcond=None)[0] if out else 0
-            )
-            yield Tried(
-                structure=replace(s, nb=s.nb - i - j, nk=s.nk + i),
-                bits=_bits(model, float(max(rise, 0.0)), i + j),
-                fitted=model,
-            )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from armrig.data.merging import merge
 from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig.validation.recommended_structures import Recommended, Tried, _chosen, recommended
+from armrig.validation.recommended_structures import Recommended, _chosen, recommended
 from armrig.validation.structure_hints import _extremes, call_of_all, structure_hints
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
@@ -302,15 +302,20 @@ def test_a_spectrum_unexplained_by_u_keeps_the_recommended_structures() -> None:
     replace(found, trusted=0.0, high_slope=None).plot()
 
 
-def _tried(nb: int, nf: int, bits: float, *, integrator: bool = False) -> Tried:
-    structure = Recommended(nb=nb, nf=nf, nk=1, integrator=integrator)
-    return Tried(structure=structure, bits=bits, fitted=cast("Any", None))
+class _Fitted(NamedTuple):
+    structure: Recommended
+    bits: float
+
+
+def _fitted(nb: int, nf: int, bits: float, *, integrator: bool = False) -> Any:
+    return _Fitted(Recommended(nb=nb, nf=nf, nk=1, integrator=integrator), bits)
 
 
 def test_the_third_structure_is_the_shortest_of_a_plant_with_a_hold() -> None:
     """Under a hold nb = nf, though the first or last b may be small."""
-    free = [_tried(1, 3, 0), _tried(2, 3, 1), _tried(1, 4, 2), _tried(3, 3, 3), _tried(4, 4, 4)]
-    fixed = [_tried(2, 2, 5, integrator=True), _tried(2, 4, 6, integrator=True)]
+    orders = ((1, 3), (2, 3), (1, 4), (3, 3), (4, 4))
+    free = [_fitted(*n, bits) for bits, n in enumerate(orders)]
+    fixed = [_fitted(2, 2, 5, integrator=True), _fitted(2, 4, 6, integrator=True)]
 
     shown, both = (_chosen([fixed, free], shown=shown) for shown in (True, False))
 
