@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import armrig
+import msgspec
 import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.identify import _experiment, _options
+from armrig.dashboard.experiments import Experiment, previewed
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.serving import Listener, not_drawn
+from armrig.dashboard.stream import live_facts, rig_facts
+from armrig.dashboard.study_of_one import csv, facts, identified
 from armrig.excitation import telegraph
 from armrig.recordings.usability import doubts_of_pair
 from armrig_core.commands.commands import Run
@@ -26,6 +28,7 @@ from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from msgspec.structs import replace
 
 from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import sample
 
 ARM_WORDS = ("chassis", "theta_1", "alpha", "J_1", "dead band", "motor")
 
@@ -158,16 +161,49 @@ def test_a_report_with_given_orders_fixes_no_integrator_of_a_rig_that_settles(
     assert not any(one.model.integrator for one in done.estimated)
 
 
-def test_the_page_shows_only_rigs_with_outputs_of_the_arm() -> None:
-    status = replace(FakeDaemon("there").status(), description=shipped("rc").text.decode())
-    feed, rig = Feed(), SimpleNamespace(status=lambda: status, arrivals=lambda _: nullcontext(list))
+def test_the_page_draws_the_signals_of_the_rig_that_answers() -> None:
+    """Rows of the rig that answered before are discarded, with the model of its rate."""
+    feed = Feed()
+    feed.add_samples([sample(k) for k in range(3)])
+    feed.set_model(wanted=True)
+    of_arm = rig_facts(feed)
+    status = replace(FakeDaemon("there").status(), description=shipped("heater").text.decode())
 
-    with pytest.raises(InputError, match="draw only the arm, and this rig is 'rc': use `armrig wa"):
-        Listener(feed, rig="1", connect=None, found=pytest.fail)._listen(rig)  # type: ignore[arg-type]
+    feed.take_status(status)
+    feed.add_samples([sample(3, value_0=23.04, value_1=24.0)])
 
-    assert feed.status is None
-    assert not not_drawn(shipped("arm"))
-    assert not not_drawn(shipped("chassis"))
+    facts = msgspec.to_builtins(rig_facts(feed))
+    assert [s["key"] for s in facts.pop("signals")] == ["u", "T1", "T2"]
+    assert facts == {"arm": "", "body": ""}
+    assert (of_arm["arm"], of_arm["body"]) == ("arm", "chassis")
+    news = live_facts(feed.news(), status)
+    assert [row[3:] for row in news["rows"]] == [[23.04, 23.04, 24.0, 24.0]]
+    assert news["newest"] == {"u": news["rows"][0][1], "T1": 23.04, "T2": 24.0}
+    assert feed.model_lines() is None
+    with pytest.raises(InputError, match="T1 does not turn, so its rate has no model: record"):
+        feed.set_model(wanted=True)
+
+
+def test_the_page_previews_and_identifies_a_described_rig(
+    heater: list[Path], rc: list[Path]
+) -> None:
+    status = replace(FakeDaemon("there").status(), Ts=1.0)
+    for name, begins in (("heater", "rehearsed on the model: T1 from 23"), ("", "not rehearsed")):
+        text = shipped("heater").text.decode()
+        text = text if name else text.partition("[model]")[0]
+        seen = previewed(Experiment(kind="step", Ts=1.0), replace(status, description=text))
+        assert seen.rehearsal.startswith(begins)
+        assert not seen.deviations
+
+    found = identified(*rc, "")
+    assert found["answer"].startswith("OE(")
+    assert "y to 99." in found["answer"]
+    assert not [word for word in ARM_WORDS if word in repr({**found, "figures": ""})]
+    shown = facts(heater[0])
+    assert (shown["arm"], [*shown["curves"]]) == ("", ["u", "T1", "T2"])
+    head, first, *_ = csv(heater[0], None, None).decode().splitlines()
+    assert head == "t [s],u [V],T1 [degC],T2 [degC]"
+    assert float(first.split(",")[2]) == pytest.approx(23.0, abs=1.0)
 
 
 def test_recordings_of_different_descriptions_are_not_compared(

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
+from armrig_core.rig.description import path_of
 
 from tests.clients import made_recordings
 from tests.integration.driving import bring_to_rest
@@ -146,6 +147,26 @@ def test_the_run_button_is_next_to_preview_and_a_run_stays_in_view(
         assert is_in_view(page, "#charts .u-wrap")
         assert is_in_view(page, "#charts .chart:nth-child(2) .u-wrap")
         bring_to_rest(served)
+
+
+def test_the_page_of_a_heater_has_its_signals_and_nothing_of_the_arm(
+    browser: Any, bench: Bench
+) -> None:
+    bench.configure(more=f'[rig]\nfile = "{path_of(Path("heater"))}"')
+    bench.emulate()
+    bench.serve()
+    with watched(bench) as client, opened(browser, client.url) as page:
+        until(page, lambda: "degC" in text(page, "#value-T2"))
+        assert page.locator("#charts .chart").count() == 3
+        assert not page.is_visible("#arm-card, #live-model")
+        run_step(page, bench, "2")
+        assert "T1 from 23" in text(page, "#running-told")
+        page.click("#look:visible")
+        page.wait_for_selector("#curves canvas")
+        assert page.locator("#curves .chart").count() == 3
+        assert page.locator("#output option").all_text_contents() == ["T1", "T2", "T1 and T2"]
+        status, said = client.ask("/api/model", {"wanted": True})
+    assert (status, "T1 does not turn" in said["error"]) == (400, True)
 
 
 _COVERED_CHARTS = """() => {

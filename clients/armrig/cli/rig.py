@@ -327,7 +327,7 @@ def lab(
     with (
         running(arguments, rig=rig, log=log) as daemon,
         armrig.Rig(rig) as opened,
-        _page(opened) if page and not json else nullcontext("") as url,
+        _page(rig) if page and not json else nullcontext("") as url,
     ):
         try:
             _show(opened, daemon, log, _Lab(what, url), json=json)
@@ -337,17 +337,13 @@ def lab(
 
 
 @contextmanager
-def _page(rig: Rig) -> Iterator[str]:
+def _page(rig: str) -> Iterator[str]:
     """Serve the dashboard, and open it in a browser if there is a screen."""
     import webbrowser
 
-    from armrig.dashboard.serving import Settings, dashboard, not_drawn
+    from armrig.dashboard.serving import Settings, dashboard
 
-    if why := not_drawn(rig.status().described):
-        inform(why)
-        yield ""
-        return
-    with dashboard(Settings(rig=rig.rig)) as served:
+    with dashboard(Settings(rig=rig)) as served:
         if sys.stdout.isatty() and any(name in os.environ for name in _SCREENS):
             webbrowser.open(served.browser_url)
         yield served.url
@@ -478,19 +474,13 @@ def dashboard(
         inform("starting the dashboard …", dim=True)
     # `until_signal` only notes the first Ctrl-C, and the imports take seconds on a busy machine.
     has_loaded = end_at_ctrl_c("armrig")
-    import armrig.dashboard.serving
+    from armrig.dashboard.serving import Settings
+    from armrig.dashboard.serving import dashboard as serving
 
     has_loaded()
-    described = None
     with until_signal() as ended, ExitStack() as opened:
-        from armrig.dashboard.serving import Settings, not_drawn
-        from armrig.dashboard.serving import dashboard as serving
         from armrig.dashboard.share import own_address
 
-        with suppress(armrig.RigError), armrig.Rig(rig, connect=connect) as live:
-            described = live.status().described
-        if described and (why := not_drawn(described)):
-            raise InputError(why)
         address = own_address() if share else None
         settings = Settings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))
@@ -498,6 +488,9 @@ def dashboard(
         if for_foxglove:
             from armrig.dashboard.foxglove import LAYOUTS, foxglove
 
+            with suppress(armrig.RigError), armrig.Rig(rig, connect=connect) as live:
+                if not live.status().described.arm:
+                    raise InputError("--foxglove: streams and layouts have the names of the arm")
             layouts = str(LAYOUTS)
             streams = opened.enter_context(foxglove(rig=rig, connect=connect))
         if json:

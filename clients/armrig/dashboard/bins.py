@@ -1,96 +1,184 @@
-"""Bins of samples in time; each bin contains the least and the largest value of each signal."""
+"""Signals that the page draws, and bins of samples in time; a bin has the range of each signal."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil, degrees, inf, log10
+from typing import Literal
 
+import msgspec
 import numpy as np
+from armrig_core.rig.channels import symbol
+from armrig_core.rig.description import COUNTS, Description, shipped
 from armrig_core.telemetry.telemetry import Sample
 from numpy.typing import NDArray
 
 Rows = NDArray[np.float64]
-"""(n, 9): t in s, then the least and the largest value of each of four signals.
+"""(n, 1 + 2 S): t in s, then the least and the largest value of each of S signals."""
 
-The signals are u in V, theta_1 in °, the rate of theta_1 in °/s, and alpha in °.
-"""
-
-COLUMNS = 9
 WIDTH_S = 0.01
 """Width of a bin in s: one pixel if 1000 pixels show 10 s. If the sampling time is longer, each
 sample has its own bin.
 """
 RATE_S = 0.1
-"""Time in s between the two angles of a rate; a converter step changes the rate by 3.5 °/s."""
-_TURN = 360.0
+"""Time in s between the two values of a rate; a converter step changes the arm's by 3.5 °/s."""
+_STEPS = 1024  # of the Uno's converter
+_CENTRED = 0.1  # a range is symmetric if its middle is nearer to 0 than this part of its width
+TURN = 360.0
+"""A turn in °."""
 _CLOCK_S = 1e-6  # resolution of the times, in s
 _MAX_ROWS_BEFORE = 1000  # most earlier rows for a rate; a rig at 1 kHz needs 200
 
 
-def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
-    """Return an array (n, 5): k, t in s, u in V, theta_1 and alpha in °; NaN if unknown."""
+class Signal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A signal of the page: the input, an output, or the rate of an output."""
+
+    key: str
+    """Name of the signal: `u`, or the name of the output or its rate."""
+    label: str
+    """Name for people, such as θ₁."""
+    unit: str
+    """Unit of the values that the page shows; angles are in °."""
+    kind: Literal["input", "value", "turning", "rate"]
+    channel: int = 0
+    """Number of the channel that the signal belongs to."""
+    scale: float = 1.0
+    """Factor from the unit of the samples to the unit of the page."""
+    step: float = 0.01
+    """Change of the signal by one step of the Uno's converter, on average."""
+    is_symmetric: bool = False
+    """True if the range of the signal is drawn symmetrically about 0."""
+    limits: tuple[float, float] = (-inf, inf)
+    """Values below and above which a run stops; JSON has null for an infinite one."""
+    per_volt: tuple[float, str] | None = None
+    """Value of the input for people at 1 V, and its unit; None if the unit is V."""
+
+
+def signals_of(description: Description) -> tuple[Signal, ...]:
+    """Return the signals of a rig in the order of the values in a row."""
+    given = description.input
+    per_volt = None if given.unit == "V" else (given.per_volt, given.unit)
+    found = [Signal(key="u", label=symbol(given.name), unit="V", kind="input", per_volt=per_volt)]
+    for number, channel in enumerate(description.channels):
+        output = description.outputs[channel.name]
+        scale, unit = (degrees(1.0), "°") if channel.unit == "rad" else (1.0, channel.unit)
+        ends = output.value(0), output.value(COUNTS - 1)
+        step = abs(ends[1] - ends[0]) / _STEPS * scale
+        value = Signal(
+            key=channel.name,
+            label=symbol(channel.name),
+            unit=unit,
+            kind="turning" if channel.turns else "value",
+            channel=number,
+            scale=scale,
+            step=step,
+            is_symmetric=abs(sum(ends)) < _CENTRED * abs(ends[1] - ends[0]),
+            limits=(output.low * scale, output.high * scale),
+        )
+        found.append(value)
+        if channel.turns or channel.rate:
+            rate = Signal(
+                key=channel.rate or f"{channel.name}_rate",
+                label=f"rate of {value.label}",
+                unit=f"{unit}/s",
+                kind="rate",
+                channel=number,
+                step=step / RATE_S,
+                is_symmetric=True,
+            )
+            found.append(rate)
+    return tuple(found)
+
+
+ARM_SIGNALS = signals_of(shipped("arm"))
+"""Signals of the arm, the default rig."""
+
+
+def signals(samples: Sequence[Sample], drawn: Sequence[Signal] = ARM_SIGNALS) -> Rows:
+    """Return an array (n, 5): k, t in s, u in V, and both channels; NaN if unknown."""
     found = np.array(
         [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.value_0, s.value_1) for s in samples],
         np.float64,
     ).reshape(-1, 5)
-    found[:, 3:] = np.degrees(found[:, 3:])
+    for signal in drawn:
+        found[:, 3 + signal.channel] *= signal.scale
     return found
 
 
-def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rate of theta_1 at each row of `now`, (N,) in °/s.
+def rate(before: Rows, now: Rows, *, channel: int = 0, wraps: bool = True) -> Rows:
+    """Return the rate of a channel at each row of `now`, (N,) in its unit per s.
 
-    The rate in a row is the difference between the row's angle and an older angle, divided by the
-    time between the two angles. The older angle is the newest known angle at least `RATE_S` before
-    the row. The rate is therefore also known after a missing sample or the dead band. The two
-    angles are assumed to differ by less than half a turn.
+    The rate in a row is the difference between the row's value and an older value, divided by the
+    time between the two values. The older value is the newest known value at least `RATE_S` before
+    the row. If the channel wraps, the two angles are assumed to differ by less than half a turn.
 
     `before` (m, 5) contains the samples before `now` (N, 5), both from `signals`: see
-    `needed_before`. The rate is NaN for a sample without an angle. The rate is also NaN if the
-    older angle is more than 2 `RATE_S` before the sample, unless the older angle is in the previous
-    sample.
+    `needed_before`. The rate is NaN for a sample without a value, and if the older value is more
+    than 2 `RATE_S` before the sample and not in the previous sample.
     """
-    every = np.concatenate([before, now])
-    known = every[np.isfinite(every[:, 3])]
+    every, place_of_value = np.concatenate([before, now]), 3 + channel
+    known = every[np.isfinite(every[:, place_of_value])]
     slope = np.full(now.shape[0], np.nan)
     if known.shape[0]:
         place = np.searchsorted(known[:, 1], now[:, 1] - RATE_S + _CLOCK_S, "right") - 1
         older = known[np.maximum(place, 0)]
         elapsed = now[:, 1] - older[:, 1]
         near = (elapsed <= 2 * RATE_S + _CLOCK_S) | (now[:, 0] - older[:, 0] == 1)
-        turned = now[:, 3] - older[:, 3]
-        turned -= _TURN * np.round(turned / _TURN)
+        change = now[:, place_of_value] - older[:, place_of_value]
+        if wraps:
+            change -= TURN * np.round(change / TURN)
         use = near & (place >= 0)
-        slope[use] = turned[use] / elapsed[use]
+        slope[use] = change[use] / elapsed[use]
     return slope
 
 
-def needed_before(found: NDArray[np.float64]) -> NDArray[np.float64]:
+def needed_before(found: Rows) -> Rows:
     """Return the newest rows, at most `_MAX_ROWS_BEFORE`, that the rates of later samples need."""
     found = found[-_MAX_ROWS_BEFORE:]
     first = int(np.searchsorted(found[:, 1], found[-1, 1] - 2 * RATE_S))
     return found[min(first, found.shape[0] - 1) :]
 
 
-def binned(found: NDArray[np.float64], slope: NDArray[np.float64]) -> Rows:
-    """Return a row for each bin of samples; a wrap of theta_1 divides its bin into two rows."""
-    if not found.shape[0]:
-        return np.zeros((0, COLUMNS))
-    values = np.column_stack([found[:, 2], found[:, 3], slope, found[:, 4]])
+def columns_of(before: Rows, now: Rows, drawn: Sequence[Signal]) -> Rows:
+    """Return the values of the signals at each row of `now`, (N, S)."""
+    turning = {signal.channel for signal in drawn if signal.kind == "turning"}
+    return np.column_stack(
+        [
+            rate(before, now, channel=signal.channel, wraps=signal.channel in turning)
+            if signal.kind == "rate"
+            else now[:, 2 if signal.kind == "input" else 3 + signal.channel]
+            for signal in drawn
+        ]
+    )
+
+
+def binned(before: Rows, found: Rows, drawn: Sequence[Signal] = ARM_SIGNALS) -> Rows:
+    """Return a row for each bin of samples; a wrap of an angle divides its bin into two rows.
+
+    The values are rounded to 0.01 or, for a small step of the converter, to a tenth of the step or
+    less. `before` contains the samples before `found`: see `needed_before`.
+    """
+    places = [10.0 ** max(2, 1 + ceil(-log10(signal.step))) for signal in drawn]
+    values = np.rint(columns_of(before, found, drawn) * places) / places
     each = np.column_stack([found[:, 1], np.repeat(values, 2, axis=1)])
-    return coarser(each, WIDTH_S)
+    return coarser(each, WIDTH_S, drawn)
 
 
-def coarser(rows: Rows, width_s: float) -> Rows:
-    """Return rows in wider bins; a new bin begins where theta_1 jumps by more than half a turn."""
+def coarser(rows: Rows, width_s: float, drawn: Sequence[Signal] = ARM_SIGNALS) -> Rows:
+    """Return rows in wider bins; a new bin begins where an angle jumps by more than half a turn."""
     if not rows.shape[0]:
         return rows
     bins = np.floor(rows[:, 0] / width_s + 1e-6)
-    # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
-    first_y, n = rows[:, 3], np.arange(rows.shape[0])
-    known = np.maximum.accumulate(np.where(np.isnan(first_y), 0, n))
-    wraps = np.abs(np.diff(first_y[known], prepend=first_y[:1])) > _TURN / 2  # False for NaN
-    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | wraps)
-    made = np.empty((first.size, COLUMNS))
+    begins = np.diff(bins, prepend=np.nan) != 0
+    for column, signal in zip(range(1, rows.shape[1], 2), drawn, strict=True):
+        if signal.kind == "turning":
+            # A potentiometer wraps inside its dead band, whose unknown angles are skipped.
+            first_y, n = rows[:, column], np.arange(rows.shape[0])
+            known = np.maximum.accumulate(np.where(np.isnan(first_y), 0, n))
+            # The comparison is False for NaN.
+            begins |= np.abs(np.diff(first_y[known], prepend=first_y[:1])) > TURN / 2
+    first = np.flatnonzero(begins)
+    made = np.empty((first.size, rows.shape[1]))
     made[:, 0] = rows[first, 0]
     # fmin and fmax ignore NaN, unless all values are NaN.
     made[:, 1::2] = np.fmin.reduceat(rows[:, 1::2], first)
@@ -99,11 +187,9 @@ def coarser(rows: Rows, width_s: float) -> Rows:
 
 
 def as_lists(rows: Rows) -> list[list[float]]:
-    """Return rows for JSON; t and u are rounded to 0.001, angles and rates to 0.01.
+    """Return rows for JSON, with t rounded to 0.001.
 
     Unknown values are NaN, which the encoder writes as null.
     """
-    places = np.full(COLUMNS, 100.0)
-    places[:3] = 1000.0
-    lists: list[list[float]] = (np.rint(rows * places) / places).tolist()
-    return lists
+    lists: list[list[float]] = rows.tolist()
+    return [[round(row[0], 3), *row[1:]] for row in lists]

@@ -14,6 +14,7 @@ from armrig_core.errors import InputError
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from armrig.dashboard.study_of_one import drawn
 from armrig.excitation.from_file import from_text
 from armrig.excitation.named_signals import (
     check_step_time,
@@ -30,7 +31,6 @@ _DEFAULT_S = 30.0
 _DEAD_MAN_S = 1.0  # if the dashboard ends, the motor must stop, as with `armrig collect`
 
 _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
-_MAX_POINTS = 1200  # in the drawing
 
 
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -111,13 +111,10 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     N: int
     seconds: float
     Ts: float
-    t: list[float]
-    """Times of the points of the drawn input, in s."""
-    u: list[float]
+    curve: list[list[float | None]]
+    """Points of the drawn input: t in s, and the least and the largest u, in V."""
     rehearsal: str
     """Sentence about the rehearsal, a simulation of the input with the handout's parameters."""
-    revolutions: float
-    deflection_deg: float
     deviations: list[str]
     """Text for each estimated parameter: its predicted standard deviation in percent."""
     notes: list[str]
@@ -146,34 +143,20 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
         notes.append(f"{text}will be refused")
     alone = status.arm_removed or plan.without_arm
     found, deviations = Rehearsal(), list[str]()
+    told = "not rehearsed: the description of this rig has no [model]"
     if described.arm:
         found, deviations = rehearse(u, Ts, arm_removed=alone), arm_deviations(u, Ts, alone=alone)
     elif described.system:
         found = rehearse_outputs(u, Ts, described)
-    t, shown = _drawn(u, Ts)
+    elif described.model:
+        told = "not rehearsed here: only the daemon reads the file of the model, at the start"
     return Preview(
         experiment=plan.experiment,
         N=u.size,
         seconds=u.size * Ts,
         Ts=Ts,
-        t=t,
-        u=shown,
-        rehearsal=rehearsal_sentence(found),
-        revolutions=found.revolutions,
-        deflection_deg=found.deflection_deg,
+        curve=drawn(Ts * np.arange(u.size, dtype=np.float64), u),
+        rehearsal=rehearsal_sentence(found) if described.arm or described.system else told,
         deviations=deviations,
         notes=notes,
     )
-
-
-def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]:
-    """Return times and values to draw the input; for a long input, least and largest values."""
-    changes = np.flatnonzero(np.diff(u, prepend=np.nan) != 0)
-    if changes.size <= _MAX_POINTS:
-        at, values = [*changes.tolist(), u.size], [*u[changes].tolist(), float(u[-1])]
-        return [round(k * Ts, 6) for k in at], values
-    n = -(-u.size // (_MAX_POINTS // 2))
-    first = np.arange(0, u.size, n)
-    both = np.column_stack([np.minimum.reduceat(u, first), np.maximum.reduceat(u, first)])
-    times = np.column_stack([first, first + n / 2]) * Ts
-    return times.ravel().round(6).tolist(), both.ravel().tolist()

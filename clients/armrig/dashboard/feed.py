@@ -14,11 +14,23 @@ from typing import Any
 
 import numpy as np
 from armrig_core.commands.commands import StatusReport
+from armrig_core.errors import InputError
+from armrig_core.rig.description import shipped
 from armrig_core.rig.emulated import is_emulated
 from armrig_core.telemetry.telemetry import Sample
 from numpy.typing import NDArray
 
-from armrig.dashboard.bins import COLUMNS, Rows, binned, coarser, needed_before, rate, signals
+from armrig.dashboard.bins import (
+    ARM_SIGNALS,
+    TURN,
+    Rows,
+    Signal,
+    binned,
+    coarser,
+    needed_before,
+    signals,
+    signals_of,
+)
 from armrig.estimation.recursive import rarx_start, rarx_step
 from armrig.recordings.daemon_reports import is_note
 from armrig.rig.telemetry_stream import MOST_TOLD, gaps_between
@@ -37,7 +49,6 @@ _BACK_NS = 1_000_000_000
 _LATE_S = 60  # length of the histogram, in s
 _NA, _NB = 3, 4  # the arm without its integrator: 3 poles; the sampled rate also has 3 zeros
 _REMEMBERED_S = 20.0
-_TURN = 360.0
 _FRESH = rarx_start(na=_NA, nb=_NB)
 
 
@@ -53,6 +64,8 @@ class News:
     """Age of the newest sample, in s; inf before the first sample."""
     newest: Sample | None
     """The newest sample."""
+    signals: tuple[Signal, ...]
+    """Signals of the rig, in the order of the values in a row."""
     pieces: int = 0
     """Number of pieces of rows so far, to be passed to the next call of `Feed.news`."""
 
@@ -93,10 +106,24 @@ class Feed:
         self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns
         self.status: StatusReport | None = None
         """Newest status of the daemon."""
+        self.description = shipped("arm")
+        """Description of the rig; until a daemon reports it, that of the arm."""
+        self.signals: tuple[Signal, ...] = ARM_SIGNALS
+        """Signals of the rig, in the order of the values in a row."""
         self._emulated = False
         self._model: LiveModel | None = None
         self.trouble = "looking for the rig's daemon"
         """Reason why no daemon is connected; "" if a daemon is connected."""
+
+    def take_status(self, status: StatusReport) -> None:
+        """Take the status of a daemon that answers; discard the rows of another rig."""
+        self.status, self.trouble = status, ""
+        described = status.described
+        if described.text != self.description.text:
+            with self._lock:
+                self.description, self.signals = described, signals_of(described)
+                self._forget_rows()
+                self._model = None
 
     def add_samples(self, samples: Sequence[Sample], *, live: bool = True) -> None:
         """Add samples in order; `live` is False for earlier samples, which the daemon has kept."""
@@ -104,20 +131,19 @@ class Feed:
             newest = self._newest if live and samples else None
             # The rig's machine, and therefore its monotonic clock, may have been restarted.
             if newest is not None and samples[0].t_host_ns < newest.t_host_ns - _BACK_NS:
-                self._rows.clear()
-                self._kept, self._newest, self._tail = 0, None, self._tail[:0]
+                self._forget_rows()
                 self._forget_marks_after(samples[0].t_host_ns)
             newest_ns = self._newest.t_host_ns if self._newest else -1
             samples = [s for s in samples if s.t_host_ns > newest_ns]
             if not samples:
                 return
             self._note_gaps(samples)
-            found = signals(samples)
+            found = signals(samples, self.signals)
             Ts = self.status.Ts if self.status else _TS
-            made = binned(found, rate(self._tail, found))
+            made = binned(self._tail, found, self.signals)
             if self._model is not None and live:
                 if self._model.Ts != Ts:
-                    self._model = LiveModel(Ts)
+                    self._model = LiveModel(Ts, self.signals[1].label)
                 self._model.take(found)
             self._tail = needed_before(np.concatenate([self._tail, found]))
             self._newest = samples[-1]
@@ -184,10 +210,14 @@ class Feed:
         return self._emulated
 
     def set_model(self, *, wanted: bool) -> None:
-        """Start or stop the estimation of a model from live samples."""
+        """Start or stop a model from live samples; refuse a rig that does not turn."""
         with self._lock:
+            if wanted and (first := self.signals[1]).kind != "turning":
+                way_out = "record an experiment, and press Identify"
+                raise InputError(f"{first.key} does not turn, so its rate has no model: {way_out}")
             if wanted != (self._model is not None):
-                self._model = LiveModel(self.status.Ts if self.status else _TS) if wanted else None
+                Ts = self.status.Ts if self.status else _TS
+                self._model = LiveModel(Ts, self.signals[1].label) if wanted else None
 
     def model_lines(self) -> list[str] | None:
         """Return lines of text about the live model; None without a live model."""
@@ -197,26 +227,27 @@ class Feed:
     def history(self) -> Rows:
         """Return the rows of the last five minutes; rows older than `FINE_S` are in wider bins."""
         with self._lock:
-            pieces = [*self._rows]
+            pieces, drawn = [*self._rows], self.signals
         if not pieces:
-            return np.zeros((0, COLUMNS))
+            return np.zeros((0, 1 + 2 * len(drawn)))
         rows = np.concatenate(pieces)
         newest = rows[-1, 0]
         rows = rows[rows[:, 0] >= newest - HISTORY_S]
         fine = int(np.searchsorted(rows[:, 0], newest - FINE_S))
-        return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
+        return np.concatenate([coarser(rows[:fine], COARSE_S, drawn), rows[fine:]])
 
     def news(self, after: int = 0) -> News:
         """Return the changes since a previous call; `after` is `News.pieces` of that call."""
         with self._lock:
             fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
-            rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))
+            rows = np.concatenate(fresh) if fresh else np.zeros((0, 1 + 2 * len(self.signals)))
             now_s = time.monotonic()
             return News(
                 rows=rows,
                 at_s=now_s,
                 age_s=now_s - self._came_s,
                 newest=self._newest,
+                signals=self.signals,
                 pieces=self._pieces,
             )
 
@@ -227,6 +258,10 @@ class Feed:
                 counts = (counts for _, counts in self._late)
                 self._timing.late = [sum(column) for column in zip(*counts, strict=True)]
             return self._timing
+
+    def _forget_rows(self) -> None:
+        self._rows.clear()
+        self._kept, self._newest, self._tail = 0, None, self._tail[:0]
 
     def _forget_marks_after(self, t_ns: int) -> None:
         states = [found for found in self._states if found[0] <= t_ns]
@@ -267,9 +302,9 @@ def _mark(before: str, phase: str) -> str:
 class LiveModel:
     """Recursive ARX model of the rate, A(q) omega(t) = B(q) u(t) + e(t), with forgetting."""
 
-    def __init__(self, Ts: float) -> None:
-        """Begin without a sample; Ts is the sampling time in s."""
-        self.Ts = Ts
+    def __init__(self, Ts: float, label: str = ARM_SIGNALS[1].label) -> None:
+        """Begin without a sample; Ts is the sampling time in s, and `label` names the angle."""
+        self.Ts, self._label = Ts, label
         forgetting = max(0.5, 1.0 - Ts / _REMEMBERED_S)
         self._state = rarx_start(na=_NA, nb=_NB, forgetting=forgetting)
         self._k = -inf
@@ -286,7 +321,7 @@ class LiveModel:
                 self._theta = float("nan")
             turned = theta - self._theta
             if isfinite(turned):
-                turned -= _TURN * round(turned / _TURN)
+                turned -= TURN * round(turned / TURN)
             # u acts after this sample, so it is a past input at the next sample.
             self._state = rarx_step(self._state, u, radians(turned) / self.Ts)
             self._k, self._theta = k, theta
@@ -299,7 +334,7 @@ class LiveModel:
         gain = state.B.sum() / state.A.sum()
         error = state.noise_variance**0.5
         return [
-            f"rate of θ₁, ARX[{_NA} {_NB} 1], of the last {_REMEMBERED_S:g} s: "
+            f"rate of {self._label}, ARX[{_NA} {_NB} 1], of the last {_REMEMBERED_S:g} s: "
             f"gain {gain:.3g} rad/s per V, prediction error {error:.2g} rad/s",
             *(_described(pole, self.Ts) for pole in np.roots(state.A) if pole.imag >= 0),
         ]

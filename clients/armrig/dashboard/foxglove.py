@@ -15,7 +15,6 @@ from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, stream_key
 
-from armrig.dashboard.serving import not_drawn
 from armrig.physics.files.poses import transforms, transforms_channel
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
@@ -81,7 +80,7 @@ def _send(channels: dict[str, Any], rig: str, connect: str | None, ends: threadi
     while not ends.is_set():
         try:
             with Rig(rig, connect=connect) as opened:
-                if not not_drawn(opened.status().described):
+                if opened.status().described.arm:
                     _pass_on(channels, opened, ends)
         except (RigError, ValueError):
             pass  # the dashboard shows the reason

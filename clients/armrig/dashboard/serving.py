@@ -17,10 +17,7 @@ from typing import Any
 
 import uvicorn
 from armrig_core.commands.commands import StatusReport
-from armrig_core.errors import InputError
 from armrig_core.process.open_files import raise_limit
-from armrig_core.rig.description import Description
-from armrig_core.telemetry.channels import CHANNELS
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -65,17 +62,6 @@ _STATUS_S = 0.5
 _SILENT_S = 2.0  # after this time plus 2 Ts without a sample, the listener connects again
 _RETRY_S = 0.3
 _MAX_PIECES = 100
-
-
-def not_drawn(description: Description) -> str:
-    """Return why the page cannot show a rig; "" for a rig with outputs of the arm."""
-    outputs, drawn = ([(c.name, c.unit) for c in x] for x in (description.channels, CHANNELS))
-    if outputs == drawn[: len(outputs)]:
-        return ""
-    return (
-        f"the dashboard and its layouts draw only the arm, and this rig is "
-        f"'{description.rig.name}': use `armrig watch`, `armrig status` and `armrig collect`"
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -325,10 +311,7 @@ class Listener:
             rig.arrivals("event") as events,
         ):
             status = rig.status()
-            if why := not_drawn(status.described):
-                feed.status = None
-                raise InputError(why)
-            feed.status, feed.trouble = status, ""
+            feed.take_status(status)
             self._found()
             self._take_past()
             asked_s = heard_s = time.monotonic()
@@ -343,8 +326,8 @@ class Listener:
                 now = time.monotonic()
                 feed.add_states(fresh := states())
                 if _changed(fresh, status) or now - asked_s >= _STATUS_S:
-                    feed.status = status = rig.status()
-                    feed.trouble, asked_s = "", now
+                    feed.take_status(status := rig.status())
+                    asked_s = now
                 if now - heard_s > _SILENT_S + 2 * status.Ts:
                     return  # a session may outlive its daemon
 

@@ -16,11 +16,10 @@ import msgspec
 from armrig_core.commands.commands import LastRun, StatusReport
 from armrig_core.errors import OperationError
 from armrig_core.rig.arm import ArmParameters
-from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.telemetry import Sample
 from msgspec.structs import replace
 
-from armrig.dashboard.bins import Rows, as_lists
+from armrig.dashboard.bins import Rows, Signal, as_lists, columns_of, signals
 from armrig.dashboard.driver import Driver
 from armrig.dashboard.feed import LATE_US, Feed, News
 from armrig.rig.status import status_rows
@@ -39,7 +38,7 @@ _PIECE = 500  # rows in a message
 _STALE_S = 0.3
 """If no sample arrives for this time, in s, plus two sampling times, the data are stale."""
 _RATE_PER_VOLT = degrees(ArmParameters().torque_per_volt / ArmParameters().damping)
-"""Steady rate of theta_1 at 1 V with the handout's parameters, in °/s."""
+"""Steady rate of the arm at 1 V with the handout's parameters, in °/s."""
 _STATUS_FIELDS = (
     *("rig", "phase", "fault", "reason", "remedy", "line", "owner", "Ts", "u_min", "u_max"),
 )
@@ -176,6 +175,7 @@ class Stream:
         past = asyncio.create_task(self._offer_past(viewer))
         try:
             hello = {"may_command": self.may_command, "late_us": LATE_US}
+            # The rig comes first: its signals are the columns of the rows.
             for message in (event("hello", hello), *self._told.values(), self._timing()):
                 yield message
             async for message in viewer.messages():
@@ -206,6 +206,7 @@ class Stream:
 
     def _send_changed(self) -> None:
         for name, value in (
+            ("rig", rig_facts(self._feed)),
             ("status", status_facts(self._feed)),
             ("run", self._driver.run),
             ("marks", self._feed.marks()),
@@ -258,8 +259,15 @@ def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
         "age_s": round(news.age_s, 3) if isfinite(news.age_s) else None,
         "is_stale": not news.age_s <= limit_s,
         "rows": as_lists(news.rows) if news.rows.size else [],
-        "newest": _newest(news.newest),
+        "newest": _newest(news.newest, news.signals),
     }
+
+
+def rig_facts(feed: Feed) -> dict[str, Any]:
+    """Return the signals of the rig for the page, and what only the arm has."""
+    described = feed.description
+    body = described.channels[0].body if described.arm else ""
+    return {"signals": feed.signals, "arm": described.arm, "body": body}
 
 
 def status_facts(feed: Feed) -> dict[str, Any]:
@@ -272,7 +280,7 @@ def status_facts(feed: Feed) -> dict[str, Any]:
         "trouble": feed.trouble,
         "rows": status_rows(status),
         **{name: getattr(status, name) for name in _STATUS_FIELDS},
-        "rate_max": round(status.u_max * _RATE_PER_VOLT, 1),
+        "rate_max": round(status.u_max * _RATE_PER_VOLT, 1) if feed.description.arm else 0.0,
         "arm_removed": status.arm_removed,
         "last_run": _run_facts(status.last_run),
     }
@@ -284,15 +292,12 @@ def advised(status: StatusReport) -> StatusReport:
     return replace(status, line=line, remedy=_OF_EMULATED.get(status.fault, status.remedy))
 
 
-def _newest(sample: Sample | None) -> dict[str, float | None] | None:
+def _newest(sample: Sample | None, drawn: tuple[Signal, ...]) -> dict[str, float | None] | None:
     if sample is None:
         return None
-    values = zip(CHANNELS, (sample.value_0, sample.value_1), strict=True)
-    angles = {c.name: y for c, y in values}
-    return {
-        "u": sample.u_applied_v,
-        **{name: round(degrees(y), 2) if isfinite(y) else None for name, y in angles.items()},
-    }
+    columns = columns_of(signals([]), signals([sample], drawn), drawn)
+    values = zip(drawn, columns[0].tolist(), strict=True)
+    return {s.key: round(y, 3) if isfinite(y) else None for s, y in values if s.kind != "rate"}
 
 
 def _run_facts(last: LastRun | None) -> dict[str, Any] | None:

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
+from armrig_core.rig.channels import MAX_CHANNELS
 from numpy.typing import NDArray
 
-from armrig.dashboard.bins import rate
+from armrig.dashboard.bins import Signal, columns_of, signals_of
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.estimation.request import Request
 from armrig.estimation.transfer_functions import process
@@ -31,6 +32,7 @@ from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
 _POINTS = 4000  # of a curve: four for each pixel, so that extremes keep their times
+_FINE = 0.001  # least step of the converter that four decimals show
 _MOST_GAPS = _MOST_NOTES = 100
 _KEPT = 2  # number of recordings kept: the recording on the page, and its validation recording
 
@@ -55,50 +57,59 @@ def facts(path: Path) -> dict[str, Any]:
         "notes": [(n.t, n.owner, n.text) for n in recording.notes[:_MOST_NOTES]],
         "more_notes": max(0, len(recording.notes) - _MOST_NOTES),
         "seconds": recording.N * recording.Ts,
+        "signals": signals_of(recording.description),
+        "arm": recording.description.arm,
         "curves": curves(path, None, None),
     }
 
 
 def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
-    """Return points of u, the first channel, its rate and the second between two times in s.
+    """Return points of each signal of the page between two times in s.
 
     If there is no sample between the two times, the function returns the next sample. If the
     recording ends before the two times, the function returns the last sample.
     """
-    t, *signals = _part(path, start, stop)
-    names = ("u", *_two_channels(_loaded(path)), "rate")
-    return {name: _drawn(t, y) for name, y in zip(names, signals, strict=True)}
+    t, columns = _part(path, start, stop)
+    return {signal.key: drawn(t, y) for signal, y in columns.items()}
 
 
 def csv(path: Path, start: float | None, stop: float | None) -> bytes:
     """Return a CSV of all samples between two times in s, with the page's quantities and units."""
-    columns = _part(path, start, stop)[:-1]
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    lines = (f"{t:.6f},{u:.4f},{first:.4f},{second:.4f}\n" for t, u, first, second in rows)
+    t, columns = _part(path, start, stop)
+    shown = {signal: y for signal, y in columns.items() if signal.kind != "rate"}
+    row = ",".join(["{:.6f}", *("{:.4f}" if s.step > _FINE else "{:.9g}" for s in shown)])
+    rows = zip(t.tolist(), *(y.tolist() for y in shown.values()), strict=True)
     names = (
-        f"{c.name}{' counted' * c.turns} [{'deg' if c.unit == 'rad' else c.unit}]"
-        for c in _loaded(path).description.channels
+        f"{s.key}{' counted' * (s.kind == 'turning')} [{s.unit.replace('°', 'deg')}]" for s in shown
     )
     # This process encodes up to 100 MB, so that the server's process is free for a stop.
-    return (",".join(["t [s]", "u [V]", *names]) + "\n" + "".join(lines)).encode()
+    lines = (row.format(*one) for one in rows)
+    return "\n".join([",".join(["t [s]", *names]), *lines, ""]).encode()
 
 
-def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[np.float64]]:
-    """Return t in s, u in V, two channels (angles in °, turns counted), and the first's rate."""
+def _part(
+    path: Path, start: float | None, stop: float | None
+) -> tuple[Vector, dict[Signal, Vector]]:
+    """Return t in s and the values of each signal; turns are counted."""
     recording = _loaded(path)
     first = 0 if start is None else int(np.searchsorted(recording.t, start))
     first = min(first, recording.N - 1)
     last = recording.N if stop is None else int(np.searchsorted(recording.t, stop, "right"))
     part = slice(first, max(last, first + 1))
-    values = list(_two_channels(recording).values())
-    found = np.column_stack([np.arange(recording.N), recording.t, recording.u, *values])
-    return [*found[part, 1:].T, rate(found[:0], found)[part]]
+    shown = signals_of(recording.description)
+    found = np.full((recording.N, 3 + MAX_CHANNELS), np.nan)
+    found[:, :3] = np.column_stack([np.arange(recording.N), recording.t, recording.u])
+    for signal in shown:
+        if signal.kind in ("value", "turning"):
+            found[:, 3 + signal.channel] = recording[signal.key] * signal.scale
+    columns = columns_of(found[:0], found, shown)[part]
+    return found[part, 1], dict(zip(shown, columns.T, strict=True))
 
 
 def identified(path: Path, validation: Path | None, output: str) -> dict[str, Any]:
     """Estimate an OE model with the orders that the data suggest, and validate the model.
 
-    The outputs of a model of both angles share one denominator. Without a recording for validation,
+    The outputs of a model of two outputs share one denominator. Without a recording for validation,
     the first half of the recording is for estimation and the second half for validation.
 
     Raises ValueError if the data determine no model; the message contains the reason.
@@ -118,17 +129,21 @@ def identified(path: Path, validation: Path | None, output: str) -> dict[str, An
         orders={order: max(getattr(h, order) for h in hints.values()) for order in ("nb", "nf")},
         nk=min(found.nk for found in hints.values()),
         integrator=bool(integrating) if one else integrating,
+        # The outputs of the arm are 0 at rest; those of another rig have an offset.
+        offset=not (integrating or recording.description.arm),
         stable=True,
         shared=None if one else True,
     ).estimated(estimation)
-    in_s = _process(estimation, [found.process for found in hints.values()])
+    in_s = _process(estimation, [found.process for found in hints.values()], fit.offset)
     table = compare(other, fit, *in_s)
+    scales = {signal.key: signal.scale for signal in signals_of(recording.description)}
     tests = residuals(fit, other)
     return {
         "model": fit.label,
         "answer": answer(fit, compare(other, fit), tests, tuple(examine_fit_of(estimation, fit))),
         "simulated": {
-            row.output: _drawn(recording.t, _degrees(row.unit, row.y)) for row in compare(data, fit)
+            row.output: drawn(recording.t, row.y * scales.get(row.output, 1.0))
+            for row in compare(data, fit)
         },
         "judged": "the second half of the recording" if validation is None else validation.name,
         "texts": [
@@ -147,10 +162,11 @@ def identified(path: Path, validation: Path | None, output: str) -> dict[str, An
     }
 
 
-def _process(data: Dataset | Signals, forms: list[str]) -> list[Fit]:
+def _process(data: Dataset | Signals, forms: list[str], offset: bool) -> list[Fit]:
     """Return the process model of a single output, if the data suggest one and determine it."""
     with suppress(InputError):
-        return [process(data, form) for form in forms if form and len(forms) == 1]
+        given = forms if len(forms) == 1 else []
+        return [process(data, form, offset=offset) for form in given if form]
     return []
 
 
@@ -158,20 +174,6 @@ def _data(recording: Recording, output: str) -> Dataset | Signals:
     """Return the data of the outputs whose names are given with commas; default: the first."""
     names = output.split(",") if output else [recording.first]
     return recording.signals(names) if len(names) > 1 else recording.dataset(names[0])
-
-
-def _two_channels(recording: Recording) -> dict[str, Vector]:
-    """Return the values of the channels as the page shows them; NaN for a missing second one."""
-    found = {
-        channel.name: _degrees(channel.unit, recording[channel.name])
-        for channel in recording.description.channels
-    }
-    return found if len(found) > 1 else found | {"": np.full(recording.N, np.nan)}
-
-
-def _degrees(unit: str, y: Vector) -> Vector:
-    """Return angles in degrees, and other values as they are."""
-    return np.degrees(y) if unit == "rad" else y
 
 
 def _of_each(texts: Mapping[str, str]) -> str:
@@ -197,7 +199,7 @@ def _loaded(path: Path) -> Recording:
     return load(path)
 
 
-def _drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | None]]:
+def drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | None]]:
     """Return t, the least y and the largest y of each point to draw; y is None if it is missing."""
     n = -(-t.size // _POINTS)
     first = np.arange(0, t.size, n)

@@ -21,7 +21,6 @@ from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
 from armrig_core.commands.commands import LastRun, StatusReport
-from armrig_core.rig.description import shipped
 
 from tests.clients.fake_daemon import status_report
 from tests.integration.processes import settled
@@ -98,6 +97,28 @@ def test_a_lab_ends_all_its_processes(number: signal.Signals, lab: subprocess.Po
         pass
 
 
+_RIG = '[rig]\nname = "led"\n[outputs.y]\nunit = "V"\nper_count = 1e-4\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (_RIG, "rig led cannot be emulated without [model]: give A, B and C, or the file of"),
+        (_RIG + "low = 5.0\nhigh = 1.0\n", "outputs.y: low = 5.0 must be below high = 1.0"),
+    ],
+)
+def test_a_lab_refuses_a_rig_that_it_cannot_emulate(text: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "led.toml").write_text(text)
+    program = [sys.executable, "-m", "armrig", "lab", "--rig-file", str(tmp_path / "led.toml")]
+
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+
+    assert done.returncode == 1
+    assert why in done.stderr
+    assert "Traceback" not in done.stderr
+    assert of_this_test() == []
+
+
 @pytest.mark.exhaustive
 def test_a_second_lab_is_refused_while_the_first_runs(lab: subprocess.Popen[str]) -> None:
     second = subprocess.run(
@@ -130,9 +151,7 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     if screen:
         monkeypatch.setenv(screen, ":0")
 
-    described = SimpleNamespace(described=shipped("arm"))
-    live: Any = SimpleNamespace(rig="1", status=lambda: described)
-    with _page(live) as url:
+    with _page("1") as url:
         assert url == "http://page"
 
     assert opened == (["http://token"] if terminal and screen else [])

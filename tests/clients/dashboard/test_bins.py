@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import inf, radians
 
 import msgspec
 import numpy as np
 import pytest
-from armrig.dashboard.bins import as_lists, binned, coarser, needed_before, rate, signals
+from armrig.dashboard.bins import (
+    as_lists,
+    binned,
+    coarser,
+    needed_before,
+    rate,
+    signals,
+    signals_of,
+)
+from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
 
 
@@ -32,7 +41,7 @@ def _samples(theta_1_deg: list[float], Ts: float = 0.001, u: float = 1.0) -> lis
 
 def _binned(samples: list[Sample]) -> np.ndarray:
     found = signals(samples)
-    return binned(found, np.full(len(samples), np.nan))
+    return binned(found[:0], found)
 
 
 def test_a_bin_holds_the_least_and_the_largest() -> None:
@@ -142,16 +151,56 @@ def test_a_sample_exactly_at_an_edge_begins_the_next_bin() -> None:
 
 
 def test_each_signal_has_its_columns_and_unit() -> None:
-    found = signals([s._replace(u_cmd_v=4.0) for s in _samples([1.0, 2.0], u=3.0)])
+    samples = _samples([1.0, 7.0], Ts=0.12, u=1.23449)
+    found = signals([s._replace(u_cmd_v=4.0) for s in samples[1:]])
 
-    rows = as_lists(binned(found, np.array([50.0, 70.0])))
+    sent = msgspec.json.encode(as_lists(binned(signals(samples[:1]), found)))
 
-    assert rows == [[0.0, 3.0, 3.0, 1.0, 2.0, 50.0, 70.0, -2.0, -1.0]]
+    assert sent == b"[[0.12,1.234,1.234,7.0,7.0,50.0,50.0,-7.0,-7.0]]"
 
 
-def test_json_has_three_decimals_of_time_and_voltage_and_two_of_angles() -> None:
-    row = np.array([[12.34549, 1.23449, 2.71851, -3.14159, 0.005, 1e4 / 3, 99.996, 0.1, np.nan]])
+SERVO = b"""
+[rig]
+name = "servo"
+[outputs.x_1]
+unit = "mm"
+per_count = 1e-5
+low = 0.1
+rate = "v"
+[outputs.phi]
+unit = "rad"
+per_count = 1e-4
+turning = true
+"""
 
-    sent = msgspec.json.encode(as_lists(row))
 
-    assert sent == b"[[12.345,1.234,2.719,-3.14,0.0,3333.33,100.0,0.1,null]]"
+def test_a_described_rig_has_a_column_for_each_output_and_rate() -> None:
+    """A wrap of the second output divides a bin, too; a value of small steps has more decimals."""
+    drawn = signals_of(Description.of(SERVO))
+    samples = [
+        s._replace(value_0=0.123456 + k / 1000, value_1=radians(y))
+        for k, (s, y) in enumerate(
+            zip(_samples([0, 0, 0], Ts=0.15), [358.0, 359.0, 1.0], strict=True)
+        )
+    ]
+    rows = binned(signals([]), signals(samples, drawn), drawn)
+
+    assert [(s.key, s.label, s.unit, s.kind) for s in drawn[1:]] == [
+        ("x_1", "x₁", "mm", "value"),
+        ("v", "rate of x₁", "mm/s", "rate"),
+        ("phi", "φ", "°", "turning"),
+        ("phi_rate", "rate of φ", "°/s", "rate"),
+    ]
+    assert drawn[1].limits == (0.1, inf)
+    np.testing.assert_allclose(rows[1:, 3:5], [[0.1245, 0.1245], [0.1255, 0.1255]], atol=6e-5)
+    np.testing.assert_allclose(rows[2, 5:], [0.007, 0.007, 1, 1, 13.33, 13.33], atol=4e-3)
+    assert coarser(rows, 1.0, drawn).shape == (2, 11)
+
+
+def test_a_heater_has_its_input_in_percent_and_no_rate() -> None:
+    power, *temperatures = signals_of(shipped("heater"))
+
+    assert (power.key, power.label, power.unit, power.per_volt) == ("u", "power", "V", (20.0, "%"))
+    assert [(s.key, s.unit, s.limits, s.is_symmetric) for s in temperatures] == [
+        (name, "degC", (-inf, 70.0), False) for name in ("T1", "T2")
+    ]

@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from armrig.dashboard.bins import COLUMNS, Rows
+from armrig.dashboard.bins import Rows
 from armrig.dashboard.driver import Driver, RunState
 from armrig.dashboard.feed import LATE_US, Feed
 from armrig.dashboard.stream import (
@@ -33,6 +33,7 @@ from msgspec.structs import replace
 from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import sample
 
+COLUMNS = 9
 BEFORE = RunState(experiment="step", error="refused")
 GOING = RunState(experiment="step", is_going=True)
 
@@ -117,7 +118,8 @@ def test_a_new_viewer_receives_the_whole_history_and_each_state_once() -> None:
     first, then = asyncio.run(heard())
 
     kinds = [message.split(b"\n")[0].decode().removeprefix("event: ") for message in first]
-    assert kinds == ["hello", "status", "run", "marks", "timing", "past", "past", "past", "whole"]
+    assert kinds[:6] == ["hello", "rig", "status", "run", "marks", "timing"]
+    assert kinds[6:] == ["past", "past", "past", "whole"]
     assert first[0] == event("hello", {"may_command": True, "late_us": LATE_US})
     rows = [row for m in first if m.startswith(b"event: past") for row in json.loads(m[18:])]
     assert [row[0] for row in rows] == [round(1 + k / 100, 3) for k in range(1203)]

@@ -1,4 +1,4 @@
-// A drawing of the rig from above, which moves with θ₁ and α.
+// A drawing of the arm from above, which moves with the angles of its two joints.
 
 import { make } from "./elements.js";
 
@@ -15,27 +15,28 @@ function shape(tag, attributes, ...children) {
 export class ArmDrawing {
   constructor(where) {
     // Angle 0 points to the right. The rig's angles are counterclockwise, and SVG's are clockwise.
-    this.chassis = shape("g", { class: "chassis" }, shape("circle", { r: 34 }), shape("line", { x1: 0, y1: 0, x2: 34, y2: 0 }));
+    this.base = shape("g", { class: "base" }, shape("circle", { r: 34 }), shape("line", { x1: 0, y1: 0, x2: 34, y2: 0 }));
     this.arm = shape("g", { class: "arm" }, shape("line", { x1: 0, y1: 0, x2: 92, y2: 0 }), shape("circle", { cx: 92, cy: 0, r: 6 }));
     this.unbent = shape("line", { class: "unbent", x1: 34, y1: 0, x2: 98, y2: 0 });
-    const drawing = shape("svg", { viewBox: "-105 -105 210 210", role: "img", "aria-label": "The chassis and its arm from above" }, shape("circle", { class: "rim", r: 100 }), this.unbent, this.arm, this.chassis, shape("circle", { class: "axle", r: 4 }));
+    const drawing = shape("svg", { viewBox: "-105 -105 210 210", role: "img", "aria-label": "The rig from above" }, shape("circle", { class: "rim", r: 100 }), this.unbent, this.arm, this.base, shape("circle", { class: "axle", r: 4 }));
     this.note = make("p", { className: "hint", textContent: HINT });
     where.replaceChildren(drawing, this.note);
     this.drawing = drawing;
   }
 
   // Show the angles, in °; if an angle is unknown, show the last known angle in a pale colour.
-  show(theta_1, alpha) {
-    this.drawing.classList.toggle("pale", theta_1 === null || alpha === null);
-    if (theta_1 !== null) this.theta_1 = theta_1;
-    if (alpha !== null) this.alpha = alpha;
-    const [chassis, arm] = [this.theta_1 ?? 0, (this.theta_1 ?? 0) + (this.alpha ?? 0)];
-    for (const part of [this.chassis, this.unbent]) part.setAttribute("transform", `rotate(${-chassis})`);
+  show(first, second) {
+    this.drawing.classList.toggle("pale", first === null || second === null);
+    if (first !== null) this.first = first;
+    if (second !== null) this.second = second;
+    const [base, arm] = [this.first ?? 0, (this.first ?? 0) + (this.second ?? 0)];
+    for (const part of [this.base, this.unbent]) part.setAttribute("transform", `rotate(${-base})`);
     this.arm.setAttribute("transform", `rotate(${-arm})`);
   }
 
-  get text() {
-    return this.theta_1 === undefined ? "" : `θ₁ ${this.theta_1.toFixed(1)} °`;
+  // Return the angle of the first joint as text, with its name.
+  text(label) {
+    return this.first === undefined ? "" : `${label} ${this.first.toFixed(1)} °`;
   }
 
   // Show the age of the angles instead of the hint; "" for fresh angles.

@@ -64,6 +64,17 @@ function drawMarks(u) {
   u.ctx.restore();
 }
 
+// Draw a horizontal line at each value at which a run stops.
+function drawLimits(u, limits) {
+  const { left, top, width, height } = u.bbox;
+  for (const y of limits ?? []) {
+    const at = y === null ? NaN : u.valToPos(y, "y", true);
+    if (!(at >= top && at <= top + height)) continue;
+    u.ctx.fillStyle = colour("bad");
+    u.ctx.fillRect(left, at, width, devicePixelRatio);
+  }
+}
+
 // Handle the wheel: it zooms the time axis at the pointer. With Shift it moves in time; with Alt it
 // zooms the values.
 function wheel(u, event, onZoom) {
@@ -99,7 +110,7 @@ const clock = (s) => new Date(1000 * s).toTimeString().slice(0, 8);
 // A chart of least and largest values in the page's colours.
 export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, compares, width = where.clientWidth, size = 12 }) {
   const ink = () => colour("soft");
-  const stroke = () => colour(signal.key);
+  const stroke = () => colour(signal.colour);
   const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: `${size}px system-ui, DejaVu Sans, sans-serif` };
   const series = { stroke, width: size / 8, points: { show: false } };
   const range = (u, least, largest) => {
@@ -134,7 +145,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
       ],
       series: [{}, ...pair(series), ...(compares ? pair({ ...series, stroke: () => colour("bad"), dash: [6, 4] }) : [])],
       hooks: {
-        draw: [drawMarks],
+        draw: [drawMarks, (u) => drawLimits(u, signal.limits)],
         ready: [(u) => u.over.addEventListener("wheel", (event) => wheel(u, event, onZoom), { passive: false })],
         destroy: [(u) => charts.delete(u)],
         setSelect: [

@@ -8,7 +8,7 @@ const LEVELS = ["low", "high"];
 const RANDOM = ["input", "seconds", ...LEVELS, "a", "seed"];
 const KINDS = {
   blackbox: { title: "black box: a random input to the whole rig", fields: RANDOM, seconds: 30 },
-  greybox: { title: "grey box: a random input to the chassis alone", fields: RANDOM, seconds: 30 },
+  greybox: { fields: RANDOM, seconds: 30 },
   step: { title: "step: time constant, delay, gain", fields: ["seconds", "at", ...LEVELS], seconds: 5 },
   staircase: { title: "staircase: static gain and friction", fields: ["seconds", "levels", ...LEVELS], seconds: 30 },
   csv: { title: "an input of your own, from a CSV file", fields: ["file"] },
@@ -40,11 +40,12 @@ export function setUpControl(lookAt) {
   look = lookAt;
   const form = byId("experiment");
   const kind = make("select", { id: "kind" });
-  for (const [name, { title }] of Object.entries(KINDS)) kind.append(make("option", { value: name, textContent: title }));
+  for (const [name, { title }] of Object.entries(KINDS)) kind.append(make("option", { value: name, textContent: title ?? "" }));
   form.append(make("label", { className: "wide" }, "experiment", kind));
   for (const name of Object.keys(FIELDS)) form.append(field(name));
   const who = make("input", { id: "owner-name", maxLength: 80, required: true, value: localStorage.getItem("armrig-owner") || "dashboard" });
   who.addEventListener("change", () => localStorage.setItem("armrig-owner", who.value));
+  form.append(make("p", { id: "input-unit", className: "hint wide", hidden: true }));
   form.append(make("label", { className: "wide" }, "your name, for others to read", who));
   form.append(make("button", { id: "show", type: "submit", textContent: "Preview" }), make("button", { id: "run", type: "button", className: "go", textContent: "Run" }));
   kind.addEventListener("change", chooseKind);
@@ -58,6 +59,21 @@ export function setUpControl(lookAt) {
   byId("arm").addEventListener("click", () => attempt(arm));
   byId("release").addEventListener("click", () => attempt(release));
   chooseKind();
+}
+
+// Offer the experiments of a rig; the grey box is for a rig with a body that moves alone.
+export function describeRig({ signals, body }) {
+  const kind = byId("kind");
+  const option = [...kind.children].find(({ value }) => value === "greybox");
+  option.hidden = !body;
+  if (body) option.textContent = `grey box: a random input to the ${body} alone`;
+  if (!body && kind.value === "greybox") {
+    kind.value = "blackbox";
+    chooseKind();
+  }
+  const [{ label, per_volt }] = signals;
+  show("input-unit", Boolean(per_volt));
+  if (per_volt) setText("input-unit", `1 V is ${per_volt.join(" ")} of ${label}.`);
 }
 
 function field(name) {
@@ -113,10 +129,10 @@ async function preview() {
   show("preview", true);
   show("running", going);
   plot?.destroy();
-  const signal = { key: "u", unit: "V", range: [0, 5], pad: 0.3, splits: [0, 1, 2, 3, 4, 5] };
+  const signal = { colour: "u", unit: "V", range: [0, 5], pad: 0.3, splits: [0, 1, 2, 3, 4, 5] };
   plot = chart(byId("preview-plot"), { signal, height: 130, xLabel: "s", stepped: true });
   plot.wanted = [0, found.seconds];
-  plot.setData([found.t, found.u, found.u], true);
+  plot.setData(found.curve, true);
   setText("preview-told", unbroken(`${found.experiment}: ${found.N} samples, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`));
   const lines = [`${found.rehearsal}.`];
   if (found.deviations.length) lines.push(`with the handout's parameters and the noise of the converter, the data would determine ${found.deviations.join(", ")}.`);

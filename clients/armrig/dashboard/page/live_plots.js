@@ -1,10 +1,10 @@
-// Live plots: four charts of the last seconds or minutes, with zoom and cursor.
+// Live plots: a chart of each signal in the last seconds or minutes, with zoom and cursor.
 
 import { chart } from "./chart.js";
 import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
 import { onPlotKey } from "./live_keys.js";
 import { setUpSaving } from "./live_saving.js";
-import { SIGNALS, valueText } from "./live_signals.js";
+import { presented, valueText } from "./signals.js";
 import { KEPT_S, Rows } from "./rows.js";
 import { dated, isStale } from "./status.js";
 import { AXES, originOf } from "./time_axis.js";
@@ -12,12 +12,13 @@ import { AXES, originOf } from "./time_axis.js";
 const SPANS = [5, 30, 300];
 const HEAD_PIXELS = 255; // width of the name and value next to a chart in the projector view
 
-// On a wide screen the four plots fill the height; on a phone they have the least readable height.
-const heightOf = (last) => (innerWidth > 900 ? Math.max(85, Math.min(210, (innerHeight - 360) / 4)) : 88) + (last ? 22 : 0);
+// On a wide screen the plots fill the height; on a phone they have the least readable height.
+const heightOf = (last, n) => (innerWidth > 900 ? Math.max(85, Math.min(210, (innerHeight - 360) / n)) : 88) + (last ? 22 : 0);
 
 export class LivePlots {
   constructor() {
     this.rows = new Rows();
+    this.signals = []; // of the rig, as the server describes them
     this.span = 30;
     this.rateMost = 0; // rate that the largest voltage can cause, in °/s; 0 if it is not known
     this.frozen = null; // {zero, from, to} while zoomed
@@ -43,18 +44,27 @@ export class LivePlots {
     byId("plots").addEventListener("keydown", (event) => onPlotKey(this, event));
   }
 
+  // Plot the signals of a rig.
+  describe(signals) {
+    this.signals = presented(signals);
+    this.rows.setSignals(signals.length);
+    this.follow();
+    this.setLarge(this.isLarge);
+  }
+
   // Make the charts; isLarge is true for the projector view.
   setLarge(isLarge) {
     for (const u of this.charts ?? []) u.destroy();
     byId("charts").replaceChildren();
     this.isLarge = isLarge;
-    this.charts = SIGNALS.map((signal, i) => this.#made(signal, i === SIGNALS.length - 1));
+    this.charts = this.signals.map((signal, i) => this.#made(signal, i === this.signals.length - 1));
     this.toldAt = -FIGURES_MS;
     this.draw();
   }
 
   #height(last) {
-    return this.isLarge ? Math.max(90, (innerHeight - 220) / 4) : heightOf(last);
+    const n = this.signals.length;
+    return this.isLarge ? Math.max(90, (innerHeight - 220) / n) : heightOf(last, n);
   }
 
   #made(signal, last) {
@@ -63,7 +73,7 @@ export class LivePlots {
       make(
         "div",
         { className: "chart-head" },
-        make("span", { className: `swatch ${signal.key}` }),
+        make("span", { className: `swatch ${signal.colour}` }),
         make("span", { textContent: signal.name }),
         make("span", { className: "value", id: `value-${signal.key}` }),
       ),
@@ -153,9 +163,9 @@ export class LivePlots {
     const marks = this.marks.map(({ t, kind }) => ({ x: t - zero, kind }));
     const origin = originOf(this.axis, zero, this.frozen ? this.shownAt : Date.now(), this.marks);
     this.charts.forEach((u, i) => {
-      Object.assign(u, { wanted: [from, to], marks, origin, namesMarks: i === 0, most: SIGNALS[i].isRate ? this.rateMost : 0 });
+      Object.assign(u, { wanted: [from, to], marks, origin, namesMarks: i === 0, most: this.signals[i].isRate ? this.rateMost : 0 });
       const pixels = u.bbox.width / devicePixelRatio;
-      u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: SIGNALS[i].wraps }), true);
+      u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: this.signals[i].wraps }), true);
     });
     this.tell();
     this.restUntil = 2 * performance.now() - began;
@@ -172,17 +182,18 @@ export class LivePlots {
   }
 
   #tell() {
+    if (!this.signals.length) return;
     this.toldAt = performance.now();
     const { zero } = this.seen;
     const pointed = this.cursorAt !== null;
     const t = pointed ? zero + this.cursorAt : zero;
     const row = this.rows.holding(t);
-    const texts = SIGNALS.map((signal, i) => {
+    const texts = this.signals.map((signal, i) => {
       const known = row === null ? "no data" : valueText(signal, this.rows.at(row, 1 + 2 * i), this.rows.at(row, 2 + 2 * i));
       return pointed ? known || "not known" : dated(known);
     });
-    SIGNALS.forEach(({ key }, i) => setText(`value-${key}`, texts[i]));
-    if (!pointed) setText("motion", `u ${texts[0]}, θ₁ ${texts[1]}`);
+    this.signals.forEach(({ key }, i) => setText(`value-${key}`, texts[i]));
+    if (!pointed) setText("motion", `${this.signals[0].label} ${texts[0]}, ${this.signals[1].label} ${texts[1]}`);
     const frozen = this.frozen ? "the plots are paused; the rig continues. " : "";
     setText("cursor", `${frozen}${pointed ? `cursor at ${this.cursorAt.toFixed(2)} s` : ""}`);
   }

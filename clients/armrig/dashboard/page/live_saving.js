@@ -1,7 +1,6 @@
 // Saving of the visible part of the live plots, as a picture or as values.
 
 import { attempt, byId } from "./elements.js";
-import { SIGNALS } from "./live_signals.js";
 import { save, savePng, saveSvg } from "./picture.js";
 
 export function setUpSaving(plots) {
@@ -18,14 +17,14 @@ export function setUpSaving(plots) {
   }
 }
 
-const chartsOf = (plots) => plots.charts.map((u, i) => ({ u, signal: SIGNALS[i] }));
+const chartsOf = (plots) => plots.charts.map((u, i) => ({ u, signal: plots.signals[i] }));
 
 // Return the visible bins, each with the least and the largest value of each signal.
-function saveCsv({ rows, seen: { zero, from, to } }, name) {
-  const head = SIGNALS.flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
+function saveCsv({ rows, signals, seen: { zero, from, to } }, name) {
+  const head = signals.flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
   const lines = [["t [s]", ...head].join(",")];
   for (let i = rows.find(zero + from); i < rows.length && rows.at(i, 0) <= zero + to; i++) {
-    lines.push(Array.from({ length: 1 + 2 * SIGNALS.length }, (_, column) => String(rows.at(i, column)).toLowerCase()).join(","));
+    lines.push(Array.from({ length: 1 + 2 * signals.length }, (_, column) => String(rows.at(i, column)).toLowerCase()).join(","));
   }
   save(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), `${name}.csv`);
 }

@@ -2,12 +2,13 @@
 
 import { ArmDrawing } from "./arm.js";
 import { redrawCharts } from "./chart.js";
-import { allow, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
+import { allow, describeRig, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
 import { ask, attempt, byId, notice, owner, setText, show, token } from "./elements.js";
 import { LivePlots } from "./live_plots.js";
 import { setUpNote, takesBlank } from "./note.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
 import { begin as beginStatus, dated, isStale, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
+import { outputsOf } from "./signals.js";
 import { Stream } from "./stream.js";
 
 const THEMES = ["system", "light", "dark"];
@@ -16,6 +17,7 @@ const WIDE = 900; // pixels; a narrower screen has no space for names next to th
 const CONNECTION_MS = 60; // a stop that has a connection is answered within this time
 let plots = null;
 let stream = null;
+let rig = null; // signals of the rig, and what only the arm has
 
 function useTheme() {
   const wanted = localStorage.getItem("armrig-theme") || "system";
@@ -71,6 +73,17 @@ function choose(name) {
   else attempt(listRecordings);
 }
 
+// Show another rig. If the page has shown a rig before, it asks for the rows of this one.
+function describe(found) {
+  const hasCharts = Boolean(rig);
+  rig = found;
+  plots.describe(rig.signals);
+  describeRig(rig);
+  show("arm-card", Boolean(rig.arm));
+  byId("live-model").classList.toggle("other", rig.signals[1].kind !== "turning");
+  if (hasCharts) stream.open();
+}
+
 function begin() {
   plots = new LivePlots();
   const arm = new ArmDrawing(byId("arm-drawing"));
@@ -94,7 +107,7 @@ function begin() {
   document.addEventListener("visibilitychange", () => plots.wants());
   for (const tab of ["live", "recordings"]) byId(`tab-${tab}`).addEventListener("click", () => choose(tab));
   const showAges = () => {
-    arm.setAge(isStale() ? dated(arm.text) : "");
+    arm.setAge(isStale() ? dated(arm.text(plots.signals[1]?.label)) : "");
     if (isStale()) plots.tell();
   };
   setUpStatus();
@@ -113,6 +126,9 @@ function begin() {
         document.body.classList.toggle("viewer", !hello.may_command);
         for (const part of document.querySelectorAll("[data-commands]")) part.hidden = !hello.may_command;
       },
+      rig: (found) => {
+        if (JSON.stringify(found) !== JSON.stringify(rig)) describe(found);
+      },
       past: (rows) => plots.rows.add(rows),
       whole: () => {
         plots.rows.endPast();
@@ -120,7 +136,10 @@ function begin() {
       },
       live: (live) => {
         showLive(live);
-        if (live.newest) arm.show(live.newest.theta_1, rigStatus().arm_removed ? 0 : live.newest.alpha);
+        if (live.newest && rig?.arm) {
+          const [first, second] = outputsOf(rig.signals).map(({ key }) => live.newest[key]);
+          arm.show(first, rigStatus().arm_removed ? 0 : (second ?? null));
+        }
         allow();
         showAges();
         if (live.rows.length) {

@@ -6,20 +6,13 @@ import { aligned, chooser, curvesOf, differenceOf, legendOf, valuesText } from "
 import { identify, report } from "./model.js";
 import { save, savePng, saveSvg } from "./picture.js";
 import { Replay } from "./replay.js";
-
-const SIGNALS = [
-  { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 3, splits: [0, 1, 2, 3, 4, 5] },
-  { key: "theta_1", name: "θ₁, turns counted", unit: "°", range: null, least: 1, digits: 2 },
-  { key: "rate", name: "rate of θ₁", unit: "°/s", range: null, least: 10, digits: 0 },
-  { key: "alpha", name: "α", unit: "°", range: null, least: 1, digits: 2 },
-];
-
-const ANGLES = ["theta_1", "alpha"];
+import { outputsOf, presented } from "./signals.js";
 
 let chosen = ""; // the file
 let name = ""; // its @name
 let seconds = 0;
 let seen = null; // [from, to] in s while zoomed
+let signals = []; // of its rig
 let charts = [];
 let others = []; // other recordings for a comparison, as {file, text}
 let own = {}; // curves of this recording by signal, [x, least, largest]
@@ -48,6 +41,7 @@ export async function look(file, list = []) {
   }
   if (file !== chosen) return;
   seconds = found.seconds;
+  signals = presented(found.signals, true);
   seen = null;
   const heading = make("h2", { textContent: name, title: file });
   const verdict = make("p", { className: rank(found), textContent: found.summary });
@@ -62,11 +56,11 @@ export async function look(file, list = []) {
   const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
   if (found.more_notes) notes.push(make("li", { textContent: `${found.more_notes} more; \`armrig info --verbose\` lists them` }));
   const where = make("div", { id: "curves" });
-  const replay = new Replay(charts, () => own, () => seen || [0, seconds], ANGLES);
+  const replay = new Replay(charts, () => own, () => seen || [0, seconds], found.arm ? outputsOf(signals).map(({ key }) => key) : []);
   const section = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
   const about = [make("h3", { textContent: "Details" }), facts];
   byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { id: "legend", hidden: true }), make("p", { className: "hint", id: "seen" }), where, make("div", { id: "model" }), make("div", { id: "reported" }), replay.element, ...section("Notes", notes), ...about, ...section("Missing samples", gaps));
-  charts.push(...SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1)));
+  charts.push(...signals.map((signal, i) => curve(where, signal, i === signals.length - 1)));
   charts.forEach((u, i) => Object.assign(u, { marks: found.notes.map(([x]) => ({ x, kind: "note" })), namesMarks: i === 0 }));
   where.addEventListener("dblclick", () => attempt(() => zoom(null)));
   own = found.curves;
@@ -82,7 +76,9 @@ const rank = (found) => {
 const pairs = (rows) => rows.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]);
 
 function buttons() {
-  const output = make("select", { id: "output" }, make("option", { value: "theta_1", textContent: "θ₁" }), make("option", { value: "alpha", textContent: "α" }), make("option", { value: "theta_1,alpha", textContent: "θ₁ and α" }));
+  const outputs = outputsOf(signals);
+  const chosenOf = outputs.length > 1 ? [...outputs.map((one) => [one]), outputs] : [outputs];
+  const output = make("select", { id: "output" }, ...chosenOf.map((some) => make("option", { value: some.map(({ key }) => key).join(","), textContent: some.map(({ label }) => label).join(" and ") })));
   output.setAttribute("aria-label", "Output of the model");
   return make(
     "p",
@@ -123,11 +119,11 @@ function showLegend() {
   byId("difference").setAttribute("aria-pressed", String(isDifference));
 }
 
-const seenCharts = () => charts.map((u, i) => ({ u, signal: SIGNALS[i] }));
+const seenCharts = () => charts.map((u, i) => ({ u, signal: signals[i] }));
 
 function curve(where, signal, last) {
   const value = make("span", { className: "value" });
-  const place = make("div", { className: "chart" }, make("div", { className: "chart-head" }, make("span", { className: `swatch ${signal.key}` }), make("span", { textContent: `${signal.name} [${signal.unit}]` }), value));
+  const place = make("div", { className: "chart" }, make("div", { className: "chart-head" }, make("span", { className: `swatch ${signal.colour}` }), make("span", { textContent: `${signal.name} [${signal.unit}]` }), value));
   where.append(place);
   return chart(place, {
     signal,
@@ -169,7 +165,7 @@ function draw() {
   setText("seen", seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are shown; double-click for the whole length` : "drag across a plot or turn the wheel to zoom in time; turn the wheel with Shift to move, with Alt to zoom the values");
   byId("whole").hidden = !seen;
   showLegend();
-  SIGNALS.forEach(({ key }, i) => {
+  signals.forEach(({ key }, i) => {
     Object.assign(charts[i], { wanted: [from, to], isDifference });
     const [first, second] = [own[key], overCurves[key]];
     const isHidden = isDifference && !second;

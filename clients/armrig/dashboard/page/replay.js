@@ -6,7 +6,7 @@ import { make } from "./elements.js";
 
 export class Replay {
   // charts: the charts; curves: returns the curves by signal; range: returns the visible range [from, to] in s;
-  // angles: the keys of the arm's angles.
+  // angles: the keys of the arm's angles; none for another rig, which is not drawn.
   constructor(charts, curves, range, angles) {
     this.angles = angles;
     this.charts = charts;
@@ -21,7 +21,7 @@ export class Replay {
       return button;
     });
     this.time = make("span", { className: "value" });
-    const drawing = make("div", { className: "arm-drawing" });
+    const drawing = make("div", { className: "arm-drawing", hidden: !angles.length });
     this.arm = new ArmDrawing(drawing);
     this.element = make("div", { className: "tools", id: "replay" }, ...this.buttons, this.time, drawing);
   }
@@ -48,7 +48,8 @@ export class Replay {
     const left = this.charts[0].valToPos(this.t, "x");
     for (const u of this.charts) u.setCursor({ left, top: 10 });
     this.time.textContent = `${this.t.toFixed(2)} s`;
-    const [theta_1, alpha] = this.angles.map((key) => valuesAt(this.curves()[key], this.t)?.[0] ?? null);
-    this.arm.show(theta_1, alpha);
+    if (!this.angles.length) return;
+    const [first, second] = this.angles.map((key) => valuesAt(this.curves()[key], this.t)?.[0] ?? null);
+    this.arm.show(first, second ?? null);
   }
 }

@@ -1,6 +1,5 @@
 // Samples of the last five minutes, as bins of time with the least and largest value of each signal.
 
-const COLUMNS = 9; // t, then least and largest of each signal
 const MOST = 40000; // rows
 export const KEPT_S = 300;
 const SILENT_S = 0.25; // the line breaks if the next row is later than usual by more than this
@@ -8,9 +7,21 @@ const HALF_TURN = 180; // °
 const POINTS = 4; // most points in a pixel
 
 export class Rows {
-  #values = new Float64Array(MOST * COLUMNS);
+  #columns = 0; // t, then least and largest of each signal
+  #values = null;
   #early = null; // live rows that arrive before the history is complete
   length = 0;
+
+  constructor(signals = 4) {
+    this.setSignals(signals);
+  }
+
+  // Keep rows of so many signals; the present rows are discarded.
+  setSignals(signals) {
+    this.#columns = 1 + 2 * signals;
+    this.#values = new Float64Array(MOST * this.#columns);
+    this.length = 0;
+  }
 
   begin() {
     this.length = 0;
@@ -35,15 +46,15 @@ export class Rows {
         this.length = 0; // the rows are of another clock
       }
       if (this.length === MOST) this.#forget(MOST / 4);
-      const at = this.length * COLUMNS;
-      for (let i = 0; i < COLUMNS; i++) this.#values[at + i] = row[i] === null ? NaN : row[i];
+      const at = this.length * this.#columns;
+      for (let i = 0; i < this.#columns; i++) this.#values[at + i] = row[i] === null ? NaN : row[i];
       this.length += 1;
     }
     if (this.length && this.newest - this.at(0, 0) > KEPT_S * 1.1) this.#forget(this.find(this.newest - KEPT_S));
   }
 
   at(row, column) {
-    return this.#values[row * COLUMNS + column];
+    return this.#values[row * this.#columns + column];
   }
 
   get newest() {
@@ -78,7 +89,7 @@ export class Rows {
   }
 
   #forget(n) {
-    this.#values.copyWithin(0, n * COLUMNS, this.length * COLUMNS);
+    this.#values.copyWithin(0, n * this.#columns, this.length * this.#columns);
     this.length -= n;
   }
 
