@@ -15,7 +15,7 @@ import numpy as np
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.structure import Structure
 from armrig.numerics.exact_sampling import Hold, SampledSystem, sampled
-from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array, monic, roots, stable
 
 MAX_RATE = 12.0
@@ -160,15 +160,8 @@ class ContinuousProblem:
         """The problem itself, which admits or refuses a point."""
         return self
 
-    def minimise(
-        self,
-        theta: Array,
-        most: int = MAX_STEPS,
-        known: float = np.nan,
-        target: float = np.inf,
-    ) -> Optimum:
+    def minimise(self, theta: Array, **limits: Any) -> Optimum:
         """Return the minimum that a search from an admissible theta reaches."""
-        limits: dict[str, Any] = {"most": most, "known": known, "target": target}
         return levenberg_marquardt(self.linearise, theta, admissible=self.admits, **limits)
 
 

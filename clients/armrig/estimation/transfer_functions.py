@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -253,11 +254,8 @@ def process(
     paired = bool(np.any(np.abs(fit.poles().values.imag) > 0))
     if paired == ("U" in marks):
         return fit
-    said = (
-        "the poles are a resonant pair; name it by the letter U"
-        if paired
-        else ("the poles are real, so the model has time constants and no resonance; leave U out")
-    )
+    pair = "the poles are a resonant pair; name it by the letter U"
+    said = pair if paired else "the poles are real: there is no resonance, so leave U out"
     return replace(fit, findings=(*fit.findings, warning("process_kind", said)))
 
 
@@ -287,7 +285,8 @@ def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
     starts = list(continuous_starts(problem))
     if problem.delay is None:
         problem = problem.reaching(max((float(theta[-1]) for _, theta in starts), default=0.0))
-        starts = _cheapest_of_each_delay(problem, starts)
+        each = groupby(starts, key=lambda start: start[1][-1])
+        starts = [min(of, key=lambda start: problem.cost(start[1])) for _, of in each]
     ends = from_each(problem, starts)
     for _ in range(_MAX_ROUNDS if _doubtful(problem, ends) else 0):
         best = ends[0][1]
@@ -325,16 +324,6 @@ def _fastest(problem: ContinuousProblem, theta: Array) -> float:
 
 def _at_limit(problem: ContinuousProblem, theta: Array) -> bool:
     return _fastest(problem, theta) > _LIMIT_SHARE * MAX_RATE
-
-
-def _cheapest_of_each_delay(
-    problem: ContinuousProblem, starts: list[tuple[str, Array]]
-) -> list[tuple[str, Array]]:
-    """Return the start value of least cost of each delay."""
-    kept: dict[float, tuple[str, Array]] = {}
-    for start in sorted(starts, key=lambda start: problem.cost(start[1])):
-        kept.setdefault(float(start[1][-1]), start)
-    return list(kept.values())
 
 
 def _fast_poles(problem: ContinuousProblem, theta: Array, Ts: float) -> tuple[Finding, ...]:
