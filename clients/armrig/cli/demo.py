@@ -12,6 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from armrig_core.errors import InputError, OperationError
+from armrig_core.rig.description import (
+    Description,
+    path_of,
+    read_description,
+    require_model,
+    shipped,
+)
 from numpy.typing import NDArray
 
 import armrig
@@ -23,13 +30,13 @@ if TYPE_CHECKING:
     from armrig.report.study import Study
 
 RIG = "demo"
-Ts = 0.01
-LOW, HIGH, SWITCH = 0.5, 4.5, 0.05
-_STEP_S, _STEP_AT_S = 3.0, 0.5
+LOW, HIGH = 0.5, 4.5
+_MAX_TS, _MIN_TS = 1.0, 0.001  # s
+_FASTEST, _SLOWEST = 10, 10  # samples in the fastest time constant, slowest ones in an experiment
 _CONFIG = """\
 # Configuration of the demonstration: an emulated rig, sampled at 100 Hz.
 [rig]
-id = "{rig}"
+id = "{rig}"{file}
 
 [device]
 watchdog_ms = 250  # the longest: a busy machine stalls the emulator, too
@@ -48,6 +55,10 @@ _EMULATED = (
     "through a 10-bit converter with noise and a dead band. The agreement of plant and model shows "
     "that the chain from the converter to the model is right; it shows nothing about a real arm."
 )
+_AS_DESCRIBED = (
+    "The emulated plant obeys the model of its description, and its outputs are read through a "
+    "10-bit converter with noise: the results show nothing about a real rig."
+)
 _VIRTUAL = (
     "{which} made in virtual time: loop, device and recorder are the same programs as in real "
     "time, but do not wait. The dates and times of day are computed from a seed, and the timing "
@@ -60,6 +71,38 @@ _FIRMWARE = (
 )
 
 
+class Pace(NamedTuple):
+    """Sampling time of the demonstration, and the lengths of its experiments, in s."""
+
+    Ts: float = 0.01
+    seconds: float = 30.0
+    """Length of a telegraph signal."""
+    switch: float = 0.05
+    """Probability that the telegraph signal switches at a sample."""
+    step_s: float = 3.0
+
+
+def pace_of(described: Description, seconds: float | None) -> Pace:
+    """Return the pace of a rig, by the time constants of its model.
+
+    Raises InputError if the description has no model.
+    """
+    if described.arm:
+        return Pace() if seconds is None else Pace(seconds=seconds)
+    model, system = require_model(described)
+    poles = np.linalg.eigvals(np.array(system.A)).astype(complex)
+    rates = np.abs(poles.real if system.Ts is None else np.log(np.abs(poles)) / system.Ts)
+    rates = rates[rates > 1e-9] if np.any(rates > 1e-9) else np.ones(1)
+    fast, slow = 1 / rates.max(), 1 / rates.min()
+    Ts = system.Ts or min(_MAX_TS, max(_MIN_TS, float(f"{fast / _FASTEST:.0e}")))
+    return Pace(
+        Ts=Ts,
+        seconds=seconds or max(30.0, float(np.ceil(_SLOWEST * slow + model.delay_s))),
+        switch=float(np.clip(2 * Ts / slow, 0.01, 0.5)),
+        step_s=max(3.0, float(np.ceil(5 * slow + 2 * model.delay_s))),
+    )
+
+
 class Experiment(NamedTuple):
     """One run of the demonstration."""
 
@@ -68,47 +111,52 @@ class Experiment(NamedTuple):
     """Motor voltage at each sample, in V."""
     request: dict[str, Any]
     """Other fields of the request to the daemon: kind and details."""
-
-    @property
-    def Ts(self) -> float:
-        """Sampling time, in s."""
-        return Ts
+    Ts: float = Pace().Ts
+    """Sampling time, in s."""
 
     @property
     def seconds(self) -> float:
         """Length, in s."""
-        return Ts * self.u.size
+        return self.Ts * self.u.size
 
 
-def experiments(seconds: float, seed: int) -> list[Experiment]:
-    """Return a step, a telegraph signal of `seconds`, and a telegraph signal for validation."""
-    N = round(seconds / Ts)
+def experiments(pace: Pace, seed: int) -> list[Experiment]:
+    """Return a step, a telegraph signal, and a telegraph signal for validation."""
+    Ts, N = pace.Ts, round(pace.seconds / pace.Ts)
     levels = {"low": LOW, "high": HIGH}
-    up = step(round(_STEP_S / Ts), **levels, at=round(_STEP_AT_S / Ts))
-    plan = [Experiment("step", up, {"experiment": "step", "details": {"input": "step", **levels}})]
+    up = step(round(pace.step_s / Ts), **levels, at=round(pace.step_s / 6 / Ts))
+    asked = {"experiment": "step", "details": {"input": "step", **levels}}
+    plan = [Experiment("step", up, asked, Ts)]
     for name, number in (("telegraph", seed), ("validation", seed + 1)):
-        details = {"input": "telegraph", **levels, "a": SWITCH, "seed": number}
-        u = telegraph(N, SWITCH, LOW, HIGH, seed=number)
-        plan.append(Experiment(name, u, {"experiment": "blackbox", "details": details}))
+        details = {"input": "telegraph", **levels, "a": pace.switch, "seed": number}
+        u = telegraph(N, pace.switch, LOW, HIGH, seed=number)
+        plan.append(Experiment(name, u, {"experiment": "blackbox", "details": details}, Ts))
     return plan
 
 
-def write_config(directory: Path, seed: int) -> Path:
+def write_config(directory: Path, seed: int, Ts: float, rig_file: Path | None = None) -> Path:
     """Write the configuration of the demonstration's rig, and return its path."""
     path = directory / "armrig.toml"
-    folder = json.dumps(str(directory.absolute()), ensure_ascii=False)  # also a string of TOML
-    text = _CONFIG.format(rig=RIG, Ts=Ts, directory=folder, seed=seed)
+    file = "" if rig_file is None else f"\nfile = {_text_of(path_of(rig_file).absolute())}"
+    folder = _text_of(directory.absolute())
+    text = _CONFIG.format(rig=RIG, file=file, Ts=Ts, directory=folder, seed=seed)
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def _text_of(path: Path) -> str:
+    """Return a path as a string of TOML, which is also one of JSON."""
+    return json.dumps(str(path), ensure_ascii=False)
 
 
 def demo(
     directory: Path,
     *,
-    seconds: float,
+    seconds: float | None,
     seed: int,
     virtual: bool = False,
     firmware: bool = False,
+    rig_file: Path | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Record an emulated rig, identify and validate models, and write a report to `directory`.
 
@@ -116,11 +164,16 @@ def demo(
 
     If the machine stalls too often in real time, the remaining experiments are recorded in virtual
     time. If they cannot be recorded in virtual time either, an OperationError is raised.
-    `firmware` needs `virtual`.
+    `firmware` needs `virtual`. `rig_file` describes the rig, by default the arm; another rig is
+    recorded in virtual time.
     """
+    described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
+    pace = pace_of(described, seconds)
+    plan = experiments(pace, seed)
     directory.mkdir(parents=True, exist_ok=True)
-    config, plan = write_config(directory, seed), experiments(seconds, seed)
+    config = write_config(directory, seed, pace.Ts, rig_file)
     paths: list[Path] = []
+    virtual = virtual or not described.arm  # a slow rig needs hours
     why = "" if virtual else _record(plan, config, paths)
     if why:
         inform(f"not in real time: {why}; the demonstration goes on in virtual time")
@@ -129,7 +182,8 @@ def demo(
         with spinner("recording in virtual time"):
             folder = directory.absolute()
             paths += record_in_virtual_time(plan[n_real:], folder, config, seed, firmware=firmware)
-    remarks = _remarks(len(paths), n_real, why) + ([_FIRMWARE] if firmware else [])
+    emulated = _EMULATED if described.arm else _AS_DESCRIBED
+    remarks = _remarks(len(paths), n_real, why, emulated) + ([_FIRMWARE] if firmware else [])
     with spinner("identifying and typesetting"):
         done, pdf = _reported(paths, remarks, directory)
     if not virtual:
@@ -174,25 +228,26 @@ def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[S
     return done, report(done, directory / "report.pdf", remarks=remarks, figures=directory)
 
 
-def _remarks(n: int, n_real: int, why: str) -> list[str]:
+def _remarks(n: int, n_real: int, why: str, emulated: str = _EMULATED) -> list[str]:
     """Return the report's remarks on `n` recordings; the first `n_real` are in real time."""
     if n_real == n:
-        return [_EMULATED]
+        return [emulated]
     which = f"The last {n - n_real} of the recordings were" if n_real else "All recordings were"
     virtual = _VIRTUAL.format(which=which)
     if why:
         virtual += f" This machine could not emulate the rig in real time: {why}."
-    return [_EMULATED, virtual]
+    return [emulated, virtual]
 
 
 def _text(done: Study, names: list[str], directory: Path, pdf: Path) -> str:
     """Return the errors of the models on the validation recording, and the names of the files."""
-    models = [("model", "rms error", "fit of the angle", "fit of the velocity")]
+    of = ("fit of the angle", "fit of the velocity") if done.of_arm else ("fit",)
+    models = [("model", "rms error", *of)]
     for row in done.models:
-        velocity = row.velocity_fit_percent
-        fit = "" if velocity is None else f"{velocity:.2f} %"
+        fits = (row.fit_percent, row.velocity_fit_percent)[: len(of)]
         error = f"{row.rms_error:.4g} {done.validation.unit}"
-        models.append((row.name, error, f"{row.fit_percent:.2f} %", fit))
+        shown = ("" if fit is None else f"{fit:.2f} %" for fit in fits)
+        models.append((row.name, error, *shown))
     files = []
     for recording, name in zip(done.recordings, names, strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""

@@ -53,7 +53,7 @@ DEAD_MAN_S = 1.0
 """Default time in s after which a closed terminal or a lost connection stops the motor."""
 _MAX_NAME_LENGTH = 40  # characters of a kind of experiment that the daemon accepts
 _MAX_SEED = 2**53
-_MAX_DEMO_S = 600.0
+_MAX_DEMO_S, _MAX_DESCRIBED_S = 600.0, 86_400.0
 Seconds = Annotated[float, option("--seconds", "Length, in s; at most 4 000 000 samples.")]
 Low = Annotated[float, option("--low", "Lowest voltage of the input, in V, at least 0.")]
 High = Annotated[float, option("--high", "Highest voltage of the input, in V, at most 5.")]
@@ -578,7 +578,12 @@ def _announce(
 
 def demo(
     directory: Path = chosen(Path("demo"), "Folder for all files."),
-    seconds: float = chosen(30.0, "Length of each telegraph signal, in s.", min=5),
+    seconds: float | None = chosen(
+        None,
+        "Length of each telegraph signal, in s.",
+        "30, or by the model of --rig-file",
+        min=5,
+    ),
     seed: int = chosen(1, "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2),
     virtual: bool = chosen(
         False, "Run in virtual time, without waiting; the same seed gives the same bytes."
@@ -587,6 +592,12 @@ def demo(
         False,
         "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
         "builds the necessary program, which no wheel contains.",
+    ),
+    rig_file: Path | None = chosen(
+        None,
+        "Description of the rig: a file, or a name of `armrig rigs`.",
+        "the arm",
+        names="--rig-file TOML",
     ),
     json: Json = False,
 ) -> None:
@@ -602,9 +613,14 @@ def demo(
 
     if directory.exists() and not directory.is_dir():
         raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
-    if seconds > _MAX_DEMO_S:
-        raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_MAX_DEMO_S:g} s")
-    how: dict[str, Any] = {"virtual": virtual or firmware, "firmware": firmware}
+    most = _MAX_DEMO_S if rig_file is None else _MAX_DESCRIBED_S
+    if seconds is not None and seconds > most:
+        raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {most:g} s")
+    how: dict[str, Any] = {
+        "virtual": virtual or firmware,
+        "firmware": firmware,
+        "rig_file": rig_file,
+    }
     facts, text = run_demo(directory, seconds=seconds, seed=seed, **how)
     print_result(facts, text, json=json)
     if not json:

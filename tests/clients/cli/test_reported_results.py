@@ -217,7 +217,7 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
 
 def test_a_demonstration_plays_a_step_and_two_telegraphs_with_seeds_in_a_row() -> None:
     for seconds, seed in ((5.0, 1), (7.5, 40)):
-        step, telegraph, validation = demo.experiments(seconds, seed)
+        step, telegraph, validation = demo.experiments(demo.Pace(seconds=seconds), seed)
 
         assert [step.name, telegraph.name, validation.name] == ["step", "telegraph", "validation"]
         assert (step.seconds, telegraph.seconds, validation.seconds) == (3.0, seconds, seconds)
@@ -234,7 +234,7 @@ def test_a_demonstration_records_into_its_folder(tmp_path: Path) -> None:
     folder = tmp_path / 'a "folder"\\of mine'
     folder.mkdir()
 
-    config = load([demo.write_config(folder, 17)], {}, {})
+    config = load([demo.write_config(folder, 17, 0.01)], {}, {})
 
     assert config.recording.directory == str(folder)
     assert (config.emulator.seed, config.timing.Ts, config.rig.id) == (17, 0.01, "demo")
@@ -297,7 +297,7 @@ def test_a_demonstration_prints_the_results_of_its_models(tmp_path: Path) -> Non
         for name, (rms, fit, velocity) in of.items()
     ]
     validation = SimpleNamespace(unit="rad")
-    done: Any = SimpleNamespace(models=models, recordings=[rec], validation=validation)
+    done: Any = SimpleNamespace(models=models, recordings=[rec], validation=validation, of_arm=True)
 
     said = demo._text(done, ["step"], tmp_path, Path("r.pdf")).splitlines()
 
