@@ -88,7 +88,7 @@ class Candidate:
             # Few starts suffice: a model of too high order has many minima, but is not chosen.
             starts="few" if "starts" in row.takes else None,
             shared=True if "shared" in row.takes and not one else None,
-            noise=False if "noise" in row.takes and data.missing else None,
+            noise=False if self.family == "ss" and data.missing else None,
             replicates=0 if "replicates" in row.takes and columns.ny > 1 else None,
         )
 
