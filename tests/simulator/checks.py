@@ -116,6 +116,7 @@ class Checks:
         """Forget what the ended process knew."""
         self.link_up()
         self.outputs.begin_host()
+        self.phase = "init"  # not that of the ended process
         self.fresh_ns = self.newest_ns = self.step_ns = now_ns
         """Time of the newest frame that came back, or reached the device, by the core's step."""
         self.must_stop = self.stop_sent = False
