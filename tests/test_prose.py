@@ -60,7 +60,7 @@ ALLOWED = {
     ("daemon/armrig_daemon/config.py", r"(?:{}) \(at line (\d+)"): _OTHERS,
     ("daemon/armrig_core/process/toml_file.py", "unknown field `(.+?)`"): _OTHERS,
     ("daemon/armrig_core/rig/description.py", "input name"): _OWN,
-    ("daemon/armrig_core/rig/saved_model.py", "armrig model"): _OWN,
+    ("daemon/armrig_core/rig/saved_model.py", '"armrig model"'): _OWN,
 }
 """File and text, and why the file may look for it."""
 

@@ -82,6 +82,7 @@ def test_the_table_of_the_thermistor_follows_its_formula() -> None:
     [
         ("[[1, 2]]", "points: give at least two pairs [counts, value] of finite numbers"),
         ("[[1, 2], [3, inf]]", "points: give at least two pairs"),
+        ("[[0, -1.7e308], [65535, 1.7e308]]", "points: give at least two pairs"),
         ("[[1, 2], [3]]", "points[1] = None: expected `array` of length 2, got 1"),
         ("[[1, 2], [1, 3]]", "points: 1 after 1: the counts must increase"),
         ("[[1, 2], [2, 3], [3, 2.5]]", "points: 3 at 2 counts, and then 2.5: the values must"),
@@ -116,6 +117,7 @@ def test_points_that_are_no_conversion_are_refused(points: str, error: str) -> N
         ("blind_s", 'rate = "T2"\nblind_s', "T2: names two signals"),
         ('"degC"', '"\\u0007"', "outputs.T1: unit = '\\x07': at most 80 printable characters"),
         ("per_count = 0.0076", "per_count = nan", "outputs.T1: per_count = nan must be finite"),
+        ("per_count = 0.0076", "per_count = 1e308", "per_count = 1e+308: the values are beyond"),
         ("zero_counts = 6553.6", "zero_counts = 1e9", "zero_counts = 1000000000.0 must be within"),
         ("high = 70.0", "high = 70.0\nlow = 71.0", "low = 71.0 must be below high = 70.0"),
         ("high = 70.0", "turning = true", "turning = true needs unit = 'rad', not 'degC'"),

@@ -8,7 +8,7 @@ from bisect import bisect
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
-from math import isfinite, nan
+from math import nan
 from typing import NamedTuple
 
 import msgspec
@@ -18,6 +18,7 @@ from armrig_core.errors import InputError
 MAX_CHANNELS = 2
 """Number of readings in each sample of the device; a rig may use fewer."""
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_MAX_NUMBER = 1e15  # of points: a larger difference of two values could be infinite
 _RAILS = ("ADC0_RAIL", "ADC1_RAIL")
 _WORDS = (("%", "percent"), ("°", "deg"), ("Ω", "ohm"), ("µ", "u"), ("μ", "u"), ("/", "_per_"))
 
@@ -83,8 +84,11 @@ class Conversion(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
 def check_points(points: Sequence[tuple[float, float]]) -> None:
     """Raise InputError if points are no function of the reading that has an inverse."""
-    if len(points) < 2 or not all(isfinite(number) for point in points for number in point):
-        raise InputError("points: give at least two pairs [counts, value] of finite numbers")
+    if len(points) < 2 or not all(abs(x) <= _MAX_NUMBER for point in points for x in point):
+        raise InputError(
+            "points: give at least two pairs [counts, value] of finite numbers, within "
+            f"±{_MAX_NUMBER:g}"
+        )
     for (x, y), (x_next, y_next) in pairwise(points):
         if x_next <= x:
             raise InputError(f"points: {x_next:g} after {x:g}: the counts must increase")

@@ -163,6 +163,8 @@ class Output(_Table, frozen=True, kw_only=True):
         if not self.low < self.high:  # NaN fails this, too
             raise InputError(f"low = {self.low!r} must be below high = {self.high!r}")
         ends = sorted((self.value(0), self.value(COUNTS - 1)))
+        if not all(map(isfinite, ends)):  # no reading may pass a limit as NaN
+            raise InputError(f"per_count = {self.per_count!r}: the values are beyond all numbers")
         if self.low > ends[1] or self.high < ends[0]:
             raise InputError(
                 f"low = {self.low:g}, high = {self.high:g}: every reading breaks a limit; the "
@@ -236,12 +238,8 @@ class Model(_Table, frozen=True, kw_only=True):
         for name in ("A", "B", "C"):
             if not all(isfinite(x) for row in getattr(self, name) for x in row):
                 raise InputError(f"{name} has a number that is not finite")
-        pole = max(_poles(self.A), key=lambda pole: pole.real).real
-        if pole > _ROUNDING and not self.unstable:
-            raise InputError(
-                f"A has a pole with real part {pole:.3g} 1/s: the rig is unstable; correct A, or "
-                "set unstable = true"
-            )
+        if not self.unstable:
+            _check_stable("A", self.A)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -416,12 +414,12 @@ def read_description(path: Path) -> Description:
         if described.model is None or not described.model.file:
             return described
         system = saved_system(path.parent / described.model.file, tuple(described.outputs))
-        radius = max(map(abs, _poles(system.A)))
-        if radius > 1 + _ROUNDING and not described.model.unstable:
-            raise InputError(
-                f"model.file: a pole of modulus {radius:.4g}: the model is unstable; identify it "
-                "again, or set unstable = true"
-            )
+        if not described.model.unstable:
+            _check_stable("model.file", system.A, discrete=system.Ts is not None)
+        delay_s = described.model.delay_s + system.delay_s
+        described = replace(
+            described, model=msgspec.structs.replace(described.model, delay_s=delay_s)
+        )
         return replace(described, system=system)
     except OSError as err:
         raise FileError(f"{path}: {err.strerror}") from err
@@ -470,9 +468,16 @@ def _check_outputs(model: Model, outputs: dict[str, Output]) -> None:
             )
 
 
-def _poles(A: Matrix) -> list[complex]:
-    """Return the eigenvalues of A."""
+def _check_stable(key: str, A: Matrix, *, discrete: bool = False) -> None:
+    """Refuse an eigenvalue of A that belongs to a growing motion."""
     # Imported here: a description without matrices is read without numpy.
     import numpy as np
 
-    return [complex(pole) for pole in np.linalg.eigvals(np.array(A))]
+    poles = np.linalg.eigvals(np.array(A))
+    size = np.abs(poles) - 1 if discrete else poles.real
+    if not size.max() <= _ROUNDING:  # NaN fails this, too
+        pole = poles[np.argmax(size)]
+        what = f"of modulus {abs(pole):.4g}" if discrete else f"with real part {pole.real:.3g} 1/s"
+        raise InputError(
+            f"{key} has a pole {what}: the rig is unstable; correct {key}, or set unstable = true"
+        )

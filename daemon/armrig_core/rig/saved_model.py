@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Literal, NamedTuple
 
-from armrig_core.errors import FileError
+import msgspec
+
+from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_text
 
 Matrix = list[list[float]]
-_FORMAT = "armrig model"
+_Rows = list[list[list[float]]]
+_Realization = tuple[Matrix, Matrix, Matrix, bool]
 _MAX_BYTES = 1 << 24
-_MAX_STATES = 400  # of the polynomials; a delay of n samples needs n states
+_MAX_STATES = 400  # a delay of n samples needs n states
+_MIN_TS_S = 1e-4  # the emulator makes each step of the model
+_MAX_DELAY_S = 3600.0
 
 
 class System(NamedTuple):
@@ -25,6 +29,44 @@ class System(NamedTuple):
     C: Matrix
     Ts: float | None
     """Sampling time of a model in discrete time, in s; None for continuous time."""
+    delay_s: float = 0.0
+    """Dead time of the input, in s."""
+
+
+class _Matrices(msgspec.Struct, tag_field="kind", tag="matrices"):
+    """State-space model of one sampling time."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    nk: list[int]
+
+
+class _Polynomials(msgspec.Struct, tag_field="kind", tag="polynomials"):
+    """Polynomials in q^-1, a row for each output."""
+
+    A: _Rows
+    B: _Rows
+    F: _Rows
+
+
+class _TransferFunction(msgspec.Struct, tag_field="kind", tag="transfer function"):
+    """Polynomials in s, highest power first."""
+
+    B: _Rows
+    F: _Rows
+    delay: float
+
+
+class _Saved(msgspec.Struct):
+    """The fields of the file that are used."""
+
+    format: Literal["armrig model"]
+    outputs: list[str]
+    input_units: list[str]
+    Ts: float
+    form: _Matrices | _Polynomials | _TransferFunction
 
 
 def saved_system(path: Path, outputs: Sequence[str]) -> System:
@@ -36,59 +78,83 @@ def saved_system(path: Path, outputs: Sequence[str]) -> System:
         The file contains no model, or a model that has other signals or a direct term.
     """
     try:
-        content = json.loads(read_text(path, _MAX_BYTES))
-        if not isinstance(content, dict) or content.get("format") != _FORMAT:
-            raise FileError("no model; `armrig identify --save` writes a model")
-        found, form = tuple(content["outputs"]), content["form"]
-        if found != tuple(outputs) or len(content["input_units"]) != 1:
-            raise FileError(
-                f"a model of {', '.join(map(str, found))}; the rig has one input and the outputs "
-                f"{', '.join(outputs)}, so identify these outputs together: --signal "
-                f"{','.join(outputs)}"
-            )
-        A, B, C, direct = _matrices(form) if form["kind"] == "matrices" else _companions(form)
-        Ts = float(content["Ts"])
+        return _system(read_text(path, _MAX_BYTES), tuple(outputs))
     except OSError as err:
         raise FileError(f"model.file = '{path}': {err.strerror}") from err
     except FileError as err:
         raise FileError(f"model.file = '{path}': {err}") from err
-    except (ValueError, KeyError, TypeError, IndexError) as err:
+    except (ValueError, IndexError, RecursionError) as err:
         raise FileError(f"model.file = '{path}': a damaged model; save it again") from err
+
+
+def _system(text: str, outputs: tuple[str, ...]) -> System:
+    """Return the model in the text of a file; raise ValueError or IndexError if it is damaged."""
+    if '"armrig model"' not in text:
+        raise FileError("no model; `armrig identify --save` writes a model")
+    saved = msgspec.json.decode(text, type=_Saved)
+    if tuple(saved.outputs) != outputs or len(saved.input_units) != 1:
+        raise FileError(
+            f"a model of {', '.join(saved.outputs)}; the rig has one input and the outputs "
+            f"{', '.join(outputs)}, so identify these outputs together: --signal "
+            f"{','.join(outputs)}"
+        )
+    Ts: float | None = saved.Ts or None  # 0 in continuous time
+    if Ts is not None and not _MIN_TS_S <= Ts < inf:
+        raise FileError(f"Ts = {Ts:g} s: at least {_MIN_TS_S:g} s is allowed")
+    form, delay_s = saved.form, 0.0
+    if isinstance(form, _Matrices):
+        if form.nk[0] > 1:
+            raise FileError(f"nk = {form.nk[0]}: identify with nk=1, and give model.delay_s")
+        A, B, C, direct = form.A, form.B, form.C, any(x for row in form.D for x in row)
+        _check_states(len(A))
+    elif isinstance(form, _TransferFunction):
+        delay_s, F, b = form.delay, form.F[0][0], form.B[0][0]
+        A, B, C, direct = _companions([(F, [0.0] * (len(F) - len(b)) + b)])
+    else:
+        A, B, C, direct = _companions([_quotient(form, i) for i in range(len(form.A))])
     if direct:
-        raise FileError(f"model.file = '{path}': the input acts at once (nk=0); use nk >= 1")
-    if not all(isfinite(x) for matrix in (A, B, C) for row in matrix for x in row):
-        raise FileError(f"model.file = '{path}': a number is not finite; save the model again")
-    return System(A, B, C, Ts)
+        raise FileError("the input acts at once (nk=0); use nk >= 1")
+    shapes = ((A, len(A), len(A)), (B, len(A), 1), (C, len(outputs), len(A)))
+    fits = all(len(M) == n and all(len(row) == m for row in M) for M, n, m in shapes)
+    finite = all(isfinite(x) for M, *_ in shapes for row in M for x in row)
+    if not (fits and finite and 0 <= delay_s <= _MAX_DELAY_S):
+        raise InputError("its fields do not match each other")
+    return System(A, B, C, Ts, delay_s)
 
 
-def _matrices(form: dict[str, Any]) -> tuple[Matrix, Matrix, Matrix, bool]:
-    """Return A, B, C, and True if there is a direct term."""
-    if form["nk"][0] > 1:
-        raise FileError(f"nk = {form['nk'][0]}: identify with nk=1, and give model.delay_s")
-    return form["A"], form["B"], form["C"], any(x for row in form["D"] for x in row)
+def _check_states(n: int) -> None:
+    if not 1 <= n <= _MAX_STATES:
+        raise FileError(f"the model has {n} states; 1 to {_MAX_STATES} are allowed")
 
 
-def _companions(form: dict[str, Any]) -> tuple[Matrix, Matrix, Matrix, bool]:
-    """Return a companion matrix for each output, one below the other, on the diagonal."""
+def _quotient(form: _Polynomials, i: int) -> tuple[list[float], list[float]]:
+    """Return the denominator and the numerator of an output, with as many coefficients."""
     import numpy as np  # here, because a description without a saved model is read without numpy
 
+    row, F, b = form.A[i], form.F[i][0], form.B[i][0]
+    if any(any(a) for k, a in enumerate(row) if k != i):
+        raise FileError("the outputs act on each other (A); identify oe or n4sid instead")
+    _check_states(
+        max(len(row[i]) + len(F), len(b) + 1) - 2
+    )  # first: a product of long ones is slow
+    denominator = np.convolve(row[i], F).tolist()
+    n = max(len(denominator), len(b))
+    return denominator + [0.0] * (n - len(denominator)), b + [0.0] * (n - len(b))
+
+
+def _companions(quotients: list[tuple[list[float], list[float]]]) -> _Realization:
+    """Return A, B, C with a companion matrix for each output, and True for a direct term."""
+    total = sum(len(F) - 1 for F, _ in quotients)
+    _check_states(total)
+    if any(F[0] != 1 or len(F) != len(b) for F, b in quotients):
+        raise InputError("a denominator must begin with 1, and be no shorter than the numerator")
     A: Matrix = []
     B: Matrix = []
     C: Matrix = []
-    blocks = []
-    for i, row in enumerate(form["A"]):
-        if any(any(a) for k, a in enumerate(row) if k != i):
-            raise FileError("the outputs act on each other (A); identify oe or n4sid instead")
-        F = np.convolve(row[i], form["F"][i][0]).tolist()
-        b = [float(x) for x in form["B"][i][0]]
-        n = max(len(F), len(b)) - 1
-        blocks.append((F + [0.0] * (n + 1 - len(F)), b + [0.0] * (n + 1 - len(b)), n))
-    total = sum(n for *_, n in blocks)
-    if not 1 <= total <= _MAX_STATES:
-        raise FileError(f"the model has {total} states; 1 to {_MAX_STATES} are allowed")
     first = 0
-    for F, b, n in blocks:
-        # Observer form: x_j(t+1) = -f_j x_1 + x_(j+1) + b_j u, y = x_1.
+    for F, b in quotients:
+        # Observer form: x_j(t+1) = -f_j x_1 + x_(j+1) + b_j u, y = x_1; in s, x_j' on the left.
+        n = len(F) - 1
         for j in range(n):
             line = [0.0] * total
             line[first] = -F[j + 1]
@@ -98,4 +164,4 @@ def _companions(form: dict[str, Any]) -> tuple[Matrix, Matrix, Matrix, bool]:
             B.append([b[j + 1]])
         C.append([float(k == first) for k in range(total)])
         first += n
-    return A, B, C, any(b[0] for _, b, _ in blocks)
+    return A, B, C, any(b[0] for _, b in quotients)

@@ -94,4 +94,5 @@ def _fraction(output: Output, y: float) -> float | None:
     if output.turning:
         counts = output.conversion.counts(y) % (tau / abs(output.per_count))
         return counts / COUNTS if counts <= COUNTS else None
-    return output.conversion.counts(y) / COUNTS
+    # An unstable model may grow to infinity, and then NaN: the converter reads an end of its range.
+    return min(max(-1.0, output.conversion.counts(y) / COUNTS), 2.0)

@@ -101,22 +101,62 @@ def test_a_saved_model_is_emulated_at_its_own_sampling_time(tmp_path: Path) -> N
         rehearse_outputs([1.0] * 5, 0.02, own)
 
 
+MATRICES = {
+    "kind": "matrices",
+    "nk": [1],
+    "A": [[0.5]],
+    "B": [[1.0]],
+    "C": [[1.0]],
+    "D": [[0.0]],
+}
+POLYNOMIALS = {"kind": "polynomials", "A": [[[1.0]]], "B": [[[0.0, 1.0]]], "F": [[[1.0, -0.5]]]}
+
+
+def test_a_saved_process_is_emulated_with_its_dead_time(tmp_path: Path) -> None:
+    """After 2 s of dead time, 3 V/V and 10 s: F = s + 0.1, B = 0.3."""
+    form = {"kind": "transfer function", "B": [[[0.3]]], "F": [[[1.0, 0.1]]], "delay": 2.0}
+    saved(tmp_path / "model.json", Ts=0.0, form=form)
+    text = RC.text.partition(b"[model]")[0] + b'[model]\nfile = "model.json"\n'
+    (tmp_path / "own.toml").write_bytes(text)
+    own = read_description(tmp_path / "own.toml")
+
+    y = moved(own, [1.0] * 30, 1000 * MS)
+
+    t = np.arange(1, 31)
+    assert y == pytest.approx(3 * (1 - np.exp(-np.maximum(t - 2, 0) / 10)), abs=1e-9)
+    assert rehearse_outputs([1.0] * 30, 1.0, own).outputs["y"][1] == pytest.approx(y[-1])
+
+
+def test_the_reading_of_a_model_that_grows_to_infinity_is_an_end_of_the_range() -> None:
+    """An inf or NaN ends no emulator: the daemon has to see a sensor at its end."""
+    text = RC.text.partition(b"[model]")[0]
+    text += b"[model]\nA = [[1e4]]\nB = [[1.0]]\nC = [[1.0]]\nunstable = true\n"
+
+    with np.errstate(all="ignore"):
+        rig = DescribedRig(Description.of(text), np.random.default_rng(1))
+        rig.advance(5.0, 1000 * MS)
+
+    assert rig.wiper(0) in {-1.0, 2.0}
+
+
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
         ({"format": "other"}, "no model; `armrig identify --save` writes"),
         ({"outputs": ["T1"]}, "a model of T1; the rig has one input and the outputs y"),
         ({"form": {"kind": "polynomials"}}, "a damaged model"),
+        ({"form": POLYNOMIALS | {"B": [[[1.0]]]}}, r"the input acts at once \(nk=0\)"),
+        ({"form": POLYNOMIALS | {"F": [[[2.0, 1.0]]]}}, "a damaged model"),
+        ({"form": POLYNOMIALS | {"A": [[[1.0] * 10**5]]}}, "has 100000 states; 1 to 400"),
+        ({"form": MATRICES | {"A": [[0.1, 0.2], [0.3]]}}, "a damaged model"),
+        ({"form": MATRICES | {"A": [["x"]]}}, "a damaged model"),
+        ({"form": MATRICES | {"B": [[1.0], [1.0]]}}, "a damaged model"),
+        ({"form": MATRICES | {"A": [[0.0]] * 401}}, "has 401 states; 1 to 400"),
+        ({"Ts": 1e-9}, "Ts = 1e-09 s: at least 0.0001 s"),
+        ({"Ts": -1.0}, "Ts = -1 s"),
         (
-            {
-                "form": {
-                    "kind": "polynomials",
-                    "A": [[[1.0]]],
-                    "B": [[[1.0]]],
-                    "F": [[[1.0, 0.5]]],
-                }
-            },
-            r"the input acts at once \(nk=0\)",
+            {"form": {"kind": "transfer function", "B": [[[1]]], "F": [[[1, 1]]], "delay": -1}},
+            "dam",
         ),
     ],
 )
@@ -125,3 +165,10 @@ def test_a_file_that_cannot_be_emulated_is_refused(
 ) -> None:
     with pytest.raises(FileError, match=why):
         saved_system(saved(tmp_path / "m.json", **changes), ["y"])
+
+
+def test_a_file_that_is_nested_too_deeply_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.json").write_text('{"format": "armrig model", "form": ' + "[" * 10**5)
+
+    with pytest.raises(FileError, match="a damaged model"):
+        saved_system(tmp_path / "m.json", ["y"])
