@@ -37,7 +37,8 @@ LIMIT_BYTES = 1 << 16
 COUNTS = 65536
 """Full scale of a reading, in counts."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
-_RESERVED = {"k", "t", "u", "flags", "valid", "outputs", "signals", "value_0", "value_1"}
+_RESERVED = {"k", "t", "u", "flags", "present", "valid", "outputs", "signals"}
+_RESERVED |= {"value_0", "value_1"}
 _MAX_TEXT = 80
 _MAX_STATES = 40
 _MAX_DELAY_S = 3600.0
@@ -58,9 +59,11 @@ def _check_name(key: str, name: str) -> None:
 
 
 def _check_text(key: str, text: str) -> None:
-    if not text.isprintable() or len(text) > _MAX_TEXT:
+    # A figure takes the text between two $ for a formula.
+    if not text.isprintable() or len(text) > _MAX_TEXT or "$" in text:
         raise InputError(
-            f"{key} = '{printable(text[:_MAX_TEXT])}': at most {_MAX_TEXT} printable characters"
+            f"{key} = '{printable(text[:_MAX_TEXT])}': at most {_MAX_TEXT} printable characters "
+            "other than $"
         )
 
 
@@ -369,6 +372,10 @@ class Description:
         if twice := next((name for name in names if names.count(name) > 1), ""):
             raise InputError(f"{twice}: names two signals; give each signal a name of its own")
         fields = sample_names(self.channels)
+        columns = {*fields} - {c.value_field for c in self.channels}
+        columns |= {c.valid for c in self.channels}
+        if taken := next((name for name in names if name in columns), ""):
+            raise InputError(f"{taken}: a column of recordings has this name; rename the signal")
         if clash := next((field for field in fields if fields.count(field) > 1), ""):
             raise InputError(
                 f"{clash}: this field of a sample, made of name and unit, would exist twice; "
