@@ -110,7 +110,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("residuals(data, fit)", lambda: a.residuals(DATA, FIT), TypeError, "residuals(fit, data)"),
     # Physics.
     ("free=('J1',)", lambda: a.greybox(DATA, free=("J1",)), ValueError, "is none of J_1, J_2"),
-    ("model='chassis'", lambda: a.greybox(DATA, model="chassis"), TypeError, "armrig.chassis or"),
+    ("model='chassis'", lambda: a.greybox(DATA, model="chassis"), TypeError, "such as armrig.arm"),
     ("model=chassis(p)", lambda: a.greybox(DATA, model=a.chassis(P)), TypeError, "without parenth"),
     ("fixed={}", lambda: a.greybox(DATA, fixed={}), TypeError, "armrig.ArmParameters(J_1=0.0017)"),
     ("split_study(parts=3)", lambda: a.split_study(DATA, parts=3), TypeError, "parts=(1, 2, 4)"),
