@@ -131,20 +131,15 @@ def symbol(name: str) -> str:
     word, _, number = name.partition("_")
     if "_" in name and not number.isdigit():
         return name
-    return (_greek(word) or word) + number.translate(_LOWERED)
+    with suppress(KeyError):
+        word = unicodedata.lookup(f"GREEK SMALL LETTER {word}")
+    return word + number.translate(_LOWERED)
 
 
 def tex_symbol(name: str) -> str:
     """Return a name as TeX: a Greek letter for its word, and a lowered number after a _."""
     word, _, number = name.partition("_")
-    return ("\\" if _greek(word) else "") + word + (f"_{number}" if number else "")
-
-
-def _greek(word: str) -> str:
-    """Return the Greek letter that a word names; empty for any other word."""
-    with suppress(KeyError):
-        return unicodedata.lookup(f"GREEK SMALL LETTER {word}")
-    return ""
+    return ("\\" if symbol(word) != word else "") + word + (f"_{number}" if number else "")
 
 
 def sample_names(channels: Sequence[Channel]) -> tuple[str, ...]:
