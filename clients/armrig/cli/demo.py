@@ -137,16 +137,13 @@ def experiments(pace: Pace, seed: int) -> list[Experiment]:
 def write_config(directory: Path, seed: int, Ts: float, rig_file: Path | None = None) -> Path:
     """Write the configuration of the demonstration's rig, and return its path."""
     path = directory / "armrig.toml"
-    file = "" if rig_file is None else f"\nfile = {_text_of(path_of(rig_file).absolute())}"
-    folder = _text_of(directory.absolute())
+    paths = (directory, path_of(rig_file) if rig_file else Path())
+    # A string of JSON is also one of TOML.
+    folder, rig = (json.dumps(str(path.absolute()), ensure_ascii=False) for path in paths)
+    file = f"\nfile = {rig}" if rig_file else ""
     text = _CONFIG.format(rig=RIG, file=file, Ts=Ts, directory=folder, seed=seed)
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def _text_of(path: Path) -> str:
-    """Return a path as a string of TOML, which is also one of JSON."""
-    return json.dumps(str(path), ensure_ascii=False)
 
 
 def demo(
