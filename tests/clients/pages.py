@@ -34,11 +34,15 @@ def record_all(name: str, folder: Path) -> None:
 
 
 def run(
-    page: Path, capsys: pytest.CaptureFixture[str], *, atol: float, commands: str | None = None
+    page: Path,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    atol: float,
+    commands: str | tuple[str, ...] | None = None,
 ) -> int:
     """Run a page's Python in the present folder; return how many printed texts were compared.
 
-    If `commands` is not None, run the page's command lines that begin with it, too.
+    If `commands` is not None, run the page's command lines that begin with one of them, too.
     The words must be the same; of the numbers the last digit may be another machine's.
     """
     names: dict[str, Any] = {}

@@ -8,13 +8,21 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig_daemon.config import load
+from armrig_core.rig.description import Description
 
-from tests.clients import pages, rc_rig
+from tests.clients import pages
+from tests.clients.described_rig import record_all
 
 TEXT = (pages.DOCS / "hardware.md").read_text(encoding="utf-8")
 WIRING = pages.script("wiring.py")
 SUPPLY = pages.script("motor_supply.py")
+CIRCUIT = """
+[model]
+A = [[-13.0, 1.0], [10.0, -10.0]]
+B = [[10.0], [0.0]]
+C = [[1.0, 0.0], [0.0, 1.0]]
+offset = [0.4166667, 0.4166667]
+"""
 
 
 def test_the_circuit_diagram_connects_the_netlist() -> None:
@@ -64,18 +72,18 @@ def test_the_parts_list_has_every_value_of_the_drawing() -> None:
 @pytest.mark.exhaustive
 def test_the_rig_for_20_euros_has_the_poles_of_its_circuit(tmp_path: Path) -> None:
     """With the page's configuration, from a telegraph of 30 s; the page prints the same poles."""
-    found = re.search(r"```toml\n(.*?)```", TEXT, re.DOTALL)
+    found = re.search(r"```toml\n(\[rig\].*?)```", TEXT, re.DOTALL)
     assert found is not None
-    config = tmp_path / "rc.toml"
-    config.write_text(found[1], encoding="utf-8")
+    described, plant = (Description.of((found[1] + more).encode()) for more in ("", CIRCUIT))
 
-    _, telegraph, _ = rc_rig.record_all(tmp_path, load([config], {}, {}))
-    data = armrig.load(telegraph).dataset("alpha")
+    lengths = {"first": (10.0, 0.002), "random": (30.0, 0.01)}
+    _, telegraph, _ = record_all(tmp_path, described, "rc", plant=plant, **lengths)
+    data = armrig.load(telegraph).dataset("v2")
     fit = armrig.oe(armrig.detrend(data), nb=2, nf=2, nk=1)
 
     poles = np.sort(np.roots(fit.F))
     printed = re.search(r"poles  ([\d.]+) ± \S+, ([\d.]+) ±", TEXT)
     assert printed is not None
-    assert not armrig.structure_hints(armrig.load(telegraph).dataset("theta_1")).integrator
+    assert not armrig.structure_hints(armrig.load(telegraph).dataset("v1")).integrator
     np.testing.assert_allclose(np.log(poles) / 0.01, [-15.0, -8.0], rtol=0.01)
     np.testing.assert_allclose(poles, [float(printed[2]), float(printed[1])], atol=2e-3)
