@@ -45,6 +45,7 @@ check: .venv/dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python tests/rooms.py
+	$(BIN)/python tests/arm_names.py
 	$(BIN)/python tests/words.py
 	$(BIN)/python tests/budget.py
 
