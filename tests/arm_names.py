@@ -2,8 +2,8 @@
 
 `python tests/arm_names.py`. A rig is described in a file, so the code reads the names of its
 channels. The names of the arm remain in its physics, its calibration, its emulator and the report
-of its handout: `[tool.armrig.arm_names]` of pyproject.toml has the numbers of files. The layouts for
-other viewers, which are data, are not searched.
+of its handout: `[tool.armrig.arm_names]` of pyproject.toml has the numbers of files. The layouts
+for other viewers, which are data, are not searched.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ _MOST_WAITING = 100  # waiting messages of a slow stream; above this limit, the 
 def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str]:
     """Serve the streams on the loopback interface until the block ends; yield the address.
 
-    The coordinate frames of the arm's two parts are sent with the samples. The server has no services
+    The coordinate frames of both parts of the arm are sent with samples. The server has no services
     or parameters, and ignores all messages of a client. The port closes soon after the block,
     because the SDK does not wait for the end of its task that accepts connections.
 
