@@ -365,7 +365,7 @@ def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
 def plot_linearity(found: Linearity, *, ax: Axes | None = None) -> Axes:
     """Show the static gain against the level of the input or the output that determines it."""
     ax = axes(ax)
-    if found.linear:
+    if not found.levels.size:
         ax.text(0.5, 0.5, found.reason, transform=ax.transAxes, ha="center")
         return ax
     ax.plot(found.levels, found.gains, "o-", color=COLOURS[0], ms=3.5)

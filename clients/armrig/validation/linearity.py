@@ -16,6 +16,7 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
+from armrig.data.treatment.integrating import pole_test
 from armrig.estimation.data_faults import CONSTANT_INPUT
 from armrig.numerics.polynomial import Array, continued, filtered
 from armrig.numerics.quantities import p_relation, percent, three_digits
@@ -47,6 +48,7 @@ _KINDS: Mapping[Kind, tuple[str, str]] = {
         "record with a u that keeps the rig moving, or estimate the friction (greybox)",
     ),
 }
+_NO_STATIC_GAIN = "{output} integrates, with a response that changes with {of}"
 _TWO_LEVELS = (
     "{0} has two levels, which cannot show a dead zone or another static nonlinearity of {0}: "
     "record with several levels (staircase, white noise)"
@@ -78,13 +80,14 @@ class Linearity:
     """Dead zone of u, saturated output, friction, or a gain by level; "" if the rig is linear."""
     numbers: Mapping[str, float] = field(default_factory=dict)
     """Numbers of the kind: `from` and `to` of a dead zone, or `at` and `share` of a saturation. For
-    a gain: the least and the greatest, `gain_1` at `level_1` and `gain_2` at `level_2`."""
+    a gain: the least and the greatest, `gain_1` at `level_1` and `gain_2` at `level_2`; empty if
+    y integrates."""
     rails: tuple[float, ...]
     """Largest or smallest values of y at which y stays exactly."""
     gain_of: str = ""
     """Name of the signal that determines the gain: the input, or the output; "" if linear."""
     levels: Array = field(default_factory=lambda: np.zeros(0))
-    """Levels of `gain_of`, (n,); (0,) if the rig is linear."""
+    """Levels of `gain_of`, (n,); (0,) if the rig is linear or integrates."""
     gains: Array = field(default_factory=lambda: np.zeros(0))
     """Static gain at `levels`, in y's unit per u's unit."""
     remarks: tuple[str, ...]
@@ -116,8 +119,10 @@ class Linearity:
             at = " and ".join(map(three_digits, self.rails)) or f"about {x['at']}"
             x |= {"at": at, "share": percent(100 * self.numbers["share"])}
         unit = self.units.get(self.input if "from" in x else self.gain_of)
+        no_gain = self.kind == "gain by level" and not x
         x |= {"input": self.input, "output": self.output, "of": self.gain_of}
-        return _KINDS[self.kind][0].format(**x, unit=f" {unit}" if unit else "")
+        text = _NO_STATIC_GAIN if no_gain else _KINDS[self.kind][0]
+        return text.format(**x, unit=f" {unit}" if unit else "")
 
     @property
     def line(self) -> str:
@@ -205,6 +210,10 @@ def _tested(data: Signals, *, level: float) -> Linearity | ByChannel[Linearity]:
     found = _kind(model) if rails or p < level else {}
     if found:
         found["gain_of"] = u if found["gain_of"] == "u" else y
+        slow = pole_test(data, 0)
+        if slow is not None and slow.possible:  # a pole that may be 1 leaves no static gain
+            numbers = {} if found["kind"] == "gain by level" else found["numbers"]
+            found |= {"numbers": numbers, "levels": np.zeros(0), "gains": np.zeros(0)}
     if rails:
         numbers = {"at": rails[-1], "share": float(np.mean(at[one.valid]))}
         found |= {"kind": "saturation", "numbers": numbers}

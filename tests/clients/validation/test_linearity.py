@@ -41,6 +41,14 @@ def test_the_kind_and_its_numbers_are_found(
     assert all(f.remedy in f.explain() for f in found)
 
 
+def test_an_output_that_integrates_has_no_static_gain() -> None:
+    rig = nonlinear_rig("gain by level", 1)
+    found: Any = armrig.linearity(armrig.Dataset(u=rig.u, y=np.cumsum(rig.y), Ts=1.0))
+
+    assert (found.kind, found.numbers, found.gains.size) == ("gain by level", {}, 0)
+    assert found.reason == "y integrates, with a response that changes with u"
+
+
 def test_two_levels_cannot_show_a_static_nonlinearity_of_the_input() -> None:
     assert "two levels" in armrig.linearity(of_second_order(switched())).remarks[0]
 
