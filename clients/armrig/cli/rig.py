@@ -489,8 +489,11 @@ def dashboard(
             from armrig.dashboard.foxglove import LAYOUTS, foxglove
 
             with suppress(armrig.RigError), armrig.Rig(rig, connect=connect) as live:
-                if not live.status().described.arm:
-                    raise InputError("--foxglove: streams and layouts have the names of the arm")
+                if not (described := live.status().described).arm:
+                    text = (
+                        "--foxglove: streams and layouts have the names of the arm, and this rig "
+                    )
+                    raise InputError(f"{text} '{described.rig.name}': leave out --foxglove")
             layouts = str(LAYOUTS)
             streams = opened.enter_context(foxglove(rig=rig, connect=connect))
         if json:
