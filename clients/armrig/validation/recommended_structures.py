@@ -278,7 +278,8 @@ def _refined(record: _Record, ranked: list[Fitted]) -> list[Fitted]:
     found: dict[Recommended, Fitted | None] = {}
     coming = [m.structure for m in (*ranked[:RECOMMENDED], *shortest.values())]
     while coming:
-        found |= {s: _exact(record, s, known) for s in dict.fromkeys(coming)}
+        starts = {s: _start(record, s, known) for s in dict.fromkeys(coming)}
+        found |= {s: _fitted(*start[1:]) if start else None for s, start in starts.items()}
         fitted = _joined([[m for m in found.values() if m]])
         if not fitted:
             return ranked
@@ -294,12 +295,6 @@ def _neighbours(s: Recommended) -> Iterator[Recommended]:
         nb, nf, nk = s.nb + first + last, s.nf + poles, s.nk - first
         if abs(first + last) <= 1 and nb >= 1 and 1 <= nf <= HIGHEST and nk >= min(s.nk, 1):
             yield replace(s, nb=nb, nf=nf, nk=nk)
-
-
-def _exact(record: _Record, s: Recommended, known: Mapping[int, Vector]) -> Fitted | None:
-    """Return the model of a structure; None if there is no start value."""
-    start = _start(record, s, known)
-    return _fitted(*start[1:]) if start else None
 
 
 def _start(
