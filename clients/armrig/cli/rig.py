@@ -490,9 +490,7 @@ def dashboard(
 
             with suppress(armrig.RigError), armrig.Rig(rig, connect=connect) as live:
                 if not (described := live.status().described).arm:
-                    text = (
-                        "--foxglove: streams and layouts have the names of the arm, and this rig "
-                    )
+                    text = "--foxglove: streams and layouts have the arm's names, and this rig is"
                     raise InputError(f"{text} '{described.rig.name}': leave out --foxglove")
             layouts = str(LAYOUTS)
             streams = opened.enter_context(foxglove(rig=rig, connect=connect))
