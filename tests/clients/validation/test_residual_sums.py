@@ -238,7 +238,7 @@ def test_a_delay_too_long_shows_only_in_its_pair() -> None:
     pair = found["y1", "u2"]
     assert pair.missing_dynamics == p[0, 1]
     np.testing.assert_array_equal(pair.correlation, found.cross_correlation[0, 1])
-    with pytest.raises(InputError, match="no channel; give an output of y1 and y2 and an input of"):
+    with pytest.raises(InputError, match="there is no such output; there are y1, y2"):
         found["u2", "y1"]
 
 
