@@ -156,8 +156,8 @@ def data_text(study: Study) -> str:
                 text = f"{y} is unwrapped from the raw counts. {y} grows without limit, because "
                 text += "the voltage is never negative."
             said.append(text + " No mean and no trend is removed from this angle." * (steps <= cut))
-        hidden = 100 * one.estimation.missing / one.estimation.N
-        said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {y}.")
+        if hidden := 100 * one.estimation.missing / one.estimation.N:
+            said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {y}.")
         said += linearity_sentences(one.validation)
     of_rig = "The scales of the outputs are those of the rig's description."
     return " ".join([*said, _units(study) if study.of_arm else of_rig])

@@ -95,9 +95,9 @@ def data(study: Study) -> Section:
 
 def models(study: Study) -> Section:
     """Return the section with the equations and the coefficients of the models."""
-    equations = " quad quad ".join(
-        f'"{m.name}:" quad {typst_form(m.model)}' for m in study.estimated
-    )
+    each = [f'"{m.name}:" quad {typst_form(m.model)}' for m in study.estimated]
+    # More than two equations are wider than the page.
+    equations = " quad quad ".join(each) if len(each) < 3 else " \\ ".join(each)
     return Section(
         title="Models",
         paragraphs=(
@@ -263,8 +263,9 @@ def _captions(one: Study) -> dict[str, str]:
     marks = ascii_lowercase[: 2 * len(one.estimated)]
     halves = ", the first and the second half of one recording" if one.halves else ""
     angle, ramp = one.angle, without_turns(one.validation)
+    the = f"the {angle}" if one.of_arm else angle
     turns = " with its turns counted" if one.integrates else ""
-    detail = f"rate of the {angle}, from differences" if one.integrates else angle
+    detail = f"rate of {the}, from differences" if one.integrates else angle
     drawn = [f"{angle}{turns}{without_turns(data)}" for data in (one.estimation, one.validation)]
     angles = f"(a, c) {drawn[0]}" if drawn[0] == drawn[1] else f"(a) {drawn[0]}; (c) {drawn[1]}"
     rate = "Rate" if all(integrates(m.model) for m in one.models) else "Response"
@@ -281,11 +282,11 @@ def _captions(one: Study) -> dict[str, str]:
         "95 % bands. A band is linearised or, if a linearisation is poor, sampled from the "
         "covariance of the parameters. Dots: spectral analysis of the estimation data with 95 % "
         f"bars. Recording {estimation}.",
-        "step_poles": f"(a) {rate} of the {angle} after a step of 1 V, with 95 % bands; (b) poles "
+        "step_poles": f"(a) {rate} of {the} after a step of 1 V, with 95 % bands; (b) poles "
         "(×) and zeros (○) with 95 % regions: bars for real roots, ellipses for complex roots, "
         "dotted if sampled. A square marks a pole and a zero that are not significantly different "
         f"(1 %). Models from recording {estimation}.",
-        "residuals": f"Correlation of the residuals of the {angle} with themselves "
+        "residuals": f"Correlation of the residuals of {the} with themselves "
         f"({', '.join(marks[::2])}) and with the input ({', '.join(marks[1::2])}) on recording "
         f"{validation}. Grey: range of 99 % of the values if the hypothesis is true.",
     }
