@@ -309,7 +309,7 @@ def handle_config(state: State, now_ns: int, reply: wire.ConfigReply) -> Step:
     )
     proven = {} if arms else {"last_round_trip_ns": asked.sent_ns}
     state = replace(
-        state.linked(beats=(), **proven),
+        state.linked(beats=(), device_state=reply.state, **proven),
         asked=None,
         configuration=accepted,
         pace_us=pace_us,

@@ -307,6 +307,19 @@ def test_an_accepted_configuration_has_the_time_of_its_request() -> None:
     assert decided.state.configuration.asked_ns == bench.ports.now - 7
 
 
+def test_the_state_after_a_configuration_is_that_of_its_answer() -> None:
+    """An old frame that was played again in between has reported RUN."""
+    bench = rested()
+    latest = changed(bench.loop.state.link, device_state=int(DeviceState.RUN))
+    state = awaiting(changed(bench.loop.state, link=latest), RequestKind.CONFIGURE, ts_us=10_000)
+
+    decided = heard(bench, _reply(state), state)
+
+    assert [record.motor for record in decided.told(StateRecord)] == [
+        "at 0 V, as the device reports"
+    ]
+
+
 def test_a_device_that_refuses_oversampling_is_reported_with_the_remedy() -> None:
     bench = rested()
     rules = changed(bench.loop.state.rules, oversampling=16)
