@@ -261,8 +261,8 @@ class Checks:
             host_ns,
         )
         self._own[self._seq] = self._frames[text]
-        if self._seq == self._old_echo:
-            self._old_looks_ours(self._taken[self._seq], self._own[self._seq])
+        if self._seq in self._old_echoes:
+            self._old_looks_ours(self._old_echoes[self._seq], self._own[self._seq])
         self._seq = (self._seq + 1) & 0xFFFF
 
     def _old_looks_ours(self, old: Frame, own: Frame) -> None:
@@ -327,7 +327,10 @@ class Checks:
     def _boot(self) -> None:
         self._taken: dict[int, Frame] = {}
         """Accepted frames, by seq."""
-        self._newest = self._k = self._old_echo = -1
+        self._newest = self._k = -1
+        self._old_echoes: dict[int, Frame] = {}
+        """Old frames that the device has taken in since the last frame of the host, by seq."""
+        self._came: set[bytes] = set()
         self._u = 0
         self._part = b""
         self.fed_ns = 0
@@ -335,7 +338,7 @@ class Checks:
         self._old_ns = -self._limit
         """Time at which a frame of an earlier session was accepted."""
         self._heard_ns = 0
-        """Time at which a frame of this session came, accepted or not."""
+        """Time at which a frame of this session came first, accepted or not."""
         self._held_ns = 0
         """Time at which old frames alone last kept the motor driven."""
         self._configured_ns = 0
@@ -357,7 +360,10 @@ class Checks:
             return None
         ours = frame.session == self._session
         if ours:
-            self._heard_ns = t_ns
+            # Every session has the same HELLO, and a frame that came before may be played again.
+            if frame.type != HELLO and piece not in self._came:
+                self._heard_ns = t_ns
+            self._came.add(piece)
             if frame.type == STOP:  # it is carried out however old its seq looks
                 self.newest_ns = max(self.newest_ns, frame.host_ns)
         fresh = self._newest < 0 or 1 <= (frame.seq - self._newest) & 0xFFFF < 0x8000
@@ -370,11 +376,11 @@ class Checks:
                 self._configured_ns = t_ns
             elif frame.type == HELLO and not bound:
                 self._k = -1  # the next may be any
-            self._old_echo = -1
             if ours:
+                self._old_echoes.clear()
                 self.newest_ns = max(self.newest_ns, frame.host_ns)
             else:
-                self._old_ns, self._old_echo = t_ns, frame.seq
+                self._old_ns, self._old_echoes[frame.seq] = t_ns, frame
                 if frame.seq in self._own:
                     self._old_looks_ours(frame, self._own[frame.seq])
                 self.seen[f"{PLAYED}taken in"] += 1
