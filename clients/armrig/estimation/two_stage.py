@@ -37,9 +37,10 @@ def two_stage(
 ) -> Fit:
     """Estimate the plant of a closed loop from the part of u that the signal r causes.
 
-    The first stage is the regression of u on r, r(t - 1), … and a constant. MDL chooses the number
-    of lags. The second stage estimates the plant from the predicted u, on which the noise has no
-    effect. The noise model need therefore not be right, unlike that of ARMAX or BJ.
+    The first stage is the regression of u on r, r(t - 1), … and a constant. The number of lags is
+    twice that of least MDL, because lags that are left out bias the plant. The second stage
+    estimates the plant from the predicted u, on which the noise has no effect. The noise model need
+    therefore not be right, unlike that of ARMAX or BJ.
 
     The covariance contains the errors of the first stage, and the correlation of these errors with
     the noise of y, which the controller carries into u. It is valid for noise of any colour.
@@ -126,7 +127,7 @@ def _lags(r: Array, count: int) -> Array:
 
 
 def _count(parts: Sequence[Dataset], references: Sequence[Array]) -> int:
-    """Return the number of lags of r with the least MDL; refuse an r that does not affect u."""
+    """Return twice the number of lags of least MDL; refuse an r that does not affect u."""
     shortest = min(part.N for part in parts)
     require_samples("two_stage", needed=_LENGTHS[1] * _SAMPLES_PER_LAG, got=shortest)
     lengths = [n for n in _LENGTHS if n * _SAMPLES_PER_LAG <= shortest]
@@ -137,10 +138,10 @@ def _count(parts: Sequence[Dataset], references: Sequence[Array]) -> int:
     for n in lengths:
         e = orthonormal(np.delete(Phi, np.s_[n:most], axis=1)).without(u)
         found.append(float(mdl(max(float(e @ e), 1e-300) / u.size, n + 1, u.size)))
-    best = lengths[int(np.argmin(found))]
+    best = int(np.argmin(found))
     if not best:
         raise InputError("r does not affect u: give the set point, or a signal that was added to u")
-    return best
+    return lengths[min(best + 1, len(lengths) - 1)]
 
 
 def _covariance(
