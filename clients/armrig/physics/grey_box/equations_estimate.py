@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +37,10 @@ _MAX_SOLVER_SHARE = 0.1  # largest error of the solver, as a share of the noise'
 _MAX_ROUNDS = 8
 _MIN_P = 1e-6  # p value of the test of whiteness above which no other start is tried
 _EXACT_SHARE = 1e-5  # largest residual of data without noise, as a share of the deviation
-_MAX_DRAWS = 8
+_MAX_DRAWS = 5
+_NEAR_MISFIT = 1.0  # largest difference from the lowest misfit at which more steps may help
+_SAME_MISFIT = 1e-3  # largest difference of the misfits of one minimum
+_SAME_TRIALS = 3  # starts that lead to the lowest minimum before no other start is tried
 _TRIAL_STEPS = 30  # of the search from each start
 _DRAWN = 1.4  # largest change of a coordinate in a drawn start; e^1.4 is 4
 _SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds end
@@ -141,18 +144,22 @@ def _minimised(
     windows = tuple(map(liveliest, experiments))
     start = problem(windows).coordinates.of([values[name] for name in names])
     found: list[tuple[float, Shooting, Optimum]] = []
-    failed = InputError("no start leads to finite outputs")
-    for at in _starts(start):
+    failed, lowest = InputError("no start leads to finite outputs"), np.inf
+    draws = np.random.default_rng(0).uniform(-_DRAWN, _DRAWN, (_MAX_DRAWS, start.size))
+    for at in [start, *(start + draw for draw in draws)]:
         short = problem(windows)
         try:
             z = short.relaxed(at, short.begun(at))
-            trial = _refined(short, _searched(short, z, _TRIAL_STEPS), _TRIAL_STEPS)
+            trial = short, _searched(short, z, _TRIAL_STEPS)
+            if _misfit(*trial) < lowest + _NEAR_MISFIT:
+                trial = _refined(*trial, _TRIAL_STEPS)
         except InputError as err:
             failed = err if at is start else failed
             continue
-        e = _residuals(*trial)
-        found.append((float(np.sum(np.log(np.nanmean(e**2, axis=0)))), *trial))
-        if _is_white(*trial):
+        found.append((_misfit(*trial), *trial))
+        lowest = min(misfit for misfit, *_ in found)
+        same = sum(misfit < lowest + _SAME_MISFIT for misfit, *_ in found)
+        if same == _SAME_TRIALS or _is_white(*trial):
             break
     if not found:
         raise failed
@@ -169,12 +176,9 @@ def _minimised(
     return whole, best, start
 
 
-def _starts(start: Vector) -> Iterator[Vector]:
-    """Yield starts of the search: the given one, and others within a factor of 4."""
-    yield start
-    rng = np.random.default_rng(0)
-    for _ in range(_MAX_DRAWS):
-        yield start + rng.uniform(-_DRAWN, _DRAWN, start.size)
+def _misfit(problem: Shooting, best: Optimum) -> float:
+    """Return the sum of the logarithms of the outputs' losses."""
+    return float(np.sum(np.log(np.nanmean(_residuals(problem, best) ** 2, axis=0))))
 
 
 def _is_white(problem: Shooting, best: Optimum) -> bool:
