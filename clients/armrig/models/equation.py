@@ -188,6 +188,7 @@ def latex(fit: Fit) -> str:
     for ratio in ("B(q)/F(q)", "B(s)/F(s)", "C(q)/D(q)"):
         equation = equation.replace(ratio, rf"\frac{{{ratio[:4]}}}{{{ratio[5:]}}}")
     equation = equation.replace(") y(t)", r")\,y(t)").replace(" u(t", r"\,u(t")
+    equation = equation.replace("delay", r"\mathrm{delay}")
     body = " \\\\\n".join([equation.replace(" = ", " &= "), *_definitions(fit, _LATEX)])
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
@@ -200,7 +201,8 @@ def typst(fit: Fit) -> str:
 
 def typst_form(model: Fit) -> str:
     """Return the equation in Typst mathematics, with the letters of the polynomials."""
-    return form(model).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
+    text = form(model).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
+    return text.replace("delay", '"delay"')  # Typst takes other words for variables
 
 
 class _Notation(NamedTuple):

@@ -132,6 +132,7 @@ def test_the_text_has_the_equation_in_s_and_the_numbers(fit: Fit) -> None:
     assert lines[3].startswith("  F(s) = s^3 + ")
     assert any(line.startswith("  time constant") for line in lines)
     assert "F(s) &= s^{3} + (" in fit.latex()
+    assert 'u(t - "delay")' in fit.typst()  # Typst refuses an unknown variable
 
 
 def test_summary_and_figures_use_the_sampled_model(fit: Fit) -> None:
