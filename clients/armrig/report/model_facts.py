@@ -70,9 +70,8 @@ def _coefficients(fit: Fit, reference: Fit | None) -> Iterator[tuple[str, ...]]:
         if reference:
             row += (fixed(float(theirs[name]), decimals) if name in theirs else "–",)
         yield row
-    for q in fit.quantities().values() if fit.Ts == 0 else ():
-        if q.name in fit.names:  # the delay
-            continue
+    physical = fit.quantities().values() if fit.Ts == 0 else ()
+    for q in (q for q in physical if q.name not in fit.names):  # the delay has a row
         value, std = (fixed(x, places(q.std)) for x in (q.value, q.std))
         trusted = ("–", std) if fit.trusts_robust else (std, "–")
         yield (f"{q.name} [{q.unit or '–'}]", value, *trusted)

@@ -119,9 +119,8 @@ class Linearity:
             at = " and ".join(map(three_digits, self.rails)) or f"about {x['at']}"
             x |= {"at": at, "share": percent(100 * self.numbers["share"])}
         unit = self.units.get(self.input if "from" in x else self.gain_of)
-        no_gain = self.kind == "gain by level" and not x
+        text = _KINDS[self.kind][0] if x or self.kind != "gain by level" else _NO_STATIC_GAIN
         x |= {"input": self.input, "output": self.output, "of": self.gain_of}
-        text = _NO_STATIC_GAIN if no_gain else _KINDS[self.kind][0]
         return text.format(**x, unit=f" {unit}" if unit else "")
 
     @property
