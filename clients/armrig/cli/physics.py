@@ -256,7 +256,7 @@ def own_equations(path: Path) -> armrig.Ode:
         found = runpy.run_path(str(path)).get("model")
     except OSError as err:
         raise InputError(f"{path}: {err.strerror}") from err
-    except Exception as err:
+    except (Exception, SystemExit) as err:
         line = next((f.lineno for f in _frames(err) if f.filename == str(path)), None)
         where = f", line {line}" if line else ""
         raise InputError(f"{path}{where}: {type(err).__name__}: {err}") from err

@@ -378,7 +378,7 @@ def checked_derivative(ode: Ode, shape: tuple[int, ...]) -> Any:
                 out[i] = found[i]
         except InputError:
             raise
-        except Exception as err:
+        except (Exception, SystemExit) as err:
             raise InputError(_sentence("f", err)) from err
         return out
 
@@ -394,12 +394,12 @@ def checked_outputs(ode: Ode, t: Any, x: Any, u: Any, p: Any, shape: tuple[int, 
         out = np.empty((len(rows), *shape))
         for i, row in enumerate(rows):
             out[i] = row
-    except Exception as err:
+    except (Exception, SystemExit) as err:
         raise InputError(_sentence("output", err)) from err
     return out
 
 
-def _sentence(name: str, err: Exception) -> str:
+def _sentence(name: str, err: BaseException) -> str:
     text = f"{name} raised {type(err).__name__}: {err}"
     if "ambiguous" in str(err):
         return f"{text}; x[i] are arrays of many trajectories: use numpy.where in place of if"

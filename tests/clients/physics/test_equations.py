@@ -175,12 +175,14 @@ def test_the_command_estimates_the_equations_of_a_file(
     y = lfilter([0, 0.1], [1, -0.9], u) + 0.01 * rng.standard_normal(300)
     table, equations = tmp_path / "rc.csv", tmp_path / "rc.py"
     np.savetxt(table, np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
-    equations.write_text(
+    given = (
         "import armrig\n"
+        "from dataclasses import replace\n"
         "model = armrig.Ode(f=lambda t, x, u, p: [(u[0] - x[0]) / p.tau],\n"
         "                   output=lambda t, x, u, p: x[0], states=['v'],\n"
         "                   parameters={'tau': armrig.Parameter(1.0, 's', low=0)})\n"
     )
+    equations.write_text(given)
     command = ["greybox", str(table), "--Ts", "0.01", "--model", str(equations)]
 
     assert main([*command, "--json"]) == 0
@@ -192,9 +194,17 @@ def test_the_command_estimates_the_equations_of_a_file(
     ):
         assert main([*command, *wrong]) != 0
         assert message in capsys.readouterr().err
-    equations.write_text("model = 1 / 0")
-    assert main(command) != 0
-    assert "rc.py, line 1: ZeroDivisionError" in capsys.readouterr().err
+    for text, message in (
+        ("model = 1 / 0", "rc.py, line 1: ZeroDivisionError"),
+        ("raise SystemExit(3)", "rc.py, line 1: SystemExit: 3"),
+        (
+            f"{given}\nimport sys\nmodel = replace(model, f=lambda *_: sys.exit())",
+            "f raised SystemExit",
+        ),
+    ):
+        equations.write_text(text)
+        assert main(command) != 0
+        assert message in capsys.readouterr().err
 
 
 def test_friction_has_the_curve_of_stribeck() -> None:
