@@ -486,22 +486,22 @@ def _described(config: Config) -> dict[str, Any]:
     if not config.rig.file:
         return {}
     described = description_of(config)
+    layer: dict[str, Any] = {
+        "limits": {"u_max_v": described.input.u_max_v},
+        "emulator": {"pwm_bits": LAYOUTS[described.rig.image].pwm_bits},
+    }
+    if described.arm_removed:
+        return _merged(layer, {"arm": {"removed": True}, "emulator": {"arm_removed": True}})
     if not described.is_calibrated:
-        if described.arm_removed:
-            return {"arm": {"removed": True}, "emulator": {"arm_removed": True}}
-        return {
-            "limits": {"u_max_v": described.input.u_max_v},
-            "emulator": {"pwm_bits": LAYOUTS[described.rig.image].pwm_bits},
-        }
-    outputs = described.outputs.items()
-    return {
+        return layer
+    return layer | {
         "calibration": {
             name: {
                 "zero_counts": output.zero_counts,
                 "rad_per_count": output.per_count,
                 "wraps": output.turning,
             }
-            for name, output in outputs
+            for name, output in described.outputs.items()
         }
     }
 

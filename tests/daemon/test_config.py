@@ -12,6 +12,7 @@ import pytest
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.calibration import Calibration, Potentiometer
+from armrig_core.rig.description import shipped
 from armrig_core.rig.volts import code_of
 from armrig_daemon.config import ArmSettings, Config, Limits, load, load_installed
 from armrig_daemon.decisions.state import Rules
@@ -258,3 +259,16 @@ def test_the_file_of_another_rig_is_refused(machine: Path) -> None:
 
     with pytest.raises(InputError, match=r"2\.toml: rig\.id = '1': the file belongs to rig '2'"):
         load_installed({"ARMRIG_RIG_ID": "2"}, {})
+
+
+@pytest.mark.parametrize("name", ["arm", "chassis", "rc"])
+def test_the_highest_voltage_of_a_description_is_in_force_for_each_rig(
+    name: str, tmp_path: Path
+) -> None:
+    """A description of the arm lost it without a word."""
+    (tmp_path / "own.toml").write_bytes(shipped(name).text + b"\n[input]\nu_max_v = 2.0\n")
+
+    config = load([], {}, {"rig": {"file": str(tmp_path / "own.toml")}})
+
+    assert config.limits.u_max_v == 2.0
+    assert config.arm.removed == (name == "chassis")
