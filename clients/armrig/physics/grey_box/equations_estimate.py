@@ -37,10 +37,8 @@ _MAX_SOLVER_SHARE = 0.1  # largest error of the solver, as a share of the noise'
 _MAX_ROUNDS = 8
 _MIN_P = 1e-6  # p value of the test of whiteness above which no other start is tried
 _EXACT_SHARE = 1e-5  # largest residual of data without noise, as a share of the deviation
-_MAX_DRAWS = 5
+_MAX_DRAWS = 8
 _NEAR_MISFIT = 1.0  # largest difference from the lowest misfit at which more steps may help
-_SAME_MISFIT = 1e-3  # largest difference of the misfits of one minimum
-_SAME_TRIALS = 3  # starts that lead to the lowest minimum before no other start is tried
 _TRIAL_STEPS = 30  # of the search from each start
 _DRAWN = 1.4  # largest change of a coordinate in a drawn start; e^1.4 is 4
 _SETTLED = 1e-4  # relative change of the noise's deviations at which the rounds end
@@ -158,8 +156,7 @@ def _minimised(
             continue
         found.append((_misfit(*trial), *trial))
         lowest = min(misfit for misfit, *_ in found)
-        same = sum(misfit < lowest + _SAME_MISFIT for misfit, *_ in found)
-        if same == _SAME_TRIALS or _is_white(*trial):
+        if _is_white(*trial):
             break
     if not found:
         raise failed
