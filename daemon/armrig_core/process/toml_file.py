@@ -16,8 +16,7 @@ _MAX_KEY_PARTS, _MAX_LEVELS = 16, 64
 # The reader's time grows with the square of the depth, and a deeply nested result cannot be
 # printed.
 _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
-# The search begins only at the start of a part; from each character of a long word, its time would
-# grow with the square of the length.
+# Only from the start of a part, so that the time is not that of each character of a long word.
 _DEEP_KEY = re.compile(rf"(?<![\\\w-])(?:{_PART}[ \t]*\.[ \t]*){{{_MAX_KEY_PARTS}}}{_PART}")
 T = TypeVar("T", bound=msgspec.Struct)
 Table = dict[str, Any]

@@ -18,7 +18,8 @@ from armrig_core.errors import InputError
 MAX_CHANNELS = 2
 """Number of readings in each sample of the device; a rig may use fewer."""
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_MAX_NUMBER = 1e15  # of points: a larger difference of two values could be infinite
+MAX_VALUE = 1e15
+"""Largest magnitude of a value, so that differences and squares of values are finite."""
 _RAILS = ("ADC0_RAIL", "ADC1_RAIL")
 _WORDS = (("%", "percent"), ("°", "deg"), ("Ω", "ohm"), ("µ", "u"), ("μ", "u"), ("/", "_per_"))
 
@@ -84,10 +85,10 @@ class Conversion(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
 def check_points(points: Sequence[tuple[float, float]]) -> None:
     """Raise InputError if points are no function of the reading that has an inverse."""
-    if len(points) < 2 or not all(abs(x) <= _MAX_NUMBER for point in points for x in point):
+    if len(points) < 2 or not all(abs(x) <= MAX_VALUE for point in points for x in point):
         raise InputError(
             "points: give at least two pairs [counts, value] of finite numbers, within "
-            f"±{_MAX_NUMBER:g}"
+            f"±{MAX_VALUE:g}"
         )
     for (x, y), (x_next, y_next) in pairwise(points):
         if x_next <= x:

@@ -20,6 +20,7 @@ from armrig_core.process.toml_file import convert, toml_tables
 from armrig_core.rig.calibration import BODY, CALIBRATED, ArmModel
 from armrig_core.rig.channels import (
     MAX_CHANNELS,
+    MAX_VALUE,
     NO_CONVERSION,
     Channel,
     Conversion,
@@ -59,8 +60,7 @@ def _check_name(key: str, name: str) -> None:
 
 
 def _check_text(key: str, text: str) -> None:
-    # A figure takes the text between two $ for a formula.
-    if not text.isprintable() or len(text) > _MAX_TEXT or "$" in text:
+    if not text.isprintable() or len(text) > _MAX_TEXT or "$" in text:  # $: a formula in figures
         raise InputError(
             f"{key} = '{printable(text[:_MAX_TEXT])}': at most {_MAX_TEXT} printable characters "
             "other than $"
@@ -166,8 +166,8 @@ class Output(_Table, frozen=True, kw_only=True):
         if not self.low < self.high:  # NaN fails this, too
             raise InputError(f"low = {self.low!r} must be below high = {self.high!r}")
         ends = sorted((self.value(0), self.value(COUNTS - 1)))
-        if not all(map(isfinite, ends)):  # no reading may pass a limit as NaN
-            raise InputError(f"per_count = {self.per_count!r}: the values are beyond all numbers")
+        if not all(abs(end) <= MAX_VALUE for end in ends):  # no reading may pass a limit as NaN
+            raise InputError(f"{ends[0]:g} to {ends[1]:g} is read; ±{MAX_VALUE:g} is allowed")
         if self.low > ends[1] or self.high < ends[0]:
             raise InputError(
                 f"low = {self.low:g}, high = {self.high:g}: every reading breaks a limit; the "
