@@ -2,8 +2,7 @@
 
 `python tests/arm_names.py`. A rig is described in a file, so the code reads the names of its
 channels. The names of the arm remain in its physics, its calibration, its emulator and the report
-of its handout: `[tool.armrig.arm_names]` of pyproject.toml has the numbers of files. The layouts
-for other viewers, which are data, are not searched.
+of its handout: `[tool.armrig.arm_names]` of pyproject.toml has the numbers of files.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ("clients/armrig", "daemon/armrig_core", "daemon/armrig_daemon")
-ENDINGS = {".py", ".pyi", ".js", ".html", ".css", ".toml"}
+ENDINGS = {".py", ".pyi", ".js", ".html", ".css", ".json", ".xml", ".toml"}
 FREE_ROOMS = frozenset(
     [
         "decisions",

@@ -10,19 +10,19 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from armrig.dashboard.foxglove import LAYOUTS
+from armrig.dashboard.foxglove import layouts
+from armrig_core.rig.description import Description, shipped
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-FOXGLOVE = LAYOUTS / "armrig.foxglove-layout.json"
-PLOTJUGGLER = LAYOUTS / "armrig.plotjuggler.xml"
+ARM = shipped("arm")
 Kinds = dict[str, str]
 """`number` or `text` by topic and field, such as /rig/1/sample.alpha_rad; "" for a topic."""
 
 
-def foxglove_paths() -> Kinds:
-    """Return each message path of Foxglove's layout, and what its panel shows of it."""
-    panels = json.loads(FOXGLOVE.read_text(encoding="utf-8"))["configById"]
+def foxglove_paths(described: Description = ARM) -> Kinds:
+    """Return each message path of Foxglove's layout of rig 1, and what its panel shows of it."""
+    panels = json.loads(layouts("1", described)["armrig.foxglove-layout.json"])["configById"]
     found: Kinds = {}
     for name, panel in panels.items():
         kind = "number" if name.startswith("Plot!") else "text"
@@ -32,17 +32,20 @@ def foxglove_paths() -> Kinds:
     return found
 
 
-def snippets() -> dict[str, ElementTree.Element]:
+def _plotjuggler(described: Description) -> ElementTree.Element:
+    return ElementTree.fromstring(layouts("1", described)["armrig.plotjuggler.xml"])
+
+
+def snippets(described: Description = ARM) -> dict[str, ElementTree.Element]:
     """Return the functions of PlotJuggler's layout by the curve that each makes."""
-    root = ElementTree.parse(PLOTJUGGLER).getroot()
-    return {snippet.attrib["name"]: snippet for snippet in root.iter("snippet")}
+    found = _plotjuggler(described).iter("snippet")
+    return {snippet.attrib["name"]: snippet for snippet in found}
 
 
-def plotjuggler_curves() -> tuple[set[str], set[str]]:
+def plotjuggler_curves(described: Description = ARM) -> tuple[set[str], set[str]]:
     """Return the curves that PlotJuggler's layout draws, and what its functions are made of."""
-    root = ElementTree.parse(PLOTJUGGLER).getroot()
-    sources = {str(s.findtext("linked_source")) for s in snippets().values()}
-    return {curve.attrib["name"] for curve in root.iter("curve")}, sources
+    sources = {str(s.findtext("linked_source")) for s in snippets(described).values()}
+    return {curve.attrib["name"] for curve in _plotjuggler(described).iter("curve")}, sources
 
 
 def _descriptor(message: str, schema: bytes) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -183,17 +182,6 @@ def test_the_page_draws_the_signals_of_the_rig_that_answers() -> None:
     assert feed.model_lines() is None
     with pytest.raises(InputError, match="T1 does not turn, so its rate has no model: record"):
         feed.set_model(wanted=True)
-
-
-def test_the_dashboard_refuses_the_streams_of_another_rig_for_foxglove(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    live = SimpleNamespace(status=lambda: SimpleNamespace(described=shipped("heater")))
-    monkeypatch.setattr(armrig, "Rig", lambda *_, **__: nullcontext(live))
-    monkeypatch.setattr("armrig.dashboard.serving.dashboard", lambda _: nullcontext(None))
-
-    assert main(["dashboard", "--foxglove"]) == 1
-    assert "and this rig is 'heater': leave out --foxglove" in capsys.readouterr().err
 
 
 def test_the_page_previews_and_identifies_a_described_rig(

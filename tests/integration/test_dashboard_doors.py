@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
+from armrig_core.rig.description import shipped
 from armrig_core.telemetry.telemetry import decode_sample
 
 from tests.integration.driving import hold
@@ -97,7 +98,7 @@ def test_foxglove_receives_the_signals_of_its_layout_and_cannot_command(served: 
     from armrig.dashboard.foxglove import foxglove
 
     before = served.voltage_changes()
-    with foxglove(rig="1", connect=served.endpoint, port=0) as url:
+    with foxglove(shipped("arm"), rig="1", connect=served.endpoint, port=0) as url:
         protocol = sync_client.Subprotocol("foxglove.sdk.v1")
         with sync_client.connect(url, subprotocols=[protocol], proxy=None) as link:
             greeting, channels, payloads = _heard(link, 20)

@@ -13,7 +13,6 @@ from math import degrees, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from armrig_core.errors import InputError
 from armrig_core.process.loading import end_at_ctrl_c
 from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import until_signal
@@ -484,21 +483,27 @@ def dashboard(
         address = own_address() if share else None
         settings = Settings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))
-        streams = layouts = ""
+        streams = written = ""
         if for_foxglove:
-            from armrig.dashboard.foxglove import LAYOUTS, foxglove
+            import platformdirs
+            from armrig_core.rig.description import shipped
 
+            from armrig.dashboard.foxglove import foxglove, layouts
+
+            described = shipped("arm")  # if no daemon answers yet
             with suppress(armrig.RigError), armrig.Rig(rig, connect=connect) as live:
-                if not (described := live.status().described).arm:
-                    text = "--foxglove: streams and layouts have the arm's names, and this rig is"
-                    raise InputError(f"{text} '{described.rig.name}': leave out --foxglove")
-            layouts = str(LAYOUTS)
-            streams = opened.enter_context(foxglove(rig=rig, connect=connect))
+                described = live.status().described
+            folder = Path(platformdirs.user_state_dir("armrig")) / f"layouts-{rig}"
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, text in layouts(rig, described).items():
+                (folder / name).write_text(text, encoding="utf-8")
+            written = str(folder)
+            streams = opened.enter_context(foxglove(described, rig=rig, connect=connect))
         if json:
             urls = {"url": served.url, "shared_url": served.shared_url or None}
-            print_json(urls | {"foxglove": streams or None, "layouts": layouts or None})
+            print_json(urls | {"foxglove": streams or None, "layouts": written or None})
         else:
-            _say_addresses(rig, served, streams, layouts)
+            _say_addresses(rig, served, streams, written)
         if browser:
             import webbrowser
 

@@ -22,7 +22,6 @@ import pandas as pd
 import pytest
 import typer
 from armrig.cli import app, main
-from armrig.dashboard.foxglove import LAYOUTS
 from armrig_core.errors import OperationError
 from armrig_core.rig.calibration import Calibration, Driver
 from armrig_core.rig.calibration_file import toml_of
@@ -164,9 +163,9 @@ def test_every_option_is_refused_or_reaches_its_function(
             [
                 "rig 7: U",
                 "for Foxglove, to watch: W",
-                f"layouts for Foxglove and PlotJuggler: {LAYOUTS}",
+                "layouts for Foxglove and PlotJuggler: FOLDER/layouts-7",
             ],
-            {"shared_url": None, "foxglove": "W", "layouts": str(LAYOUTS)},
+            {"shared_url": None, "foxglove": "W", "layouts": "FOLDER/layouts-7"},
         ),
     ],
 )
@@ -176,6 +175,7 @@ def test_the_dashboard_prints_its_addresses(
     facts: dict[str, str | None],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     def serving(settings: Any) -> Any:
         shared = "S" if settings.share else ""
@@ -187,9 +187,10 @@ def test_the_dashboard_prints_its_addresses(
     ended = SimpleNamespace(wait=lambda: None)
     fakes: dict[str, Any] = {
         "armrig.dashboard.serving.dashboard": serving,
-        "armrig.dashboard.foxglove.foxglove": lambda **_: nullcontext("W"),
+        "armrig.dashboard.foxglove.foxglove": lambda *_, **__: nullcontext("W"),
         "armrig.dashboard.share.own_address": lambda: "10.1.2.3",
         "armrig.dashboard.share.qr_code": lambda url: f"qr of {url}",
+        "platformdirs.user_state_dir": lambda _: str(tmp_path),
         "armrig.cli.rig.until_signal": lambda: nullcontext(ended),
         "webbrowser.open": opened.append,
     }
@@ -197,12 +198,13 @@ def test_the_dashboard_prints_its_addresses(
         monkeypatch.setattr(name, fake)
 
     assert main(["dashboard", "--rig", "7", *options]) == 0
-    said = capsys.readouterr().out.splitlines()
+    said = capsys.readouterr().out.replace(str(tmp_path), "FOLDER").splitlines()
     assert main(["dashboard", "--rig", "7", *options, "--json"]) == 0
 
     assert [line for line in said if line in lines] == lines
     assert len(said) == 2 + {"--share": 4, "--foxglove": 2}.get("".join(options), 0)
-    assert json.loads(capsys.readouterr().out) == {"url": "U", **facts}
+    told = json.loads(capsys.readouterr().out.replace(str(tmp_path), "FOLDER"))
+    assert told == {"url": "U", **facts}
     assert opened == []
 
 

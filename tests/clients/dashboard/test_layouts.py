@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from functools import partial
 from math import pi
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 from armrig.physics.files.poses import write_transforms
 from armrig.recordings.files.loading import load
 from armrig_core.commands.commands import Run
+from armrig_core.rig.description import shipped
 from armrig_daemon.config import Config
+from armrig_daemon.emulator.device import Device
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
 from tests.layouts import Kinds, foxglove_paths, kinds_in_file, plotjuggler_curves, snippets
@@ -75,3 +78,23 @@ def test_plotjuggler_s_rate_ignores_wraps_and_averages_converter_steps() -> None
     rates = [float(line) for line in said.stdout.split()]
     assert len(rates) == pytest.approx(20, abs=1)
     assert rates == pytest.approx([9.0] * len(rates), abs=step / 0.1)
+
+
+def test_the_layouts_of_a_described_rig_name_what_is_in_its_recording(tmp_path: Path) -> None:
+    """A heater does not turn, so nothing shows a rate or a pose."""
+    described = shipped("heater")
+    service = VirtualService(
+        Config(),
+        tmp_path,
+        seed=1,
+        switch_on=partial(Device, description=described),
+        description=described,
+    )
+    there = kinds_in_file(service.record(Run(lease=LEASE, n=0, u=[1.0] * 10, experiment="step")))
+    curves, sources = plotjuggler_curves(described)
+
+    named = foxglove_paths(described)
+    assert named.items() <= there.items()
+    assert {path for path in named if ".T" in path} == {f"/rig/1/sample.T{n}_degC" for n in (1, 2)}
+    assert {f"/rig/1/sample/T{n}_degC" for n in (1, 2)} < curves
+    assert not [source for source in sources if "sample" in source]
