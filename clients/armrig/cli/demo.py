@@ -33,6 +33,7 @@ RIG = "demo"
 LOW, HIGH = 0.5, 4.5
 _MAX_TS, _MIN_TS = 1.0, 0.001  # s
 _FASTEST, _SLOWEST = 10, 10  # samples in the fastest time constant, slowest ones in an experiment
+_SHARE = 0.9  # of the highest voltage, and of the way of an output to its limit
 _CONFIG = """\
 # Configuration of the demonstration: an emulated rig, sampled at 100 Hz.
 [rig]
@@ -72,7 +73,7 @@ _FIRMWARE = (
 
 
 class Pace(NamedTuple):
-    """Sampling time of the demonstration, and the lengths of its experiments, in s."""
+    """Sampling time and levels of the demonstration, and the lengths of its experiments, in s."""
 
     Ts: float = 0.01
     seconds: float = 30.0
@@ -80,10 +81,12 @@ class Pace(NamedTuple):
     switch: float = 0.05
     """Probability that the telegraph signal switches at a sample."""
     step_s: float = 3.0
+    high: float = HIGH
+    """Highest voltage of the inputs; the lowest is a ninth of it."""
 
 
 def pace_of(described: Description, seconds: float | None) -> Pace:
-    """Return the pace of a rig, by the time constants of its model.
+    """Return the pace of a rig, by the time constants and the limits of its model.
 
     Raises InputError if the description has no model.
     """
@@ -100,7 +103,23 @@ def pace_of(described: Description, seconds: float | None) -> Pace:
         seconds=seconds or max(30.0, float(np.ceil(_SLOWEST * slow + model.delay_s))),
         switch=float(np.clip(2 * Ts / slow, 0.01, 0.5)),
         step_s=max(3.0, float(np.ceil(5 * slow + 2 * model.delay_s))),
+        high=_highest_level(described),
     )
+
+
+def _highest_level(described: Description) -> float:
+    """Return the highest voltage, at most `HIGH`, at which each output stays within its limits."""
+    model, system = require_model(described)
+    A, B = np.array(system.A), np.array(system.B)
+    still = np.linalg.pinv((np.eye(len(A)) if system.Ts else 0.0) - A) @ B
+    highest = min(HIGH, _SHARE * described.input.u_max_v)
+    rest = model.offset or [0.0] * len(described.outputs)
+    gains = (np.array(system.C) @ still)[:, 0]
+    for output, gain, y in zip(described.outputs.values(), gains, rest, strict=True):
+        room = (output.high if gain > 0 else output.low) - y
+        if gain and np.isfinite(room):
+            highest = min(highest, _SHARE * room / gain)
+    return float(f"{highest:.2g}")
 
 
 class Experiment(NamedTuple):
@@ -123,13 +142,13 @@ class Experiment(NamedTuple):
 def experiments(pace: Pace, seed: int) -> list[Experiment]:
     """Return a step, a telegraph signal, and a telegraph signal for validation."""
     Ts, N = pace.Ts, round(pace.seconds / pace.Ts)
-    levels = {"low": LOW, "high": HIGH}
+    levels = {"low": pace.high * LOW / HIGH, "high": pace.high}
     up = step(round(pace.step_s / Ts), **levels, at=round(pace.step_s / 6 / Ts))
     asked = {"experiment": "step", "details": {"input": "step", **levels}}
     plan = [Experiment("step", up, asked, Ts)]
     for name, number in (("telegraph", seed), ("validation", seed + 1)):
         details = {"input": "telegraph", **levels, "a": pace.switch, "seed": number}
-        u = telegraph(N, pace.switch, LOW, HIGH, seed=number)
+        u = telegraph(N, pace.switch, **levels, seed=number)
         plan.append(Experiment(name, u, {"experiment": "blackbox", "details": details}, Ts))
     return plan
 

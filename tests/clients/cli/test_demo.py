@@ -14,6 +14,7 @@ from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError
 from armrig.rig.session import RigError
 from armrig_core.commands import commands
+from armrig_core.rig.description import shipped
 
 from tests.clients.fake_daemon import FakeDaemon
 from tests.sampling import sampled
@@ -177,3 +178,11 @@ def test_the_report_names_recordings_in_virtual_time_and_the_reason() -> None:
 def _recorded(rig: Rig, left_s: float = 60.0) -> Path:
     experiment = demo.Experiment("step", np.full(3, 1.0), {})
     return demo_rig.recorded(rig, experiment, time.monotonic() + left_s)
+
+
+@pytest.mark.parametrize(
+    ("name", "high"), [("arm", 4.5), ("rc", 4.5), ("tclab", 1.1), ("optoshield", 1.1)]
+)
+def test_the_levels_of_another_rig_keep_its_limits(name: str, high: float) -> None:
+    """1.1 V heats TCLab to 48 °C; its limit is 50 °C."""
+    assert demo.pace_of(shipped(name), None).high == high
