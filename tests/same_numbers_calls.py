@@ -688,6 +688,18 @@ def process() -> Variants:
 
 
 @variants
+def two_stage() -> Variants:
+    rng = np.random.default_rng(9)
+    r, e = np.repeat(rng.choice([-1.0, 1.0], 50), 8), 0.1 * rng.standard_normal(400)
+    u, y = np.zeros(400), np.zeros(400)
+    for t in range(1, 400):
+        y[t] = 0.8 * y[t - 1] + 0.5 * u[t - 1] + e[t]
+        u[t] = r[t] - 0.5 * y[t]
+    fit = armrig.two_stage(armrig.Dataset(u=u, y=y, Ts=0.1), r, nb=1, nf=1)
+    yield "loop", (fit.theta, fit.std)
+
+
+@variants
 def ararx() -> Variants:
     yield "integrator", armrig.ararx(integrating(), na=2, nb=2, nd=1, integrator=True)
     yield "two", armrig.ararx(data()["two"], na=2, nb=2, nd=1)

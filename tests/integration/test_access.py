@@ -25,6 +25,7 @@ from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.access.credential import Credential, read_credential
 from armrig_core.process.open_files import MOST_FILES
+from armrig_core.rig.description import shipped
 from armrig_daemon.config import EX_CONFIG
 from armrig_daemon.service.network_guard import MAX_IDLE_FILES, SHUT_S
 
@@ -197,7 +198,7 @@ def test_a_dashboard_listens_only_on_the_ports_that_it_prints(
         said += [_listening(share, served.shared_url)] if share else []
         if "foxglove" in more:
             pytest.importorskip("foxglove", reason="no foxglove-sdk")
-            url = opened.enter_context(foxglove(rig="1", connect=here, port=0))
+            url = opened.enter_context(foxglove(shipped("arm"), rig="1", connect=here, port=0))
             said.append(_listening("127.0.0.1", url))
         heard = sockets(os.getpid())
 

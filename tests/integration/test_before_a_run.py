@@ -43,12 +43,15 @@ def test_a_run_predicted_to_exceed_a_limit_is_refused(bench: Bench) -> None:
 
 def test_a_measured_output_above_its_limit_stops_a_run_at_0_v(bench: Bench) -> None:
     """One output, so that the rules of a reading that is not used reach the loop, too."""
-    (bench.folder / "one.toml").write_text(
+    one = (
         '[rig]\nname = "one"\n[outputs.turned]\nunit = "mm"\nper_count = 0.001\n'
         "zero_counts = 32768\nhigh = 20.0\nsamples = 3\n"
     )
+    file = bench.folder / "one.toml"
+    file.write_text(f"{one}[model]\nA = [[-1.0]]\nB = [[15.0]]\nC = [[1.0]]\n")
     bench.configure(more='adc_noise_v = 0.0\n[rig]\nfile = "one.toml"')
     bench.emulate()
+    file.write_text(one)  # without a model there is no rehearsal, which would refuse the run
     bench.serve()
 
     with bench.rig() as rig:
