@@ -184,9 +184,11 @@ def portmanteau(
         M = V - R(0) Z^T Q Q^T Z   [ + (Z^T Psi) cov(theta) (Psi^T Z) on other data ]
 
     Q spans the free responses and, on estimation data, also Psi. V = R(0)² N/(N + 2) diag(pairs at
-    each lag) is the variance for a known model, as in the test of Ljung and Box. The Lagrange
-    multiplier test has R(0) Z^T Z instead of V. At N = 500 and the level 5 %, the Lagrange
-    multiplier test rejects only 3.5 % of white residuals.
+    each lag) is the variance for a known model, as in the test of Ljung and Box. After the fit of d
+    quantities, R(0) is smaller than the variance of the noise by the factor 1 - d/N, and V is
+    divided by this factor: without it, the test rejects 13 % of an ARMAX model's white residuals at
+    N = 100 and the level 5 %, with it 8 %. The Lagrange multiplier test has R(0) Z^T Z instead of
+    V. At N = 500 and the level 5 %, it rejects only 3.5 % of white residuals.
 
     M is derived for white residuals. For coloured residuals Z^T Z is far from R(0) N I, and the
     subtracted term may exceed V. M is then indefinite in the directions that show the colour. If
@@ -218,14 +220,16 @@ def portmanteau(
     """
     N = sum(int(np.count_nonzero(np.isfinite(part))) for part in residuals)
     R, pairs = autocovariance(joined(residuals, lags), lags)
-    if lags + sum(s.shape[1] for s in spans) + blocks[0].shape[1] >= N or R[0] == 0:
+    d = sum(s.shape[1] for s in spans)
+    if lags + d + blocks[0].shape[1] >= N or R[0] == 0:
         return NOT_TESTED
+    d += blocks[0].shape[1] * (theta_covariance is None)
     Psi = np.vstack(blocks)
     edges = np.cumsum([0, *(e.size for e in residuals)])
     if theta_covariance is not None:
         Q = np.zeros((Psi.shape[0], 0))
     fitted = orthonormal(Psi).Q if Q is None else Q
-    V = R[0] ** 2 * pairs[1:] * N / (N + 2)
+    V = R[0] ** 2 * pairs[1:] * N / (N + 2) * N / (N - d)
     M = np.diag(V)
     m = np.zeros(lags)
     by_fitted, by_theta = np.zeros((lags, fitted.shape[1])), np.zeros((lags, Psi.shape[1]))

@@ -45,11 +45,12 @@ def _white(
     """Test whether w = T e, which has m outputs with covariance 1, is white.
 
     The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. If the parameters are known, the
-    variance of a sum is the number of its products. The estimation changes cov e from Lambda to
-    Lambda - B D^T - D B^T. B and D follow from the projection P on the estimated quantities. The
-    last two terms shift the means of the sums, and the influence H = (1 - P)^T Z reduces the
-    covariance of the sums. For one output the test equals `armrig.numerics.whiteness.portmanteau`,
-    which is quicker.
+    variance of a sum is the number of its products. The fit makes the variance of w smaller than
+    that of the noise, and the variance of a sum is larger in that ratio. The estimation changes cov
+    e from Lambda to Lambda - B D^T - D B^T. B and D follow from the projection P on the estimated
+    quantities. The last two terms shift the means of the sums, and the influence H = (1 - P)^T Z
+    reduces the covariance of the sums. For one output the test equals
+    `armrig.numerics.whiteness.portmanteau`, which is quicker.
     """
     parts = projected.parts
     m = T.shape[0]
@@ -76,15 +77,19 @@ def _white(
         for late, k in zip(past, whole, strict=True)
     ]
     pairs = np.sum([[np.sum(k[lag:] & k[:-lag]) for lag in range(1, L + 1)] for k in whole], axis=0)
-    V = np.broadcast_to(pairs * N / (N + 2), (m, m, L)).ravel()
+    lost = [
+        tuple((T @ x) * k[:, None, None] for x in of)
+        for of, k in zip(projected.loss(Lambda), whole, strict=True)
+    ]
+    left = 1 - 2 * sum(np.diag(_product(b, d, 0)) for b, d in lost) / N  # of the variance of w
+    V = (pairs * N / (N + 2) / np.sqrt(np.outer(left, left))[:, :, None]).ravel()
     H = projected.influence(Z)
     M = np.diag(V) + _spread(H, Lambda) - _spread(Z, Lambda)
     if theta_covariance is not None:
         slope = sum_of_products([part.Psi for part in parts], H)
         M += slope.T @ theta_covariance @ slope
     mean = np.zeros((m, m, L))
-    for (B, D), k in zip(projected.loss(Lambda), whole, strict=True):
-        b, d = ((T @ x) * k[:, None, None] for x in (B, D))
+    for b, d in lost:
         for lag in range(1, L + 1):
             mean[:, :, lag - 1] -= _product(b, d, lag) + _product(d, b, lag)
     return decided(sums - mean.ravel(), M, V, N * m)

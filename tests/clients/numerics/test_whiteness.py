@@ -65,7 +65,7 @@ def test_the_test_accounts_for_fitted_parameters_by_its_formula(known: bool) -> 
     pairs = np.array([sum(np.sum(t[k:] & t[:-k]) for t in there) for k in range(1, lags + 1)])
     N = sum(int(t.sum()) for t in there)
     R0 = sum(float(part @ part) for part in x) / N
-    m, M = np.zeros(lags), np.diag(pairs) * R0**2 * N / (N + 2)
+    m, M = np.zeros(lags), np.diag(pairs) * R0**2 * N / (N + 2) * N / (N - 2 * 2 - 3)
     through = np.zeros((lags, Q.shape[1]))
     for z, span, q in zip(Z, spans, (Q[:80], Q[80:]), strict=True):
         both = np.hstack([span, q])
