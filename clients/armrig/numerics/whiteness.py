@@ -186,9 +186,9 @@ def portmanteau(
     Q spans the free responses and, on estimation data, also Psi. V = R(0)² N/(N + 2) diag(pairs at
     each lag) is the variance for a known model, as in the test of Ljung and Box. After the fit of d
     quantities, R(0) is smaller than the variance of the noise by the factor 1 - d/N, and V is
-    divided by this factor: without it, the test rejects 13 % of an ARMAX model's white residuals at
-    N = 100 and the level 5 %, with it 8 %. The Lagrange multiplier test has R(0) Z^T Z instead of
-    V. At N = 500 and the level 5 %, it rejects only 3.5 % of white residuals.
+    divided by this factor. Without it, the test rejects 13 % of an ARMAX model's white residuals at
+    N = 100 and the level 5 %, and 8 % with it. The Lagrange multiplier test has R(0) Z^T Z instead
+    of V. At N = 500 and the level 5 %, it rejects only 3.5 % of white residuals.
 
     M is derived for white residuals. For coloured residuals Z^T Z is far from R(0) N I, and the
     subtracted term may exceed V. M is then indefinite in the directions that show the colour. If
