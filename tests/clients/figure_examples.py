@@ -131,7 +131,7 @@ def handout(e: Examples, folder: Path) -> None:
     whole = handout_study([e.step, e.first, e.second])
     data = chassis()
     grey, split = armrig.greybox(data), armrig.split_study(data, (1, 2, 4))
-    write_figures(replace(whole, chassis=data, grey=grey, split=split), folder)
+    write_figures(replace(whole, alone=data, grey=grey, split=split), folder)
 
 
 def punctual(recording: Recording) -> Recording:
