@@ -18,6 +18,7 @@ import msgspec
 import typer
 from armrig_core.access.endpoint import endpoint, require_trusted, socket_directory
 from armrig_core.errors import InputError, OperationError
+from armrig_core.process.options import chosen, option, with_options
 from armrig_core.process.printable import brief, printable
 from armrig_core.process.signal_pipe import held_back
 from armrig_core.rig.emulated import held_up
@@ -40,47 +41,41 @@ _EMULATION_DEFAULTS: dict[str, dict[str, Any]] = {
 
 _ConfigFile = Annotated[
     Path | None,
-    typer.Option(
-        help="Configuration file (TOML).", show_default="the installed configuration files"
-    ),
+    option("--config", "Configuration file (TOML).", "the installed configuration files"),
 ]
 _Port = Annotated[
-    str | None,
-    typer.Option(metavar="DEVICE", help="Serial port of the device.", show_default="[device] port"),
+    str | None, option("--port DEVICE", "Serial port of the device.", "[device] port")
 ]
-_Rig = Annotated[
-    str | None, typer.Option(help="Id of the rig: a-z, 0-9 and -.", show_default="[rig] id")
-]
+_Rig = Annotated[str | None, option("--rig", "Id of the rig: a-z, 0-9 and -.", "[rig] id")]
 _RigFile = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--rig-file",
-        help="Description of the rig: a file (TOML), or a name of `armrig rigs`.",
-        show_default="[rig] file, or the arm",
+        "Description of the rig: a file (TOML), or a name of `armrig rigs`.",
+        "[rig] file, or the arm",
     ),
 ]
 _System = Annotated[
     bool,
-    typer.Option(
+    option(
         "--system",
-        help="Read the machine's files only, including /etc/armrig/RIG.toml, as the service does.",
+        "Read the machine's files only, including /etc/armrig/RIG.toml, as the service does.",
     ),
 ]
-
 _Firmware = Annotated[
     bool,
-    typer.Option(
+    option(
         "--firmware",
-        help="Run the Uno's firmware in the simulator simavr; `make fil` in a checkout builds the "
+        "Run the Uno's firmware in the simulator simavr; `make fil` in a checkout builds the "
         "necessary program, which no wheel contains.",
     ),
 ]
 _Hex = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--hex",
-        help="Firmware for simavr (Intel HEX); implies --firmware.",
-        show_default="the shipped firmware",
+        "Firmware for simavr (Intel HEX); implies --firmware.",
+        "the shipped firmware",
     ),
 ]
 
@@ -95,14 +90,15 @@ app = typer.Typer(
 
 
 @app.command()
+@with_options
 def run(
     config: _ConfigFile = None,
-    emulate: Annotated[bool, typer.Option("--emulate", help="Drive an emulated rig.")] = False,
+    emulate: bool = chosen(False, "Drive an emulated rig."),
     port: _Port = None,
     rig: _Rig = None,
     rig_file: _RigFile = None,
     system: _System = False,
-    parent: Annotated[int | None, typer.Option(hidden=True)] = None,
+    parent: int | None = chosen(None, "", hidden=True),
 ) -> None:
     """Run the daemon until SIGTERM or Ctrl-C.
 
@@ -162,19 +158,16 @@ def _end(code: int) -> NoReturn:
 
 
 @app.command()
+@with_options
 def estop(
     config: _ConfigFile = None,
     port: _Port = None,
     rig: _Rig = None,
     system: _System = False,
-    baud: Annotated[int, typer.Option(hidden=True)] = 0,
-    after_failure: Annotated[
-        bool,
-        typer.Option(
-            "--after-failure",
-            help="Send ESTOP only if the daemon failed; for systemd's ExecStopPost.",
-        ),
-    ] = False,
+    baud: int = chosen(0, "", hidden=True),
+    after_failure: bool = chosen(
+        False, "Send ESTOP only if the daemon failed; for systemd's ExecStopPost."
+    ),
 ) -> None:
     """Stop the motor of a rig whose daemon is dead: send ESTOP to the device.
 
@@ -258,43 +251,30 @@ def _configuration(
 
 
 @app.command()
+@with_options
 def emulate(
     port: Annotated[
         Path,
-        typer.Option(help="Port to create: a path (a link to a pseudo-terminal), or unix:PATH."),
+        option("--port", "Port to create: a path (a link to a pseudo-terminal), or unix:PATH."),
     ],
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="File (TOML) with a table [emulator], and [rig] file.", show_default="no file"
-        ),
-    ] = None,
-    trace: Annotated[
-        Path | None,
-        typer.Option(
-            help="File to write, with a line for each change of the voltage.",
-            show_default="no file",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            help="Seed of all noise and of the boot ids.", show_default="[emulator] seed, or 1"
-        ),
-    ] = None,
-    baud: Annotated[
-        int | None,
-        typer.Option(
-            help="Speed of the emulated line, in bit/s.",
-            show_default="[emulator] baud, or 500000",
-        ),
-    ] = None,
+    config: Path | None = chosen(
+        None, "File (TOML) with a table [emulator], and [rig] file.", "no file"
+    ),
+    trace: Path | None = chosen(
+        None, "File to write, with a line for each change of the voltage.", "no file"
+    ),
+    seed: int | None = chosen(
+        None, "Seed of all noise and of the boot ids.", "[emulator] seed, or 1"
+    ),
+    baud: int | None = chosen(
+        None, "Speed of the emulated line, in bit/s.", "[emulator] baud, or 500000"
+    ),
     rig_file: _RigFile = None,
     firmware: _Firmware = False,
     image: _Hex = None,
-    settings: Annotated[str | None, typer.Option(hidden=True)] = None,
-    stalls_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
-    parent: Annotated[int | None, typer.Option(hidden=True)] = None,
+    settings: str | None = chosen(None, "", hidden=True),
+    stalls_fd: int | None = chosen(None, "", hidden=True),
+    parent: int | None = chosen(None, "", hidden=True),
 ) -> None:
     """Emulate a rig at a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
     try:
@@ -311,22 +291,22 @@ def emulate(
             from armrig_core.process.realtime import end_with_parent
 
             end_with_parent(parent)
-            chosen = msgspec.json.decode(settings, type=EmulatorSettings)
+            used = msgspec.json.decode(settings, type=EmulatorSettings)
         else:
-            chosen, file = (EmulatorSettings(), None) if config is None else load(config)
+            used, file = (EmulatorSettings(), None) if config is None else load(config)
             rig_file = rig_file or file
         given = {"seed": seed, "baud": baud}
         given = {key: value for key, value in given.items() if value is not None}
         described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
         if described.arm_removed:
             given["arm_removed"] = True
-        chosen = msgspec.structs.replace(chosen, **given)
-        started = "" if settings is not None else _started(port, chosen.baud)
+        used = msgspec.structs.replace(used, **given)
+        started = "" if settings is not None else _started(port, used.baud)
         report_stall = _print_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
         device = _firmware(image) if firmware or image else Device
         switch_on = partial(device, description=described)
         code = run_emulator(
-            port, chosen, switch_on=switch_on, trace=trace, started=started, held_up=report_stall
+            port, used, switch_on=switch_on, trace=trace, started=started, held_up=report_stall
         )
     except (ValueError, OperationError) as err:
         _refuse(str(err), EX_CONFIG)
@@ -334,14 +314,10 @@ def emulate(
 
 
 @app.command("config")
+@with_options
 def show_config(
-    example: Annotated[
-        bool, typer.Option("--example", help="Print all keys, commented out, with their defaults.")
-    ] = False,
-    check: Annotated[
-        Path | None,
-        typer.Option("--check", help="File to check, together with the files that it names."),
-    ] = None,
+    example: bool = chosen(False, "Print all keys, commented out, with their defaults."),
+    check: Path | None = chosen(None, "File to check, together with the files that it names."),
 ) -> None:
     """Print an example of a configuration, or check a configuration.
 
@@ -385,22 +361,16 @@ def _check_file(file: Path) -> None:
 
 
 @app.command()
+@with_options
 def conformance(
-    device: Annotated[
-        str | None,
-        typer.Option(metavar="DEVICE", help="Serial port of the device, such as /dev/ttyACM0."),
-    ] = None,
+    device: str | None = chosen(
+        None, "Serial port of the device, such as /dev/ttyACM0.", metavar="DEVICE"
+    ),
     firmware: _Firmware = False,
     image: _Hex = None,
-    baud: Annotated[int, typer.Option(help="Speed of the line, in bit/s.")] = DeviceSettings().baud,
-    motor_unplugged: Annotated[
-        bool,
-        typer.Option(
-            "--motor-unplugged",
-            help="Confirm that the motor is unplugged; do not ask.",
-        ),
-    ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    baud: int = chosen(DeviceSettings().baud, "Speed of the line, in bit/s."),
+    motor_unplugged: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
+    json: bool = chosen(False, "Print JSON."),
 ) -> None:
     """Test a device against every rule of PROTOCOL.md; unplug the motor first.
 
@@ -478,15 +448,13 @@ def _interrupt(number: int, _: object) -> NoReturn:
 
 
 @app.command()
+@with_options
 def virtual(
-    directory: Annotated[Path, typer.Option(help="Folder for the recordings.")],
+    directory: Annotated[Path, option("--directory", "Folder for the recordings.")],
     config: _ConfigFile = None,
-    seed: Annotated[
-        int,
-        typer.Option(
-            min=0, max=2**63 - 1, help="Seed of the noise, and of the names and times of the runs."
-        ),
-    ] = 1,
+    seed: int = chosen(
+        1, "Seed of the noise, and of the names and times of the runs.", min=0, max=2**63 - 1
+    ),
     rig_file: _RigFile = None,
     firmware: _Firmware = False,
     image: _Hex = None,

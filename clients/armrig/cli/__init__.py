@@ -20,8 +20,8 @@ import typer
 import typer.core
 from armrig_core.errors import ArmrigError, OperationError, ParameterError
 from armrig_core.process.loading import is_interrupt, use_one_thread
+from armrig_core.process.options import HELP, chosen, with_options
 
-from armrig.cli.options import HELP, chosen, with_options
 from armrig.cli.printing import tell_error
 
 _HELP_INDENT = 6

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError, OperationError
+from armrig_core.process.options import Commands, argument, chosen, group, option
 from armrig_core.process.signal_pipe import until_signal
 
 from armrig.cli.next_step import say_next
-from armrig.cli.options import Commands, Json, RigId, Verbose, argument, chosen, group, option
+from armrig.cli.options import Json, RigId, Verbose
 from armrig.cli.printing import (
     agree,
     echo,

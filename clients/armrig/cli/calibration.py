@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import platformdirs
 import typer
 from armrig_core.errors import FileError, InputError
+from armrig_core.process.options import chosen, group
 from armrig_core.rig.calibration import ALPHA
 from armrig_core.rig.calibration_file import raw_path
 from armrig_core.rig.channels import check_points
 
 import armrig
 from armrig.cli.next_step import naming, say_next, say_to_copy
-from armrig.cli.options import Connect, Json, RigId, SamplingTime, chosen, group
+from armrig.cli.options import Connect, Json, RigId, SamplingTime
 from armrig.cli.printing import fields_of, inform, print_json, print_table, question, tell
 from armrig.cli.recorded_data import recording_path
 from armrig.cli.results import Plot, check_plot, write_plot

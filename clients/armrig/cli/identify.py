@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import FileError
+from armrig_core.process.options import Commands, argument, chosen, group, option
 from msgspec import structs
 from msgspec.structs import asdict
 
@@ -25,7 +26,7 @@ from armrig.cli.model_structures import (
     searched_for,
 )
 from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
-from armrig.cli.options import Commands, Detrend, Json, ModelOrders, argument, chosen, group, option
+from armrig.cli.options import Detrend, Json, ModelOrders
 from armrig.cli.printing import (
     fields_of,
     print_result,

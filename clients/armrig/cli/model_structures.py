@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import typer
+from armrig_core.process.options import Group, option, parameter
 
-from armrig.cli.options import Group, option, parameter
 from armrig.cli.spinner import estimating, too_high
 from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
 from armrig.models.structure_table import (

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 from armrig_core.errors import InputError
+from armrig_core.process.options import chosen, option
 from armrig_core.rig.calibration import ALPHA, THETA_1, ChannelName
 
 import armrig
 from armrig import plots
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
-from armrig.cli.options import chosen, option
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, tell
 from armrig.cli.recorded_data import (
     File,

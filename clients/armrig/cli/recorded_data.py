@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import typer
 from armrig_core.errors import InputError
+from armrig_core.process.options import Group, argument, chosen, group
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.telemetry.channels import ARM_OUTPUTS, CHANNELS
 
 import armrig
-from armrig.cli.options import CalibrationFile, Detrend, From, Group, To, argument, chosen, group
+from armrig.cli.options import CalibrationFile, Detrend, From, To
 from armrig.cli.printing import inform, say, tell, tell_findings, warned
 from armrig.cli.results import name_runs
 from armrig.cli.spinner import spinner

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import InputError
+from armrig_core.process.options import argument, chosen
 from armrig_core.process.printable import printable
 
 import armrig
 from armrig.cli.next_step import AFTER, say_next, typed
-from armrig.cli.options import CalibrationFile, From, Json, To, argument, chosen
+from armrig.cli.options import CalibrationFile, From, Json, To
 from armrig.cli.printing import (
     columns,
     echo,

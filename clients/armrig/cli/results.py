@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from armrig_core.errors import InputError
+from armrig_core.process.options import Group, group, option
 
-from armrig.cli.options import Group, Json, Verbose, group, option
+from armrig.cli.options import Json, Verbose
 from armrig.cli.printing import inform, print_json, tell
 from armrig.cli.printing import say as say_line
 from armrig.cli.spinner import spinner

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from armrig_core.process.loading import end_at_ctrl_c
+from armrig_core.process.options import argument, chosen
 from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import until_signal
 from armrig_core.rig.channels import Channel, channel
 from armrig_core.telemetry.topics import PLAYED
 
 import armrig
-from armrig.cli.options import Connect, Json, RigFile, RigId, argument, chosen
+from armrig.cli.options import Connect, Json, RigFile, RigId
 from armrig.cli.printing import (
     echo,
     folded,

@@ -18,22 +18,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import FileError, InputError, OperationError
+from armrig_core.process.options import Commands, chosen, group, option
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 
 import armrig
 from armrig.cli.next_step import naming, opener, own_recordings, say_next, step_again, typed
-from armrig.cli.options import (
-    Commands,
-    Connect,
-    From,
-    Json,
-    RigId,
-    SamplingTime,
-    To,
-    chosen,
-    group,
-    option,
-)
+from armrig.cli.options import Connect, From, Json, RigId, SamplingTime, To
 from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
 from armrig.cli.results import check_output

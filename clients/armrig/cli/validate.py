@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
+from armrig_core.process.options import argument, chosen, noted, option
 from armrig_core.process.printable import printable
 
 import armrig
@@ -24,7 +25,7 @@ from armrig.cli.next_step import (
     say_next,
     typed,
 )
-from armrig.cli.options import CalibrationFile, Json, ModelOrders, argument, chosen, noted, option
+from armrig.cli.options import CalibrationFile, Json, ModelOrders
 from armrig.cli.physics import (
     AMPLITUDE_V,
     OF_AMPLITUDE,
