@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from armrig.recordings.files.recording_summary import RecordingSummary
     from armrig.recordings.files.replay import Replay
     from armrig.recordings.jitter import Spread
-    from armrig.recordings.recording import Recording
 
 Folder = Annotated[
     Path | None,
@@ -229,7 +228,7 @@ def info(file: File, part: Part, out: Shown) -> None:
     )
 
 
-def _recording_facts(rec: Recording) -> dict[str, Any]:
+def _recording_facts(rec: armrig.Recording) -> dict[str, Any]:
     from armrig.recordings.jitter import disturbances
 
     return {
@@ -249,7 +248,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
     }
 
 
-def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
+def _recording_rows(rec: armrig.Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
     from armrig.recordings.daemon_reports import gap_lines
     from armrig.recordings.jitter import disturbances
     from armrig.recordings.usability import calibration_date, outcome_text
@@ -297,7 +296,7 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
         yield finding.about, finding.text
 
 
-def _calibration_doubts(rec: Recording) -> Iterator[Finding]:
+def _calibration_doubts(rec: armrig.Recording) -> Iterator[Finding]:
     """Yield the doubts about the calibration; the description of another rig has its scales."""
     from armrig.recordings.usability import doubts_of_calibration
 
@@ -309,7 +308,7 @@ def _clipped(text: str) -> str:
     return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
 
 
-def _sample_count(rec: Recording) -> str:
+def _sample_count(rec: armrig.Recording) -> str:
     """Return the numbers of samples as text; for a truncated file, also the time of its end."""
     turns = rec.description.channels[0].turns
     why = "an angle (dead band, and the sample after)" if turns else f"a valid {rec.first}"
@@ -334,7 +333,7 @@ def _percentiles(spread: Spread, decimals: int, meaning: str) -> str:
     return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs; {meaning}"
 
 
-def timing_figures(recording: Recording) -> dict[str, Draw]:
+def timing_figures(recording: armrig.Recording) -> dict[str, Draw]:
     """Return the functions that draw the jitter and the lateness of a recording, if they vary."""
     from armrig.recordings.figures import plot_timing, varying_times
 
@@ -442,9 +441,6 @@ def verify(file: File, json: Json = False) -> None:
 def export(
     file: File,
     out: Annotated[Path, argument("OUT", "File to write.")],
-    csv: bool = chosen(False, "Write CSV, for any program."),
-    mat: bool = chosen(False, "Write a MAT-file for MATLAB and Octave: u, y, Ts and all columns."),
-    parquet: bool = chosen(False, "Write Parquet, for pandas, polars and others."),
     transforms: bool = chosen(
         False, "Write an MCAP file with the poses of the arm for Foxglove's 3D panel."
     ),
@@ -459,7 +455,8 @@ def export(
 ) -> None:
     """Write the data of a recording for another program.
 
-    The suffix of OUT (.csv, .mat, .parquet) or an option chooses the format.
+    The suffix of OUT chooses the format: .csv for any program, .mat for MATLAB and Octave (u, y, Ts
+    and all columns), .parquet for pandas, polars and others.
 
     In MATLAB: `s = load('data.mat'); z = iddata(s.y, s.u, s.Ts)`. Missing samples have rows, too.
     A missing y is NaN.
@@ -467,14 +464,16 @@ def export(
     from armrig.physics.files.poses import write_transforms
     from armrig.recordings.files.export import write_csv, write_mat, write_parquet
 
-    asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
-    kind = _format(out, asked)
     writers: dict[str, Callable[..., Any]] = {
-        "csv": partial(write_csv, raw=raw),
-        "mat": partial(write_mat, output=signal, raw=raw),
-        "parquet": partial(write_parquet, raw=raw),
-        "transforms": write_transforms,
+        ".csv": partial(write_csv, raw=raw),
+        ".mat": partial(write_mat, output=signal, raw=raw),
+        ".parquet": partial(write_parquet, raw=raw),
     }
+    write = write_transforms if transforms else writers.get(out.suffix.lower())
+    if write is None:
+        raise typer.BadParameter(
+            f"{out}: give a name that ends in .csv, .mat or .parquet, or --transforms"
+        )
     check_output(out, [file])
     with spinner("reading"):
         recording = armrig.load(file, calibration, start=start, stop=stop)
@@ -483,7 +482,7 @@ def export(
         raise typer.BadParameter(f"--signal {signal}: the recording has {has}")
     warned(recording)
     with spinner("writing"), _whole(out):
-        writers[kind](recording, out)
+        write(recording, out)
     facts = {"file": out, "samples": recording.N, "recording": recording.sha256}
     text = f"{out}: {recording.N} samples, {recording.missing} of them missing"
     print_result(facts, text, json=json)
@@ -501,19 +500,6 @@ def _whole(out: Path) -> Iterator[None]:
         if isinstance(err, OSError) and not err.filename:  # the error of a write names no file
             raise OSError(err.errno, err.strerror or str(err), str(out)) from err
         raise
-
-
-def _format(out: Path, asked: dict[str, bool]) -> str:
-    kinds = [kind for kind, wanted in asked.items() if wanted]
-    if len(kinds) > 1:
-        raise typer.BadParameter(f"--{kinds[0]} and --{kinds[1]}: a file has one format")
-    ending = out.suffix.lower().removeprefix(".")
-    if kinds or ending in asked:
-        return kinds[0] if kinds else ending
-    raise typer.BadParameter(
-        f"{out}: give --csv, --mat, --parquet or --transforms, or a name that ends in "
-        ".csv, .mat or .parquet"
-    )
 
 
 def recover(where: Where = None, json: Json = False) -> None:

@@ -212,11 +212,11 @@ def test_the_dashboard_prints_its_addresses(
     ("name", "options", "read"),
     [
         ("a.csv", [], pd.read_csv),
-        ("a.csv", ["--mat", "--raw", "--signal", "alpha"], loadmat),
+        ("a.mat", ["--raw", "--signal", "alpha"], loadmat),
         ("a.parquet", ["--raw"], pd.read_parquet),
     ],
 )
-def test_the_options_of_export_select_format_signal_and_readings(
+def test_the_options_of_export_select_signal_and_readings(
     name: str,
     options: list[str],
     read: Callable[[Path], Any],
