@@ -89,7 +89,6 @@ if TYPE_CHECKING:
 
 ModelFile = Annotated[Path, option("--model JSON", "Model file written by identify --save.")]
 _HORIZONS = (1, 10)
-_SAME_RTOL = 1e-6  # of the coefficients of two equal models
 _ROUNDING = 1e-9  # relative difference of two errors
 
 
@@ -309,24 +308,7 @@ def _studied(
     if done.halves:
         where += ", its second half (the models are estimated from its first half)"
     models = [(row.name, row.model) for row in done.models]
-    more = []
-    for name, fit in saved:
-        same = next((n for n, m in models if _same(m, fit)), None)
-        if same is None:
-            more.append((name, fit))
-        else:
-            inform(f"the model {name} equals the {same} model estimated here; it is shown once")
-    return models + more, done.validation, where
-
-
-def _same(a: Fit, b: Fit) -> bool:
-    """Return True if two models have the same polynomials, within 1e-6."""
-    import numpy as np
-
-    pairs = [(getattr(a, letter), getattr(b, letter)) for letter in "ABCDF"]
-    return a.Ts == b.Ts and all(
-        x.size == y.size and np.allclose(x, y, rtol=_SAME_RTOL, atol=0) for x, y in pairs
-    )
+    return models + saved, done.validation, where
 
 
 _CHASSIS = (
