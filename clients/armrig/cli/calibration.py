@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from armrig_core.rig.calibration import Calibration
 
     from armrig.physics.calibration import Estimate
-    from armrig.recordings.recording import Recording
 
 _OWNER = "armrig calibrate"
 _DEAD_MAN_S = 1.0
@@ -83,13 +82,13 @@ class Player:
     rig: str
     connect: str | None
 
-    def rest(self, experiment: str, seconds: float) -> Recording:
+    def rest(self, experiment: str, seconds: float) -> armrig.Recording:
         """Record the rig at 0 V."""
         import numpy as np
 
         return self._played(experiment, seconds, make=lambda N, _: np.zeros(N), details={})
 
-    def turns(self, levels: Sequence[float], level_seconds: float) -> Recording:
+    def turns(self, levels: Sequence[float], level_seconds: float) -> armrig.Recording:
         """Record the rig while it turns at the given voltages, one after another."""
         import numpy as np
 
@@ -102,7 +101,7 @@ class Player:
         details = {"levels": list(levels), "level_seconds": level_seconds}
         return self._played("calibrate-turns", seconds, make=make, details=details)
 
-    def _played(self, experiment: str, seconds: float, **of_input: Any) -> Recording:
+    def _played(self, experiment: str, seconds: float, **of_input: Any) -> armrig.Recording:
         from armrig.rig.collection import Plan, collect
 
         of_run: dict[str, Any] = {"owner": _OWNER, "pacing": "scheduled", "dead_man": _DEAD_MAN_S}
@@ -385,7 +384,7 @@ def conversion_through(points: Sequence[tuple[float, float]]) -> dict[str, Any]:
 
 def _measured(
     wanted: _Wanted, ask: Dialogue, play: Player
-) -> tuple[dict[str, Recording], list[tuple[int, float]]]:
+) -> tuple[dict[str, armrig.Recording], list[tuple[int, float]]]:
     """Return the recordings by name, and the voltmeter's readings; make those without a file."""
     files = {"rest": wanted.rest_file, "turns": wanted.turns_file}
     found = {name: armrig.load(path) for name, path in files.items() if path is not None}
@@ -455,7 +454,7 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
         )
 
 
-def _applied(code: int, rest: Recording) -> float:
+def _applied(code: int, rest: armrig.Recording) -> float:
     """Return the voltage, in V, that the device applies for a code, rounded to the PWM's steps."""
     from armrig_core.rig.volts import applied_code, volts_of
 
@@ -464,7 +463,7 @@ def _applied(code: int, rest: Recording) -> float:
 
 
 def _write(
-    path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, Recording]
+    path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, armrig.Recording]
 ) -> None:
     """Write the calibration and its samples; each file is written completely or not at all."""
     from armrig_core.rig.calibration import Made

@@ -18,13 +18,7 @@ from msgspec.structs import asdict
 
 import armrig
 from armrig import plots
-from armrig.cli.model_structures import (
-    Given,
-    estimated,
-    estimation_options,
-    requested,
-    searched_for,
-)
+from armrig.cli import model_structures, results
 from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
 from armrig.cli.options import Detrend, Json, ModelOrders
 from armrig.cli.printing import (
@@ -52,16 +46,6 @@ from armrig.cli.recorded_data import (
     say_channel,
     source_facts,
 )
-from armrig.cli.results import (
-    CHANNEL_WIDTH,
-    WIDTH,
-    Draw,
-    Output,
-    ShownFigure,
-    check_output,
-    figures_by_channel,
-    shown,
-)
 from armrig.cli.spinner import estimating, spinner
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
@@ -77,7 +61,6 @@ if TYPE_CHECKING:
     from armrig.report.batch.tasks import Task
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.residual_test import ResidualTest
-    from armrig.validation.search_result import SearchResult
     from armrig.validation.structure_hints import StructureHints
 
 _MAX_SHOWN_MODELS = 5  # models of a search without --verbose
@@ -98,14 +81,14 @@ class _Search:
         None, "Highest order that --search tries.", "5, up to 8 if needed", "--max-order", min=1
     )
     jobs: int = chosen(1, "Number of processes that --search uses.", min=1)
-    fixed: Given = field(default_factory=dict)
+    fixed: model_structures.Given = field(default_factory=dict)
     """Fixed arguments of the search; the search chooses all other arguments."""
 
 
 def sampling(
     file: DataFile,
     signals: Annotated[SignalChoice, data_group(without="hampel", several=False)],
-    out: ShownFigure,
+    out: results.ShownFigure,
 ) -> None:
     """Recommend a sampling time (handout 3.1).
 
@@ -183,7 +166,7 @@ def _steps(data: Dataset, integrator: bool | None) -> StepAnalysis | None:
 def hints(
     file: DataFile,
     signals: Annotated[SignalChoice, data_group(without="hampel")],
-    out: Annotated[Output, shown("plot", "json")],
+    out: Annotated[results.Output, results.shown("plot", "json")],
 ) -> None:
     """Suggest a model structure for the data (handout 3.2).
 
@@ -229,7 +212,7 @@ def hints(
         facts=lambda: facts_by_channel(data, each, _hint_facts),
         say=say_hints,
         taken=signals.choice(data, known[()].integrator)[1] if () in known else (),
-        figures=lambda: figures_by_channel(
+        figures=lambda: results.figures_by_channel(
             known, lambda one: {"impulse": one.response.plot, **spectra, "structure": one.plot}
         ),
         say_next=say_after,
@@ -269,14 +252,14 @@ def _hint_facts(hints: tuple[StructureHints | str, list[str]]) -> dict[str, Any]
 def identify(
     *,
     file: DataFile,
-    given: Annotated[Given, estimation_options(default_nk=_NK)],
+    given: Annotated[model_structures.Given, model_structures.estimation_options(default_nk=_NK)],
     searching: Annotated[_Search, group(_Search, ("search", "most", "jobs"))],
     validate: Path | None = chosen(
         None, "Recording, or other data, for validation.", metavar="F2", parser=recording_path
     ),
     signals: Annotated[SignalChoice, data_group()],
     save: Path | None = chosen(None, "Model file to write.", metavar="JSON"),
-    out: ShownFigure,
+    out: results.ShownFigure,
 ) -> None:
     """Estimate a model from data, or search for a model.
 
@@ -296,12 +279,12 @@ def identify(
         raise typer.BadParameter("--assume settling contradicts --integrator: leave one out")
     wanted: _Search | Request
     if searching.search:
-        wanted = replace(searching, fixed=searched_for(given, *shape))
+        wanted = replace(searching, fixed=model_structures.searched_for(given, *shape))
     else:
-        wanted = requested(given, *shape)
+        wanted = model_structures.requested(given, *shape)
     if save is not None:
         what = "a model is written as JSON, a figure by -o"
-        check_output(save, list(filter(None, [file, validate])), "--save", what, ".json")
+        results.check_output(save, list(filter(None, [file, validate])), "--save", what, ".json")
     from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
@@ -332,7 +315,7 @@ def identify(
         figures=found.figures,
         say_next=found.say_next,
         write=None if save is None else lambda: found.fit.save(save),
-        width=WIDTH if found.fit.nu == 1 else CHANNEL_WIDTH,
+        width=results.WIDTH if found.fit.nu == 1 else results.CHANNEL_WIDTH,
         columns=None if found.fit.nu == 1 else found.fit.nu,
     )
 
@@ -379,7 +362,7 @@ class Found:
     fit: Fit
     request: Request
     """Request with which the model can be estimated again."""
-    search: SearchResult | None
+    search: armrig.SearchResult | None
     validation: _Validation | None
     doubts: tuple[Finding, ...]
     """Findings that make the data doubtful."""
@@ -442,12 +425,12 @@ class Found:
             facts["validation"] = model_output.residual_facts(v.data, v.table.rows, v.tests)
         return facts
 
-    def figures(self) -> dict[str, Draw]:
+    def figures(self) -> dict[str, results.Draw]:
         """Return the diagrams of the model, and the errors of a search."""
         from armrig.validation.figures import plot_search
 
         fit = self.fit
-        drawn: dict[str, Draw] = {}
+        drawn: dict[str, results.Draw] = {}
         if self.search is not None:
             drawn["search"] = partial(plot_search, self.search)
         if (fit.ny, fit.nu) == (1, 1):
@@ -481,10 +464,10 @@ def _estimated(
     data: Dataset | Signals,
     other: Dataset | Signals | None,
     integrator: bool | None,
-) -> tuple[Fit, Request, SearchResult | None]:
+) -> tuple[Fit, Request, armrig.SearchResult | None]:
     """Return the model, the request with which to estimate it again, and the search if any."""
     if isinstance(wanted, Request):
-        fit = estimated(data, wanted)
+        fit = model_structures.estimated(data, wanted)
         return fit, wanted.of_fit(fit), None
     found = _searched(wanted, data, other, integrator)
     request = found.chosen.candidate.request_for(data)
@@ -504,10 +487,10 @@ def _searched(
     data: Dataset | Signals,
     other: Dataset | Signals | None,
     integrator: bool | None,
-) -> SearchResult:
+) -> armrig.SearchResult:
     from concurrent.futures import ProcessPoolExecutor
 
-    given: Given = {"integrator": integrator} | wanted.fixed
+    given: model_structures.Given = {"integrator": integrator} | wanted.fixed
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
     with estimating("--max-order") as progress, pool as executor:
         return armrig.search(
@@ -527,7 +510,7 @@ def _validated(fit: Fit, other: Dataset | Signals) -> _Validation:
     return _Validation(data=other, table=table, tests=tests)
 
 
-def _search_facts(found: SearchResult) -> dict[str, Any]:
+def _search_facts(found: armrig.SearchResult) -> dict[str, Any]:
     rows = zip(found.ranked, found.rms, found.excess, found.excess_std, strict=True)
     return {
         "models": [
@@ -583,7 +566,7 @@ def identify_each(
     *,
     folder: Folder,
     output: Table,
-    given: Annotated[Given, estimation_options(structure="oe")],
+    given: Annotated[model_structures.Given, model_structures.estimation_options(structure="oe")],
     signal: str | None = chosen(None, "Output of the model.", "the first channel", metavar="NAME"),
     detrend: Detrend = False,
     selection: Selection,
@@ -594,7 +577,7 @@ def identify_each(
     """
     from armrig.report.batch.tasks import Identify
 
-    task = Identify(**asdict(requested(given)), signal=signal, detrend=detrend)
+    task = Identify(**asdict(model_structures.requested(given)), signal=signal, detrend=detrend)
     _process(task, folder, output, selection)
 
 
@@ -652,7 +635,7 @@ def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> N
     from armrig.report.batch.batch import batch as processed
     from armrig.report.batch.workers import cluster, processes
 
-    check_output(output, (), "-o", "a table is a Parquet file", ".parquet")
+    results.check_output(output, (), "-o", "a table is a Parquet file", ".parquet")
     scheduler, workers = selection.scheduler, selection.workers
     if scheduler is not None and workers is not None:
         raise typer.BadParameter(

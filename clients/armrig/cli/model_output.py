@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import armrig
 from armrig.cli.printing import echo, fields_of, say, say_more
 from armrig.cli.recorded_data import source_facts
-from armrig.models.fit import Fit
 from armrig.numerics.quantities import listed, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
 from armrig.validation.advice import advice, not_repeated
@@ -21,7 +21,6 @@ from armrig.validation.residual_test import ResidualTest
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from armrig.data.dataset import Dataset, Signals
     from armrig.data.finding import Finding
     from armrig.validation.comparison import ComparisonTable
 
@@ -29,7 +28,7 @@ _MAX_DIFFERENCES = 4
 """Largest number of differences without --verbose."""
 
 
-def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
+def advice_lines(fit: armrig.Fit, doubts: Sequence[Finding]) -> list[str]:
     """Return lines with doubts about the data and with the advice on the model."""
     # The first sentence of the output already reports the residuals.
     said = {"residuals"} | {f.about for f in doubts}
@@ -40,7 +39,7 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
     return lines or ["nothing to act on"]
 
 
-def advice_on(fit: Fit) -> tuple[Finding, ...]:
+def advice_on(fit: armrig.Fit) -> tuple[Finding, ...]:
     """Return the findings about a model; those about several signals name their channels."""
     found: Any = advice(fit)
     if not isinstance(found, ByChannel):
@@ -53,7 +52,7 @@ def advice_on(fit: Fit) -> tuple[Finding, ...]:
     return (*not_repeated(fit.findings, channels), *of_channels)
 
 
-def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> list[Finding]:
+def to_act_on(fit: armrig.Fit, doubts: Sequence[Finding]) -> list[Finding]:
     """Return the findings about the data, the estimation and the model that are not good."""
     # The advice leaves out a finding of the estimation that it repeats, but not its remedy.
     return [f for f in (*doubts, *advice_on(fit), *fit.findings) if f.level != "good"]
@@ -96,7 +95,7 @@ def error_facts(
 
 
 def residual_facts(
-    data: Dataset | Signals, rows: Sequence[Comparison], tests: ResidualTest
+    data: armrig.Dataset | armrig.Signals, rows: Sequence[Comparison], tests: ResidualTest
 ) -> dict[str, Any]:
     """Return the results on validation data as JSON fields."""
     facts = (

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 from armrig_core.process.options import Group, option, parameter
 
+import armrig
 from armrig.cli.spinner import estimating, too_high
 from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
 from armrig.models.structure_table import (
@@ -18,10 +19,6 @@ from armrig.models.structure_table import (
     with_article,
 )
 from armrig.numerics.quantities import listed
-
-if TYPE_CHECKING:
-    from armrig.data.dataset import Dataset, Signals
-    from armrig.models.fit import Fit
 
 Given = dict[str, Any]
 """Values of the estimation's options by name; None or False for options that were not given."""
@@ -173,7 +170,7 @@ def _check_shape(structure: OfferedName, asked: Given, ny: int, nu: int) -> None
             )
 
 
-def estimated(data: Dataset | Signals, request: Request) -> Fit:
+def estimated(data: armrig.Dataset | armrig.Signals, request: Request) -> armrig.Fit:
     """Return the estimated model; refuse orders that are too high for the data."""
     import numpy as np
 

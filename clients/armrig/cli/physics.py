@@ -18,37 +18,23 @@ from armrig_core.rig.calibration import ALPHA, THETA_1, ChannelName
 
 import armrig
 from armrig import plots
+from armrig.cli import recorded_data
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, tell
-from armrig.cli.recorded_data import (
-    File,
-    Part,
-    SignalChoice,
-    data_group,
-    recorded_outputs,
-    require_arm,
-)
 from armrig.cli.results import Draw, Output, Shown, shown
 from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
-    from armrig_core.rig.arm import ArmParameters
-
-    from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
-    from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
     from armrig.physics.integrators.accuracy import Recommendation, Sinusoid, Solution
     from armrig.physics.step_response import Characteristics
-    from armrig.recordings.recording import Recording
 
 
 def _doubted(given: list[str] | None) -> list[str] | None:
     """Return the parameters unchanged; print the parameters that are probably not in SI units."""
-    from armrig_core.rig.arm import ArmParameters
-
     for name, value in _values(given).items():
-        handout = getattr(ArmParameters(), name)
+        handout = getattr(armrig.ArmParameters(), name)
         if handout and value > 0 and not 1 / _MAX_RATIO <= value / handout <= _MAX_RATIO:
             tell(
                 f"--set {name}={value:g}: this is {value / handout:.2g} times the value of the "
@@ -88,21 +74,19 @@ _MAX_RATIO = 100.0
 """Ratio of a parameter to the handout's value, or the inverse, above which a note is printed."""
 
 
-def parameters(given: list[str] | None) -> ArmParameters:
+def parameters(given: list[str] | None) -> armrig.ArmParameters:
     """Return the parameters of the handout with the given changes."""
-    from armrig_core.rig.arm import ArmParameters
-
-    return replace(ArmParameters(), **_values(given))
+    return replace(armrig.ArmParameters(), **_values(given))
 
 
-def cases(given: list[str] | None) -> dict[str, ArmParameters]:
+def cases(given: list[str] | None) -> dict[str, armrig.ArmParameters]:
     """Return the parameters by case (handout 2.3): no change, each change alone, all changes."""
     from armrig.physics.systems import beside_the_handout
 
     return beside_the_handout(parameters(given))
 
 
-def physics_beside(given: list[str] | None) -> dict[str, ArmParameters]:
+def physics_beside(given: list[str] | None) -> dict[str, armrig.ArmParameters]:
     """Return the physical models to compare: the handout's model, and the changed model if any."""
     from armrig.physics.systems import HANDOUT
 
@@ -116,9 +100,7 @@ def changes(given: list[str] | None) -> str:
 
 
 def _values(given: list[str] | None) -> dict[str, float]:
-    from armrig_core.rig.arm import ArmParameters
-
-    names = [f.name for f in fields(ArmParameters)]
+    names = [f.name for f in fields(armrig.ArmParameters)]
     values: dict[str, float] = {}
     for text in given or ():
         name, _, number = text.partition("=")
@@ -131,7 +113,7 @@ def _values(given: list[str] | None) -> dict[str, float]:
 
             unit = f", in {UNITS[name]}" if UNITS[name] else ""
             msg = f"--set {text}: give the number alone{unit}, such as "
-            raise typer.BadParameter(f"{msg}--set {name}={getattr(ArmParameters(), name):g}")
+            raise typer.BadParameter(f"{msg}--set {name}={getattr(armrig.ArmParameters(), name):g}")
         if name not in names or value is None:
             raise typer.BadParameter(
                 f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
@@ -173,14 +155,14 @@ _FREE = f"Parameter to estimate ({PARAMETERS}); repeatable"
 
 def greybox(
     *,
-    file: File,
+    file: recorded_data.File,
     model: OwnModel = None,
     free: list[str] | None = chosen(None, f"{_FREE}.", "J_1", metavar="NAME"),
     friction: Literal["viscous", "coulomb", "both"] | None = chosen(
         None, "Friction to estimate in addition; the handout neglects friction."
     ),
     given: Given = None,
-    part: Annotated[SignalChoice, data_group(without="assume")],
+    part: Annotated[recorded_data.SignalChoice, recorded_data.data_group(without="assume")],
     out: Shown,
 ) -> None:
     """Estimate J_1 or other physical parameters (handout 3.5).
@@ -211,8 +193,8 @@ def greybox(
         fixed = parameters(given)
         [recording] = recordings = part.recordings(file)
         model, rig = _rig(recording, cast("Rig | None", model))
-        require_arm(recording)
-        outputs = recorded_outputs(recording, part.outputs)
+        recorded_data.require_arm(recording)
+        outputs = recorded_data.recorded_outputs(recording, part.outputs)
         shown = THETA_1 if THETA_1 in outputs else outputs[0]
         data = recording.dataset(shown)
         signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
@@ -269,7 +251,7 @@ def _frames(err: BaseException) -> list[traceback.FrameSummary]:
     return [*traceback.extract_tb(err.__traceback__)][::-1]
 
 
-def _grey_facts(fit: GreyFit) -> dict[str, Any]:
+def _grey_facts(fit: armrig.GreyFit) -> dict[str, Any]:
     parameters = {
         name: {
             "value": fit.values[name],
@@ -291,7 +273,7 @@ def _grey_facts(fit: GreyFit) -> dict[str, Any]:
 
 def split(
     *,
-    file: File,
+    file: recorded_data.File,
     parts: str = chosen(
         "1,2,4", "Numbers of parts into which the recording is cut.", metavar="K,…"
     ),
@@ -301,7 +283,7 @@ def split(
     ),
     given: Given = None,
     signal: ChannelName = chosen(THETA_1, "Output to fit."),
-    part: Part,
+    part: recorded_data.Part,
     out: Shown,
 ) -> None:
     """Estimate a parameter from parts of a recording (handout 3.6).
@@ -311,11 +293,11 @@ def split(
     """
     cuts, fixed = _cuts(parts), parameters(given)
     [recording] = part.recordings(file)
-    require_arm(recording)
+    recorded_data.require_arm(recording)
     data = recording.dataset(signal)
     _, rig = _rig(recording, model)
 
-    def estimate(part: Dataset) -> Any:
+    def estimate(part: armrig.Dataset) -> Any:
         return armrig.greybox(part, rig, tuple(free or ("J_1",)), fixed, signal)
 
     with spinner("estimating") as progress:
@@ -344,12 +326,12 @@ def _split_facts(study: SplitStudy) -> dict[str, Any]:
 
 def simulate(
     *,
-    file: File,
+    file: recorded_data.File,
     model: list[Path] | None = chosen(
         None, "Additional model file to simulate; repeatable.", metavar="JSON"
     ),
     given: Given = None,
-    part: Part,
+    part: recorded_data.Part,
     out: Annotated[Output, shown("json", "plot", "verbose")],
 ) -> None:
     """Simulate the physical model and saved models (handout 3.4).
@@ -379,7 +361,7 @@ def simulate(
     )
 
 
-def _rig(recording: Recording, model: Rig | None) -> tuple[Rig, Any]:
+def _rig(recording: armrig.Recording, model: Rig | None) -> tuple[Rig, Any]:
     """Return "arm" or "chassis", as the recorded alpha shows, and its model; refuse another one."""
     from armrig.recordings.findings import second_moves
 
@@ -454,7 +436,7 @@ def _say_model(
         say(f"\n{last.explain()}")
 
 
-def _simulated(p: ArmParameters) -> dict[str, float]:
+def _simulated(p: armrig.ArmParameters) -> dict[str, float]:
     """Return the slope at t = 0 in rad/s², the last speed in rad/s and its time after a step."""
     import numpy as np
 
@@ -479,7 +461,7 @@ def _say_later_rises(found: dict[str, Characteristics], given: list[str] | None)
             say(f"63 % time of {of}: {rises}.")
 
 
-def _state_space(p: ArmParameters) -> str:
+def _state_space(p: armrig.ArmParameters) -> str:
     """Return x' = A x + B u, with a line for each state."""
     from armrig_core.rig.arm import arm_matrices
 
@@ -521,7 +503,7 @@ def _model_facts(p: Characteristics) -> dict[str, Any]:
     }
 
 
-def _model_figures(compared: dict[str, ArmParameters]) -> dict[str, Draw]:
+def _model_figures(compared: dict[str, armrig.ArmParameters]) -> dict[str, Draw]:
     from armrig.physics.figures import plot_physical_step, plot_sensitivities
 
     return {"step": partial(plot_physical_step, compared), "sensitivities": plot_sensitivities}
@@ -547,9 +529,9 @@ def integrate(
 
     The input is sinusoidal, u = A sin(ωt). Each solution is compared with the exact solution.
     """
-    from armrig_core.rig.arm import ArmParameters, arm_matrices
+    from armrig_core.rig.arm import arm_matrices
 
-    A, B, _ = arm_matrices(ArmParameters())
+    A, B, _ = arm_matrices(armrig.ArmParameters())
     problem = armrig.sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
     rows, advice = _solved(problem, method or (), h or (), tolerance)
 

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals, Vector
     from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
-    from armrig.recordings.recording import Recording
 
 T = TypeVar("T")
 _NAMES = "@last or @NAME"
@@ -160,7 +159,7 @@ def names(option: str, text: str | None) -> tuple[str, ...]:
     return found
 
 
-def recorded_outputs(recording: Recording, chosen: Sequence[str]) -> list[str]:
+def recorded_outputs(recording: armrig.Recording, chosen: Sequence[str]) -> list[str]:
     """Return the names as outputs of a recording, by default the first; refuse any other name."""
     has = recording.outputs
     if unknown := [name for name in chosen if name not in has]:
@@ -168,7 +167,7 @@ def recorded_outputs(recording: Recording, chosen: Sequence[str]) -> list[str]:
     return [*chosen] or [recording.first]
 
 
-def require_arm(recording: Recording) -> None:
+def require_arm(recording: armrig.Recording) -> None:
     """Refuse a recording of a rig that the arm's physical model does not describe."""
     if not recording.description.arm:
         raise InputError(
@@ -178,7 +177,7 @@ def require_arm(recording: Recording) -> None:
         )
 
 
-def modelled_outputs(recording: Recording, model: Fit, chosen: Sequence[str]) -> list[str]:
+def modelled_outputs(recording: armrig.Recording, model: Fit, chosen: Sequence[str]) -> list[str]:
     """Return the model's outputs in the model's order; refuse a model of other signals.
 
     If the only output of the model has no name, it is the chosen output, or the first channel.
@@ -296,7 +295,7 @@ def loaded(
     stop: float | None = None,
     *,
     one_plant: bool = True,
-) -> list[Recording]:
+) -> list[armrig.Recording]:
     """Return the recordings; print their damage, and reasons not to use them together."""
     from armrig.recordings.usability import all_doubts, early_ends
 
@@ -315,7 +314,7 @@ class SignalChoice(DataOptions):
 
     offset: bool | None = None
     """True if a constant level of y is also estimated; None if the command has no such option."""
-    read: list[Recording] = field(default_factory=list)
+    read: list[armrig.Recording] = field(default_factory=list)
     """Recordings read so far; the first recording is for estimation."""
 
     @classmethod
@@ -484,7 +483,7 @@ class SignalChoice(DataOptions):
                 return armrig.load_data(file, input=inputs[0], signal=outputs[0], **how)
             return armrig.load_signals(file, inputs=inputs, outputs=outputs, **how)
 
-    def recordings(self, *files: Path) -> list[Recording]:
+    def recordings(self, *files: Path) -> list[armrig.Recording]:
         """Return the chosen part of recordings."""
         return loaded(files, self.calibration, self.start, self.stop)
 

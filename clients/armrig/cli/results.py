@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from armrig_core.errors import InputError
 from armrig_core.process.options import Group, group, option
 
+import armrig
 from armrig.cli.options import Json, Verbose
 from armrig.cli.printing import inform, print_json, tell
 from armrig.cli.printing import say as say_line
@@ -21,8 +22,6 @@ from armrig.cli.spinner import spinner
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from armrig.recordings.recording import Recording
 
 T = TypeVar("T")
 Draw = Callable[..., Any]
@@ -43,7 +42,7 @@ _ESTIMATION: dict[Path, str] = {}
 _MCAP = b"\x89MCAP0\r\n"
 
 
-def name_runs(*recordings: Recording) -> None:
+def name_runs(*recordings: armrig.Recording) -> None:
     """Store the run ids of recordings; figures of the command show these ids, as `armrig ls` does.
 
     For a validation recording, the id of the estimation run is also stored if the estimation

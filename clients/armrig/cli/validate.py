@@ -15,6 +15,7 @@ from armrig_core.process.printable import printable
 
 import armrig
 from armrig import plots
+from armrig.cli import physics, recorded_data, results
 from armrig.cli.next_step import (
     REASONS,
     after_validate,
@@ -26,16 +27,6 @@ from armrig.cli.next_step import (
     typed,
 )
 from armrig.cli.options import CalibrationFile, Json, ModelOrders
-from armrig.cli.physics import (
-    AMPLITUDE_V,
-    OF_AMPLITUDE,
-    OF_CHANGES,
-    OF_OMEGA,
-    OMEGA,
-    Given,
-    cases,
-    physics_beside,
-)
 from armrig.cli.printing import (
     echo,
     fields_of,
@@ -46,40 +37,12 @@ from armrig.cli.printing import (
     tell,
     tell_findings,
 )
-from armrig.cli.recorded_data import (
-    DataFile,
-    File,
-    OtherFile,
-    Part,
-    SignalChoice,
-    by_channel,
-    data_group,
-    facts_by_channel,
-    from_recording,
-    loaded,
-    names,
-    recording_path,
-    require_result,
-    say_channel,
-    spectral_beside,
-)
-from armrig.cli.results import (
-    HEIGHT,
-    WIDTH,
-    Draw,
-    Shown,
-    ShownFigure,
-    check_output,
-    figures_by_channel,
-)
 from armrig.cli.spinner import estimating, spinner
 from armrig.data.finding import OWN_DATA
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
-    from armrig.models.fit import Fit
-    from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
@@ -94,14 +57,14 @@ _ROUNDING = 1e-9  # relative difference of two errors
 
 def validate(
     *,
-    file: DataFile,
+    file: recorded_data.DataFile,
     model: ModelFile,
-    signals: Annotated[SignalChoice, data_group(without="assume")],
+    signals: Annotated[recorded_data.SignalChoice, recorded_data.data_group(without="assume")],
     horizon: list[int] | None = chosen(
         None, "Prediction horizon, in samples; repeatable.", "1 and 10", min=1
     ),
     lags: int | None = chosen(None, "Number of lags in the tests of the residuals.", "25", min=1),
-    out: ShownFigure,
+    out: results.ShownFigure,
 ) -> None:
     """Validate a model on a recording or other data.
 
@@ -148,7 +111,7 @@ def validate(
         if (out.verbose or out.plot is not None) and (why := lags_outside(tests)):
             say(why)
 
-    def figures() -> dict[str, Draw]:
+    def figures() -> dict[str, results.Draw]:
         return {
             "compare": partial(plots.plot_compare, data, fit, table=simulated),
             "residuals": partial(plot_residual_test, tests),
@@ -160,8 +123,8 @@ def validate(
         say=say_validation,
         figures=figures,
         say_next=lambda: after_validate(fit, tests, data, file, model, signals),
-        width=max(WIDTH, COLUMN_WIDTH * (1 + fit.nu)),
-        height=max(HEIGHT, ROW_HEIGHT * fit.ny),
+        width=max(results.WIDTH, COLUMN_WIDTH * (1 + fit.nu)),
+        height=max(results.HEIGHT, ROW_HEIGHT * fit.ny),
     )
 
 
@@ -195,12 +158,12 @@ def _ahead_lines(table: ComparisonTable) -> Iterator[str]:
 
 
 def _responses(
-    data: Dataset | Signals, fits: Sequence[Fit], names: Sequence[str], **more: Draw
-) -> dict[str, Draw]:
+    data: Dataset | Signals, fits: Sequence[armrig.Fit], names: Sequence[str], **more: results.Draw
+) -> dict[str, results.Draw]:
     """Return the Bode diagram, `more` diagrams and the poles; {} for models of several signals."""
     if any((fit.ny, fit.nu) != (1, 1) for fit in fits):
         return {}
-    beside = spectral_beside(data.signals().dataset())
+    beside = recorded_data.spectral_beside(data.signals().dataset())
     labels = [*names, *("spectral analysis, 95 %" for _ in beside)]
     bode = partial(plots.plot_bode, *fits, *beside, labels=labels)
     return {"bode": bode, **more, "poles": partial(plots.plot_poles_zeros, *fits, labels=names)}
@@ -208,8 +171,8 @@ def _responses(
 
 def compare(
     *,
-    file: File,
-    other: OtherFile = None,
+    file: recorded_data.File,
+    other: recorded_data.OtherFile = None,
     orders: ModelOrders,
     model: list[Path] | None = chosen(
         None, "Model file written by identify --save; repeatable.", metavar="JSON"
@@ -217,9 +180,9 @@ def compare(
     horizon: int | None = chosen(
         None, "Prediction horizon, in samples.", "none: the models are simulated", min=1
     ),
-    given: Given = None,
-    part: Part,
-    out: ShownFigure,
+    given: physics.Given = None,
+    part: recorded_data.Part,
+    out: results.ShownFigure,
 ) -> None:
     """Compare models on data that they were not estimated from.
 
@@ -230,7 +193,7 @@ def compare(
     from armrig.cli import model_output
     from armrig.recordings.usability import emulation
 
-    changed = physics_beside(given) if given else {}
+    changed = physics.physics_beside(given) if given else {}
     if other is None and not model:
         raise typer.BadParameter(
             "give a second recording to validate with, or the models to compare, --model FILE "
@@ -263,7 +226,7 @@ def compare(
         for text in emulation(recordings):
             say(text, dim=True)
 
-    def figures() -> dict[str, Draw]:
+    def figures() -> dict[str, results.Draw]:
         drawn = {"compare": partial(plots.plot_compare, data, *fits, labels=names, table=table)}
         step = partial(plots.plot_step, *fits, labels=names)
         return drawn | _responses(data, fits, names, step=step)
@@ -285,7 +248,7 @@ def compare(
     )
 
 
-def _check_signals(saved: Sequence[tuple[str, Fit]], *, alone: bool) -> None:
+def _check_signals(saved: Sequence[tuple[str, armrig.Fit]], *, alone: bool) -> None:
     """Refuse models of several signals with models of other signals; `alone`: only saved models."""
     shapes = {(fit.outputs, fit.inputs) for _, fit in saved}
     several = any((fit.ny, fit.nu) != (1, 1) for _, fit in saved)
@@ -297,8 +260,8 @@ def _check_signals(saved: Sequence[tuple[str, Fit]], *, alone: bool) -> None:
 
 
 def _studied(
-    recordings: list[Recording], saved: list[tuple[str, Fit]], orders: dict[str, Any]
-) -> tuple[list[tuple[str, Fit]], Dataset | Signals, str]:
+    recordings: list[armrig.Recording], saved: list[tuple[str, armrig.Fit]], orders: dict[str, Any]
+) -> tuple[list[tuple[str, armrig.Fit]], Dataset | Signals, str]:
     """Estimate ARX and OE models; return all models, the validation data and their name."""
     from armrig.report.study import Orders, study
 
@@ -321,10 +284,10 @@ _TESTS = {"open loop": "3.7", "delay": "3.8", "linearity": ""}
 
 def check(
     *,
-    file: DataFile,
-    signals: Annotated[SignalChoice, data_group()],
+    file: recorded_data.DataFile,
+    signals: Annotated[recorded_data.SignalChoice, recorded_data.data_group()],
     level: float = chosen(0.05, "Significance level of the test for feedback."),
-    out: Shown,
+    out: results.Shown,
 ) -> None:
     """Test the data for feedback and a delay (handout 3.7, 3.8).
 
@@ -334,22 +297,27 @@ def check(
 
     require_level(level)
     data = signals.of(file)
+    recorded = recorded_data.from_recording(data)
     integrator, taken = signals.choice(data, named=not out.json)  # the remarks contain the reason
     with spinner("testing") as progress:
-        loops = by_channel(partial(armrig.open_loop, level=level), data)
-        delays = by_channel(partial(armrig.delay, integrator=integrator, progress=progress), data)
-    require_result([*loops.values(), *delays.values()])
+        loops = recorded_data.by_channel(partial(armrig.open_loop, level=level), data)
+        delays = recorded_data.by_channel(
+            partial(armrig.delay, integrator=integrator, progress=progress), data
+        )
+    recorded_data.require_result([*loops.values(), *delays.values()])
     linears = {
         name: "u depends on y" if getattr(one, "closed", False) else one
-        for name, one in by_channel(partial(armrig.linearity, level=CHANCE_LEVEL), data).items()
+        for name, one in recorded_data.by_channel(
+            partial(armrig.linearity, level=CHANCE_LEVEL), data
+        ).items()
     }
     tests = {name: (loop, delays[name], linears[name]) for name, loop in loops.items()}
 
     def say_tests() -> None:
         for channel, found in tests.items():
-            say_channel(channel)
+            recorded_data.say_channel(channel)
             for (which, number), one in zip(_TESTS.items(), found, strict=True):
-                where = f"{which} (handout {number})" if number and from_recording(data) else which
+                where = f"{which} (handout {number})" if number and recorded else which
                 if isinstance(one, str):
                     say(f"{where}: not known: {one}")
                     continue
@@ -358,30 +326,30 @@ def check(
                 verdict = first.removeprefix("open loop: ")
                 say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
 
-    def figures(found: _Tests) -> dict[str, Draw]:
+    def figures(found: _Tests) -> dict[str, results.Draw]:
         loop, late, _ = found
         shows_loop = not isinstance(loop, str) and loop.sims is not None
         drawn = {"open_loop": loop if shows_loop else "", "delay": late}
         return {name: one.plot for name, one in drawn.items() if not isinstance(one, str)}
 
     def say_after() -> None:
-        if not from_recording(data):
+        if not recorded:
             say_next("check other", file=typed(file), given=signals.options())
         elif not signals.read[0].description.arm:
             say_next("check rig", file=typed(file))
         elif signals.read[0].manifest.kind == "greybox":
             say_next("check greybox")
-        elif recorded := chassis():
-            say_next("check with chassis", chassis=recorded)
+        elif alone := chassis():
+            say_next("check with chassis", chassis=alone)
         else:
             inform(_CHASSIS)
             say_next("check")
 
     out.show(
-        facts=lambda: facts_by_channel(data, tests, _test_facts),
+        facts=lambda: recorded_data.facts_by_channel(data, tests, _test_facts),
         say=say_tests,
         taken=taken,
-        figures=lambda: figures_by_channel(tests, figures),
+        figures=lambda: results.figures_by_channel(tests, figures),
         say_next=say_after,
         columns=None if () in tests else 2,
     )
@@ -389,26 +357,26 @@ def check(
 
 def linearity(
     *,
-    file: DataFile,
-    signals: Annotated[SignalChoice, data_group()],
+    file: recorded_data.DataFile,
+    signals: Annotated[recorded_data.SignalChoice, recorded_data.data_group()],
     level: float = chosen(0.05, "Significance level of the test."),
-    out: Shown,
+    out: results.Shown,
 ) -> None:
     """Test whether the rig is linear; name a nonlinearity."""
     data = signals.of(file)
-    found = by_channel(partial(armrig.linearity, level=level), data)
-    require_result(found.values())
+    found = recorded_data.by_channel(partial(armrig.linearity, level=level), data)
+    recorded_data.require_result(found.values())
     nonlinear = {name: one for name, one in found.items() if not getattr(one, "linear", True)}
 
     def say_test() -> None:
         for channel, one in found.items():
-            say_channel(channel)
+            recorded_data.say_channel(channel)
             say_answer(one.explain() if out.verbose and not isinstance(one, str) else str(one))
 
     out.show(
-        facts=lambda: facts_by_channel(data, found, _linearity_facts),
+        facts=lambda: recorded_data.facts_by_channel(data, found, _linearity_facts),
         say=say_test,
-        figures=lambda: figures_by_channel(nonlinear, lambda one: {"linearity": one.plot}),
+        figures=lambda: results.figures_by_channel(nonlinear, lambda one: {"linearity": one.plot}),
         say_next=lambda: say_next("check other", file=typed(file), given=signals.options()),
     )
 
@@ -443,7 +411,7 @@ def report(
     *,
     files: Annotated[
         list[Path] | None,
-        argument("F…", "Recordings (*.mcap) or their @names.", parser=recording_path),
+        argument("F…", "Recordings (*.mcap) or their @names.", parser=recorded_data.recording_path),
     ] = None,
     output: Path = chosen(Path("report.pdf"), "PDF to write.", names="-o --output PDF"),
     signal: list[str] | None = chosen(
@@ -467,9 +435,9 @@ def report(
     answers: Path | None = chosen(
         None, "File with names, registration numbers and reasons (--handout).", metavar="TOML"
     ),
-    given: Annotated[list[str] | None, noted(OF_CHANGES, " (--handout)")] = None,
-    amplitude: Annotated[float, noted(OF_AMPLITUDE, " (--handout)")] = AMPLITUDE_V,
-    omega: Annotated[float, noted(OF_OMEGA, " (--handout)")] = OMEGA,
+    given: Annotated[list[str] | None, noted(physics.OF_CHANGES, " (--handout)")] = None,
+    amplitude: Annotated[float, noted(physics.OF_AMPLITUDE, " (--handout)")] = physics.AMPLITUDE_V,
+    omega: Annotated[float, noted(physics.OF_OMEGA, " (--handout)")] = physics.OMEGA,
     source: Path | None = chosen(
         None,
         "New folder for the Typst source and its figures; --from typesets this source.",
@@ -496,19 +464,19 @@ def report(
         return
     of_handout = {"--answers": answers, "--set": given}
     _check_options(files, outputs, handout, edited, source, of_handout)
-    check_output(output, files, "-o", "a report is a PDF", ".pdf")
+    results.check_output(output, files, "-o", "a report is a PDF", ".pdf")
     if output.exists() and not force:
         raise InputError(f"-o {output}: exists; --force overwrites it, or give another name")
-    recordings: list[Recording] = []
+    recordings: list[armrig.Recording] = []
     if edited is not None:
         _typeset_source(edited, output)
     else:
         if handout:
             problem: dict[str, Any] = {"amplitude": amplitude, "omega": omega, "orders": orders}
-            problem["cases"] = cases(given) if given else None
+            problem["cases"] = physics.cases(given) if given else None
             recordings, typeset = _handout_report(files, calibration, answers, **problem)
         else:
-            of_study = names("--signal", outputs)
+            of_study = recorded_data.names("--signal", outputs)
             recordings, typeset = _study_report(files, calibration, orders, of_study)
         with spinner("typesetting"):
             typeset(output, source=source)
@@ -599,12 +567,12 @@ def _study_report(
     calibration: Path | None,
     orders: dict[str, Any],
     outputs: Sequence[str],
-) -> tuple[list[Recording], Callable[..., Any]]:
+) -> tuple[list[armrig.Recording], Callable[..., Any]]:
     """Return the recordings, and the function that typesets a report on them."""
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study
 
-    recordings = loaded(files, calibration)
+    recordings = recorded_data.loaded(files, calibration)
     _report_ignored(recordings)
     with estimating("na, nb and nf"):
         done = study(recordings, orders=Orders(**orders), outputs=outputs)
@@ -622,7 +590,7 @@ def _handout_report(
     *,
     orders: dict[str, Any],
     **problem: Any,
-) -> tuple[list[Recording], Callable[..., Any]]:
+) -> tuple[list[armrig.Recording], Callable[..., Any]]:
     """Return the recordings, and the function that typesets the handout's report."""
     from armrig.report.answers import Answers, read_answers
     from armrig.report.document import handout_report
@@ -630,13 +598,13 @@ def _handout_report(
     from armrig.report.study import Orders
 
     said = Answers() if answers is None else read_answers(answers)
-    recordings = loaded(files, calibration, one_plant=False)
+    recordings = recorded_data.loaded(files, calibration, one_plant=False)
     with estimating("na, nb and nf"):
         done = handout_study(recordings, orders=Orders(**orders), **problem)
     return recordings, partial(handout_report, done, answers=said)
 
 
-def _report_ignored(recordings: Sequence[Recording]) -> None:
+def _report_ignored(recordings: Sequence[armrig.Recording]) -> None:
     """Print the recordings that are not used for the models of the report."""
     from armrig.recordings.usability import NO_MODEL
 
