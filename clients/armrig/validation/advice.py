@@ -71,10 +71,10 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Examine data or a model, and return the findings with their remedies.
 
     For data, the advice covers excitation, integrator, missing samples, outliers, drift, feedback,
-    and the agreement of ARX with OE. For a model, it contains the findings of the estimation, and
-    covers the residuals and an integrator that is not fixed. Poles and zeros may cancel (the order
-    is too high), and a pole may be real and negative, which no sampled rig has. The first
-    coefficient of B may be 0 (a delay).
+    delay and linearity. For a model, it contains the findings of the estimation, and covers the
+    residuals and an integrator that is not fixed. Poles and zeros may cancel (the order is too
+    high), and a pole may be real and negative, which no sampled rig has. The first coefficient of B
+    may be 0 (a delay).
 
     Parameters
     ----------

@@ -14,7 +14,6 @@ from armrig.data.finding import Finding, good, warning
 from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift
 from armrig.data.treatment.integrating import Integration, integration
-from armrig.estimation.arx import arx
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
     NO_OPTION,
@@ -23,7 +22,6 @@ from armrig.estimation.data_faults import (
     level_without_input,
     looking_wrong,
 )
-from armrig.estimation.polynomial_structures import oe
 from armrig.excitation.input_description import excitation_order
 from armrig.models.fit import Fit
 from armrig.models.transfer_function import TransferFunction
@@ -34,10 +32,8 @@ from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, OpenLoo
 from armrig.validation.linearity import in_open_loop
 
 ORDER = 4
-"""Number of poles, and number of numerator coefficients, of the compared models; the arm has 4
-poles."""
-_MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
-_MAX_COMPARED = 50_000  # samples; more samples do not change a median difference of 10 %
+"""Number of poles, and number of numerator coefficients, of the model for which u must be exciting;
+the arm has 4 poles."""
 _MAX_MISSING_SHARE = 0.2
 _RICHER = "play a u that switches often (telegraph, PRBS)"
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1, in σ, of a pole that is not 1; σ may be too small
@@ -84,13 +80,9 @@ def _loop(data: Dataset) -> OpenLoop | None:
 
 def examine_data(data: Dataset) -> Iterator[Finding]:
     """Yield the findings about the data; a possible cause precedes its effects."""
-    known = tested(data, None)
-    found = [*examine_experiment(data, known)]
+    yield from examine_experiment(data, tested(data, None))
     for test in in_open_loop(data):
-        found.append((good if test.linear else warning)("linearity", test.line))
-    yield from found
-    if all(f.level == "good" for f in found):  # else a finding explains why ARX and OE differ
-        yield from _about_structures(data, known)
+        yield (good if test.linear else warning)("linearity", test.line)
 
 
 def doubts(data: Dataset, known: Tested) -> list[Finding]:
@@ -265,28 +257,3 @@ def _about_delay(known: Tested) -> Finding:
     if isinstance(late, str):
         return warning("delay", f"not found: {late}", "check")
     return good("delay", late.answer if late.told else f"{late.answer}; take nk = {late.nk}")
-
-
-def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
-    """Compare ARX with OE; both agree if the noise passes through 1/A, or is small."""
-    nk = known.late.nk if isinstance(known.late, Delay) else 1
-    integrator = known.integration.integrates
-    part = data[:_MAX_COMPARED] if data.N > _MAX_COMPARED else data
-    try:
-        models = (
-            arx(part, na=ORDER, nb=ORDER, nk=nk),
-            oe(part, nb=ORDER, nf=ORDER, nk=nk, integrator=integrator, starts="few"),
-        )
-    except (ValueError, np.linalg.LinAlgError):
-        return
-    highest = min(100.0, np.pi / data.Ts)
-    omega = np.geomspace(min(0.5, highest / 10), highest, 100)
-    G = [fit.frequency_response(omega).G for fit in models]
-    apart = float(np.median(np.abs(G[0] - G[1]) / np.abs(G[1])))
-    text = f"their frequency responses differ by a median of {percent(100 * apart)}"
-    text += f" (first {part.N} samples)" * (part is not data)
-    if apart < _MAX_DIFFERENCE:
-        yield good("ARX and OE", text)
-        return
-    text += ": the noise is added to the output, but ARX assumes noise through 1/A, so the ARX "
-    yield warning("ARX and OE", text + "transfer function is biased; take OE")
