@@ -237,7 +237,7 @@ def _hint_facts(hints: tuple[StructureHints | str, list[str]]) -> dict[str, Any]
     found, doubts = hints
     if isinstance(found, str):
         return {"structure": None, "reasons": [found], "doubts": doubts}
-    of = "integrator integrator_shown low_slope low_slope_std high_slope relative_degree "
+    of = "integrator integrator_shown low_slope high_slope relative_degree "
     of += "resonances antiresonances nk_interval singular_values threshold"
     return {
         "structure": "oe",

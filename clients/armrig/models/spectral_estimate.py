@@ -136,34 +136,29 @@ class SpectralEstimate(OfDataset):
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
 
-def log_slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
-    """Return the slope of a line fitted to |G|, in dB per decade, and its standard deviation."""
+def log_slope(omega: Vector, magnitude: Vector) -> float:
+    """Return the slope of a line fitted to |G|, in dB per decade; NaN without frequencies."""
     if not omega.size:
-        return float("nan"), float("nan")
-    x, y = np.log10(omega), 20 * np.log10(magnitude)
-    x = x - x.mean()
-    slope = float(x @ y / (x @ x))
-    scatter = float(np.sum((y - y.mean() - slope * x) ** 2)) / max(x.size - 2, 1)
-    return slope, float(np.sqrt(scatter / (x @ x)))
+        return float("nan")
+    x = np.log10(omega) - np.mean(np.log10(omega))
+    return float(x @ (20 * np.log10(magnitude)) / (x @ x))
 
 
-def low_slope(
-    estimate: SpectralEstimate, believed: NDArray[np.int_]
-) -> tuple[float, float, Vector]:
-    """Return the slope of |G| at low frequency, its standard deviation, and the frequencies.
+def low_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> tuple[float, Vector]:
+    """Return the slope of |G| at low frequency, and the frequencies.
 
     Of the frequencies with the indices `believed`, the lowest half decade is used. If the half
     decade contains fewer than three of these frequencies, the three lowest are used.
     """
     low = believed[estimate.omega[believed] <= estimate.omega[believed[:1]] * np.sqrt(10)]
     low = low if low.size >= 3 else believed[:3]
-    return *log_slope(estimate.omega[low], estimate.magnitude[low]), estimate.omega[low]
+    return log_slope(estimate.omega[low], estimate.magnitude[low]), estimate.omega[low]
 
 
 def high_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> float:
     """Return the slope of |G| over `high_band`, in dB per decade; NaN if `believed` is empty."""
     high = high_band(estimate, believed)
-    return log_slope(estimate.omega[high], estimate.magnitude[high])[0]
+    return log_slope(estimate.omega[high], estimate.magnitude[high])
 
 
 def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -176,30 +171,6 @@ def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray
     top = np.minimum(omega[-1:], 0.6 * np.pi / estimate.Ts)
     high = believed[(omega <= top) & (omega >= top / 10 ** (1 / 3))]
     return high if high.size >= 3 else believed[-3:]
-
-
-def phase_delay(
-    estimate: SpectralEstimate,
-    believed: NDArray[np.int_],
-    roll_off: float,
-    *,
-    sign: float,
-    shown: float,
-) -> float:
-    """Return the mean of -(arg(sign G) - 90° roll_off/20)/omega over `high_band`, in s.
-
-    The phase is known only up to full turns. Therefore it determines only how much the delay
-    differs from the known delay `shown`, in s. If the slope of |G| is nearly constant, the phase of
-    a minimum-phase system is about 90° for each 20 dB per decade (H. W. Bode, *Network Analysis and
-    Feedback Amplifier Design*, 1945).
-    """
-    high = high_band(estimate, believed)
-    if not high.size:
-        return float("nan")
-    expected = np.pi / 2 * roll_off / 20
-    omega = estimate.omega[high]
-    excess = np.angle(sign * estimate.G[high] * np.exp(1j * (omega * shown - expected)))
-    return shown - float(np.mean(excess / omega))
 
 
 def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes:

@@ -1,4 +1,4 @@
-"""Recommended structures, with reasons from spectrum, phase and delay (handout, 3.2)."""
+"""Recommended structures, with reasons from spectrum, singular values and delay (handout, 3.2)."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ from armrig.models.spectral_estimate import (
     high_slope,
     log_slope,
     low_slope,
-    phase_delay,
 )
-from armrig.numerics.quantities import listed, minus, plural, times
+from armrig.numerics.quantities import listed, minus, plural
 from armrig.plots.layout import drawn_by
 from armrig.validation.data_advice import poor_input
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
@@ -59,14 +58,9 @@ class StructureHints:
     low_slope: float | None
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
     the slope of the first structure differs by more than 3 dB a decade."""
-    low_slope_std: float
-    """Standard deviation of `low_slope`, from the scatter of the points about the fitted line. The
-    points are correlated by smoothing, so the true standard deviation is larger."""
     flat: bool
     """True if the gain of the first structure is constant below its slowest pole. If y integrates,
     the gain is that of the rate of y."""
-    low_band: Vector
-    """Frequencies at which `low_slope` was estimated, in rad/s."""
     high_slope: float | None
     """Slope of |G| in dB a decade at the highest frequencies at which u explains y; they span a
     third of a decade. None if the slope of the first structure differs by more than 3 dB a
@@ -81,10 +75,6 @@ class StructureHints:
     |G| is the response of the rate of y."""
     antiresonances: tuple[float, ...]
     """Frequencies in rad/s of the dips of |G| that the first structure also has."""
-    phase_delay: float | None
-    """Delay in s that explains the phase lag at the highest frequencies, except the lag of the
-    roll-off. None if `nk_interval` is None, or if the delay differs from (nk - 1/2) Ts by more than
-    Ts/2."""
     nk_interval: tuple[int, int] | None
     """Least and greatest nk that the test `armrig.delay` does not rule out. None if this test
     raised an error, or if this range does not contain `nk`."""
@@ -135,7 +125,7 @@ class StructureHints:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings about excitation, integrator, shape, order, roll-off, phase and delay."""
+        """Findings about excitation, integrator, shape, order, roll-off and delay."""
         return tuple(_findings(self))
 
     @property
@@ -182,8 +172,7 @@ def structure_hints(
     - Number of poles minus number of zeros: the slope at the highest frequencies at which u
       explains y (coherence above one half). Each pole in excess of the zeros changes the slope by
       -20 dB a decade. Sampling hides the slope near the Nyquist frequency.
-    - Delay: the result of `delay`, and the part of the phase lag that the roll-off does not
-      explain.
+    - Delay: the result of `delay`.
 
     Parameters
     ----------
@@ -229,7 +218,7 @@ def structure_hints(
     with suppress(ValueError):
         late = delay(data, integrator=integrates)
     rate = spa(data, "log", integrator=True).rate()
-    slope, slope_std, low = low_slope(rate, _believed(rate, needed=late is None))
+    slope, low = low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
     best = recommended(data, lags, integrates=integrates, decide=decided.undecided)
     first = best.structures[0]
@@ -242,25 +231,18 @@ def structure_hints(
     order = int(np.count_nonzero(values > threshold)) + (integrates and best.shown)
     high = spectrum.omega[high_band(spectrum, believed)]
     fall = high_slope(spectrum, believed)
-    at = nk - 0.5
-    # The phase of a negative response begins at 180°.
-    sign = -1.0 if np.sum(response.decaying[0]) < 0 else 1.0
-    excess = phase_delay(spectrum, believed, fall, sign=sign, shown=max(nk - 1, 0) * data.Ts)
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
     return StructureHints(
         structures=best.structures,
         integrator=integrates,
         integrator_shown=best.shown,
         low_slope=_agreed(slope - 20, best, low, data.Ts),
-        low_slope_std=slope_std,
         flat=_is_flat(best, data.Ts),
-        low_band=low,
         high_slope=_agreed(fall, best, high, data.Ts),
         high_band=high,
         relative_degree=max(0, round(-fall / 20)) if high.size else 0,
         resonances=_confirmed(peaks, best, data.Ts, dips=False),
         antiresonances=_confirmed(dips, best, data.Ts, dips=True),
-        phase_delay=excess if seen and abs(excess / data.Ts - at) <= 0.5 else None,
         nk_interval=late.interval if late is not None and seen else None,
         singular_values=values,
         threshold=threshold,
@@ -284,7 +266,7 @@ def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
 
 def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
     """Return `slope` if the slope of the first structure at `omega` is nearly equal, else None."""
-    other, _ = log_slope(omega, np.abs(best.G(omega, Ts)))
+    other = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
 
@@ -296,7 +278,7 @@ def _is_flat(best: Recommendation, Ts: float) -> bool:
     if not rates.size or rates[0] < _ROUNDING:  # a pole at 1 that may be a slow one
         return not rates.size
     omega = rates[0] / Ts * np.geomspace(0.03, 0.1, 5)
-    return abs(log_slope(omega, np.abs(best.G(omega, Ts)))[0] + 20 * integrator) < FLAT_SLOPE
+    return abs(log_slope(omega, np.abs(best.G(omega, Ts))) + 20 * integrator) < FLAT_SLOPE
 
 
 def _confirmed(
@@ -433,10 +415,6 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
         text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "
         text += f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to these frequencies"
         yield good("roll-off", text)
-    if h.phase_delay is not None and h.phase_delay > h.spectrum.Ts / 2:
-        text = "in addition to the lag of the roll-off, the phase lags like a delay of "
-        text += f"{times(h.phase_delay)}; the hold causes {times(h.spectrum.Ts / 2)} of this delay"
-        yield good("phase", text)
     why_not = "not shown (armrig.delay, `armrig check` say why)"
     yield good("delay", first_lag(h.nk_interval, h.spectrum.Ts) if h.nk_interval else why_not)
 

@@ -157,7 +157,7 @@ HINTS: dict[str, Any] = {
     **dict.fromkeys(("structures", "resonances", "antiresonances", "nk_interval"), ()),
     "findings": (),
     "reasons": ("the first", "the second"),
-    **dict.fromkeys(("low_slope", "low_slope_std", "high_slope", "threshold"), 0.0),
+    **dict.fromkeys(("low_slope", "high_slope", "threshold"), 0.0),
     **{"nb": 3, "nf": 5, "nk": 2, "integrator_shown": True, "relative_degree": 4},
 }
 

@@ -12,7 +12,6 @@ from armrig.models.spectral_estimate import (
     high_slope,
     log_slope,
     low_slope,
-    phase_delay,
 )
 from matplotlib.figure import Figure
 
@@ -75,9 +74,9 @@ def test_slopes_are_those_of_the_bands_at_each_end() -> None:
     G = np.where(omega < 1, 1 / omega, 1 / omega**3)
     found, believed = made_estimate(omega, G), np.delete(np.arange(60), 3)
 
-    slope, std, low = low_slope(found, believed)
+    slope, low = low_slope(found, believed)
 
-    assert (slope, std) == (pytest.approx(-20), pytest.approx(0, abs=1e-6))
+    assert slope == pytest.approx(-20)
     assert low.tolist() == [w for w in omega[believed] if w <= 0.1 * np.sqrt(10)]
     assert high_slope(found, believed) == pytest.approx(-60)
     band = omega[high_band(found, believed)]
@@ -85,36 +84,21 @@ def test_slopes_are_those_of_the_bands_at_each_end() -> None:
     assert band.tolist() == [w for w in omega if top / 10 ** (1 / 3) <= w <= top]
     few = high_band(found, np.array([0, 10, 20, 30, 40]))
     assert few.tolist() == [20, 30, 40]
-    assert low_slope(found, np.array([0, 20, 21, 30]))[2].tolist() == omega[[0, 20, 21]].tolist()
+    assert low_slope(found, np.array([0, 20, 21, 30]))[1].tolist() == omega[[0, 20, 21]].tolist()
     nothing = np.zeros(0, dtype=int)
     assert np.isnan(high_slope(found, nothing))
     assert np.isnan(low_slope(found, nothing)[0])
 
 
-def test_the_deviation_of_a_slope_is_that_of_a_fitted_line() -> None:
+def test_a_slope_is_that_of_a_fitted_line() -> None:
     rng = np.random.default_rng(0)
     omega = np.geomspace(1.0, 30.0, 12)
     magnitude = omega**-1.5 * 10 ** (0.05 * rng.standard_normal(12))
 
-    slope, std = log_slope(omega, magnitude)
+    slope = log_slope(omega, magnitude)
 
-    (expected, _), covariance = np.polyfit(np.log10(omega), 20 * np.log10(magnitude), 1, cov=True)
+    expected, _ = np.polyfit(np.log10(omega), 20 * np.log10(magnitude), 1)
     assert slope == pytest.approx(expected)
-    assert std == pytest.approx(np.sqrt(covariance[0, 0]))
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("delay", [0.0, 0.07, 1.24])
-def test_the_phase_that_the_roll_off_does_not_explain_is_a_delay(sign: float, delay: float) -> None:
-    """1/(iω)² has -40 dB a decade and -180°; the known delay differs by less than a turn."""
-    omega = np.geomspace(0.5, 15.0, 40)
-    G = sign / (1j * omega) ** 2 * np.exp(-1j * omega * delay)
-    found, every = made_estimate(omega, G), np.arange(40)
-
-    for shown in (delay, delay + 0.1, max(delay - 0.1, 0.0)):
-        got = phase_delay(found, every, -40.0, sign=sign, shown=shown)
-        assert got == pytest.approx(delay, abs=1e-9)
-    assert np.isnan(phase_delay(found, every[:0], -40.0, sign=sign, shown=0.0))
 
 
 def test_only_known_values_are_passed_to_python_control() -> None:
