@@ -45,8 +45,23 @@ _MAX_NAME_LENGTH = 40  # characters of a kind of experiment that the daemon acce
 _MAX_SEED = 2**53
 _MAX_DEMO_S, _MAX_DESCRIBED_S = 600.0, 86_400.0
 Seconds = Annotated[float, option("--seconds", "Length, in s; at most 4 000 000 samples.")]
-Low = Annotated[float, option("--low", "Lowest voltage of the input, in V, at least 0.")]
-High = Annotated[float, option("--high", "Highest voltage of the input, in V, at most 5.")]
+Low = Annotated[
+    float | None, option("--low", "Lowest voltage of the input, in V, at least 0.", "0.5")
+]
+High = Annotated[
+    float | None,
+    option(
+        "--high",
+        "Highest voltage, in V, at most 5; the default is lower if the rig allows less.",
+        "4.5",
+    ),
+]
+
+
+def _levels(low: float | None, high: float | None) -> tuple[float, float, bool]:
+    """Return the voltages, and True if both are defaults, which the rig's limit may lower."""
+    given = low is not None or high is not None
+    return 0.5 if low is None else low, 4.5 if high is None else high, not given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +99,8 @@ class InputChoice:
         None, "File with your own input: a row with u, or t and u, for each sample.", metavar="CSV"
     )
     a: float = chosen(0.05, "Probability of a switch at each sample (telegraph, prbs).")
-    low: Low = 0.5
-    high: High = 4.5
+    low: Low = None
+    high: High = None
     seed: int = chosen(
         1, "Seed of the random numbers (telegraph, prbs, white, multisine).", min=0, max=_MAX_SEED
     )
@@ -116,8 +131,8 @@ def step(
     *,
     seconds: Seconds = 5.0,
     at: float = chosen(1.0, "Time of the step, in s."),
-    low: Low = 0.5,
-    high: High = 4.5,
+    low: Low = None,
+    high: High = None,
     run: Run,
 ) -> None:
     """Play a step, to measure time constant, delay and gain.
@@ -126,11 +141,12 @@ def step(
     """
     from armrig.excitation.named_signals import check_step_time, step_at
 
+    low, high, default = _levels(low, high)
     step_at(1, 1.0, low=low, high=high, at=0.0)
     check_step_time(at, seconds)
     details = {"input": "step", "low": low, "high": high, "at": at}
     make = partial(step_at, low=low, high=high, at=at)
-    collect_each([Played("step", make, details, seconds)], run)
+    collect_each([Played("step", make, details, seconds, default)], run)
 
 
 @collect.add("collect staircase --levels 6")
@@ -138,20 +154,21 @@ def staircase(
     *,
     seconds: Seconds = SECONDS,
     levels: int = chosen(6, "Number of levels.", min=2),
-    low: Low = 0.5,
-    high: High = 4.5,
+    low: Low = None,
+    high: High = None,
     run: Run,
 ) -> None:
     """Play a staircase of levels up and down, to measure static gain and friction."""
     from armrig.excitation.named_signals import step_at, up_and_down
 
+    low, high, default = _levels(low, high)
     step_at(1, 1.0, low=low, high=high, at=0.0)
-    details = {"low": low, "high": high, "levels": levels}
+    details = {"input": "staircase", "low": low, "high": high, "levels": levels}
 
     def make(N: int, _: float) -> Any:
         return up_and_down(N, low=low, high=high, levels=levels)
 
-    collect_each([Played("staircase", make, {"input": "staircase", **details}, seconds)], run)
+    collect_each([Played("staircase", make, details, seconds, default)], run)
 
 
 @collect.add("collect bla --realisations 4")
@@ -165,8 +182,8 @@ def bla(
     count: int = chosen(
         4, "Number of recordings, each with different phases.", names="--realisations", min=1
     ),
-    low: Low = 0.5,
-    high: High = 4.5,
+    low: Low = None,
+    high: High = None,
     seed: int = chosen(1, "Seed of the random phases.", min=0, max=_MAX_SEED),
     run: Run,
 ) -> None:
@@ -176,6 +193,7 @@ def bla(
     """
     from armrig.excitation.named_signals import realisations
 
+    low, high, default = _levels(low, high)
     realisations(3, 1, low, high, seed, periods=1)
     if seconds is not None and period is not None:
         raise InputError(
@@ -194,7 +212,7 @@ def bla(
 
     collect_each(
         (
-            Played("bla", partial(make, r), details | {"realisation": r}, seconds)
+            Played("bla", partial(make, r), details | {"realisation": r}, seconds, default)
             for r in range(count)
         ),
         run,
@@ -209,6 +227,8 @@ class Played(NamedTuple):
     """Function of N and Ts, in s, that returns u, in V."""
     details: dict[str, Any]
     seconds: float | None
+    default_levels: bool = False
+    """True if the user chose neither --low nor --high."""
     is_validation: bool = False
     """True if the recording validates the models of the previous recording."""
 
@@ -230,7 +250,8 @@ def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> lis
         )
     if file is not None:
         return [_from_file(experiment, file, choice.seconds, Ts)]
-    figures = fields_of(choice, "a low high")
+    low, high, default = _levels(choice.low, choice.high)
+    figures = {"a": choice.a, "low": low, "high": high}
     # A wrong value is refused here, before the rig is armed.
     named_signal(name, 3, 0.01, seed=choice.seed, **figures)
 
@@ -240,6 +261,7 @@ def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> lis
             lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
             SECONDS if choice.seconds is None else choice.seconds,
+            default,
         )
 
     first = played(experiment, choice.seed)
@@ -291,7 +313,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     plans = [
         Plan(
             experiment=_experiment_name(p.experiment, run.name),
-            **fields_of(p, "make details seconds"),
+            **fields_of(p, "make details seconds default_levels"),
             **fields_of(run, "Ts pacing"),
             owner=this_user() or "armrig collect" if run.owner is None else run.owner,
             dead_man=run.dead_man or None,

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor, isclose, isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -22,6 +22,7 @@ from armrig_core.commands.commands import (
 from armrig_core.errors import ParameterError
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.rig.calibration import BODY
+from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 from rich.console import Console
@@ -100,6 +101,8 @@ class Plan:
     """Name of the owner of the rig during the run."""
     dead_man: float | None = None
     """Time in s without a sign of life after which the daemon stops the run; None for no limit."""
+    default_levels: bool = False
+    """True if `low` and `high` in `details` are lowered on a rig whose highest voltage is lower."""
     without_arm: bool = False
     """True if the experiment needs the rig without its arm."""
     of_arm: bool = False
@@ -254,6 +257,8 @@ def collect(
             tell("not rehearsed: the description of this rig has no [model]")
         if status.arm_removed and not plan.without_arm:
             tell(f"rig {status.rig} has no arm ([arm] removed): this is the {BODY} alone")
+        if plan.default_levels and status.u_max < plan.details["high"]:
+            plan = _lowered(plan, status.u_max, tell)
         armed = False
         try:
             granted = opened.arm(plan.owner, plan.Ts)
@@ -271,6 +276,18 @@ def collect(
     verdict = data_verdict(load(path)) if _is_readable(path) else None
     synced = opened.last_run.synced if opened.last_run else 0
     return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal, synced)
+
+
+def _lowered(plan: Plan, u_max: float, tell: Callable[[str], None]) -> Plan:
+    """Return a plan whose voltages are the same shares of `u_max` as before of 5 V."""
+    share = u_max / U_MAX_V
+    low, high = (share * plan.details[name] for name in ("low", "high"))
+    tell(f"the rig allows at most {u_max:g} V: the input is between {low:g} and {high:g} V")
+    return replace(
+        plan,
+        make=lambda N, Ts: share * plan.make(N, Ts),
+        details={**plan.details, "low": low, "high": high},
+    )
 
 
 def _is_readable(path: Path) -> bool:

@@ -60,6 +60,7 @@ def test_every_option_of_a_collection_reaches_its_plan(
         assert (rig, connect) == ("7", "tcp/far:7447")
         assert plan.experiment.removeprefix(arguments[0]) in ("-odd-1", "-validation-odd-1")
         assert plan.without_arm == (arguments[0] == "greybox")
+        assert not plan.default_levels
         u = plan.make(200, 0.02)
         near = 0.5 if arguments[0] == "bla" else 1e-9  # its draws share a scale
         assert 1.25 - 1e-9 <= u.min() <= 1.25 + near

@@ -91,6 +91,39 @@ def test_a_collection_of_an_interrupted_run_ends_with_its_last_sample(where: str
     assert told == []
 
 
+class _LowRig(FakeDaemon):
+    """Allows at most 3 V."""
+
+    def status(self) -> StatusReport:
+        return replace(super().status(), u_max=3.0)
+
+
+@pytest.mark.parametrize(
+    ("default", "high", "u"), [(True, 4.5, 2.7), (False, 4.5, 4.5), (True, 2.5, 2.5)]
+)
+def test_default_levels_above_the_limit_of_the_rig_are_lowered(
+    default: bool, high: float, u: float, where: str
+) -> None:
+    plan = Plan(
+        experiment="own",
+        make=lambda N, _: np.full(N, high),
+        details={"low": 0.5, "high": high},
+        seconds=0.1,
+        Ts=0.01,
+        pacing="exchange",
+        owner="Ada",
+        default_levels=default,
+    )
+    told: list[str] = []
+    with _LowRig(where) as daemon:
+        collect(plan, rig="1", connect=where, tell=told.append, shown=unseen)
+        [run] = [r for r in daemon.asked if isinstance(r, Run)]
+
+    assert (run.u, run.details["high"]) == (pytest.approx([u] * 10), pytest.approx(u))
+    lowered = "the rig allows at most 3 V: the input is between 0.3 and 2.7 V"
+    assert told == ([lowered] if u < high else [])
+
+
 class _CutOff(FakeDaemon):
     """Answers nothing more after it has shown two thirds of a run."""
 
