@@ -322,7 +322,8 @@ def calibrate(
         facts = {"calibration": path, "figures": figures}
         print_json(facts | fields_of(found, "alpha_sign warnings") | {"in_use": used})
     else:
-        say_next("calibrate", rig=naming(rig, connect))
+        described = rest.manifest.description_sha256
+        say_next("rig", rig=naming(rig, connect), described=described)
 
 
 def _measure_points(

@@ -116,7 +116,8 @@ def sampling(
         if signals.read and (again := step_again(signals.read[0])):
             say_next("step hidden", again=again)
         elif from_recording(data):
-            say_next("sampling", **_experiment(choice))
+            described = signals.read[0].manifest.description_sha256 if signals.read else ""
+            say_next("sampling", **_experiment(choice), described=described)
         else:
             say_next("sampling other", file=typed(file), given=signals.options())
 

@@ -44,16 +44,12 @@ _Pair = tuple["RecordingSummary", "RecordingSummary"]
 """A recording for estimation and its recording for validation."""
 
 AFTER: Mapping[str, str] = {
-    "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
-    "lab alone": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
-    "lab other": "armrig collect step{rig} --name first",
-    "status other": "armrig collect step{rig} --name first",
+    "rig": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
+    "rig alone": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
+    "rig other": "armrig collect step{rig} --name first",
     "flash": "armrig conformance --device {port}",
     "model": "armrig model --set J_2=0.005 --set K_lin=2.4 -o step.png",
     "model --set": "armrig lab",
-    "calibrate": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
-    "status": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
-    "status alone": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
     "demo": "{opener} {file}",
     "reset": "armrig status{rig}",
     "ls": "armrig info {file}",
@@ -110,27 +106,34 @@ def say_to_copy(text: str) -> None:
 
 
 def next_line(after: str, **values: str | float) -> str:
-    """Return the line `next: …` after a command."""
-    return f"next: {printable(_goes_on(AFTER[after].format(**values)))}"
+    """Return the line `next: …` after a command.
+
+    The value `described` is the hash of the rig's description; "" if it is not known.
+    """
+    line = AFTER[after].format(**values)
+    return f"next: {printable(_goes_on(line, str(values.get('described', ''))))}"
 
 
-def _goes_on(line: str) -> str:
+def _goes_on(line: str, described: str) -> str:
     """Return the command, or a later command if the rig runs or the recording already exists."""
     words = shlex.split(line)
     if words[1:] == ["lab"] and _rig_runs():
-        return _goes_on(AFTER["lab"].format(rig=""))
+        return _goes_on(AFTER["rig"].format(rig=""), described)
     if words[1] != "collect":
         return line
+    own = own_recordings()
+    of_rig = [s for s in own if described in ("", s.description_sha256 or described)]
     if "--validation" in words:
-        pair = recorded_pair(float(words[words.index("--Ts") + 1]))
+        pair = _estimation(of_rig, float(words[words.index("--Ts") + 1]))
         return AFTER["collect blackbox"].format(file=pair) if pair else line
     if words[-2] != "--name":
         return line
-    names, own = (f"{words[-1]}{_AGAIN}", words[-1]), own_recordings()  # prefer the repeated run
-    found = [s for name in names for s in own if name in s.names(validation=False)]
-    if not found:
-        return line
-    if found[0].kind == "step" and (pair := recorded_pair()):
+    names = f"{words[-1]}{_AGAIN}", words[-1]  # prefer the repeated run
+    named = [s for name in names for s in own if name in s.names(validation=False)]
+    found = [s for s in named if s in of_rig]
+    if not found:  # a recording of another rig keeps its name
+        return line.rpartition(" --name ")[0] if named else line
+    if found[0].kind == "step" and (pair := _estimation(of_rig)):
         return AFTER["plot"].format(file=pair)
     after = f"collect {found[0].kind}"
     return AFTER[after if after in AFTER else "plot"].format(file=typed(found[0].path))
@@ -169,9 +172,9 @@ def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[_Pair]:
     return [(a, b) for a, b in found if same(a) == same(b) and b.kind in (kinds or (b.kind,))]
 
 
-def recorded_pair(Ts: float | None = None) -> str:
+def _estimation(own: Sequence[RecordingSummary], Ts: float | None = None) -> str:
     """Return the newest estimation recording with a validation recording; "" if none exists."""
-    found = (first for first, _ in _pairs(own_recordings(), "blackbox") if Ts in (None, first.Ts))
+    found = (first for first, _ in _pairs(own, "blackbox") if Ts in (None, first.Ts))
     return next((typed(first.path) for first in found), "")
 
 
@@ -401,6 +404,9 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     if "check" in remedies:
         return CHECK
     if "search" in remedies and not searched and fit.structure != "pem":
+        # The noise of a process model has no parameters: its colour is no reason for a pole more.
+        if request.form and not _misses_dynamics(found):
+            return options
         if richer := _richer(request.form or ""):
             return options_of(structs.replace(request, form=richer))
         return "--search" if kind.continuous else f"--structure {fit.structure} --search"
@@ -423,6 +429,15 @@ def _of_several(found: Found, about: Set[str]) -> str:
     elif not INTEGRATING_OUTPUTS.isdisjoint(data.signals().outputs) and not request.integrator:
         return "--structure oe --integrator"
     return CHECK if "feedback" in about else "--search"
+
+
+def _misses_dynamics(found: Found) -> bool:
+    from armrig.numerics.whiteness import WHITE_LEVEL
+    from armrig.validation.residuals import residuals
+
+    v = found.validation
+    tests = residuals(found.fit, found.data) if v is None else v.tests
+    return bool(tests.missing_dynamics < WHITE_LEVEL)
 
 
 def _richer(form: str) -> str:

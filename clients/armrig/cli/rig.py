@@ -60,7 +60,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         return
     print_table(*status_rows(report))
     if report.phase == "safe" and not report.line:
-        _say_next(_after("status", report), rig, connect)
+        _say_next(_after(report), rig, connect, report.described.sha256)
 
 
 def watch(
@@ -196,17 +196,17 @@ def note(
     print_result({"rig": rig, "recorded": is_recorded}, text, json=json)
 
 
-def _after(command: str, status: StatusReport) -> str:
+def _after(status: StatusReport) -> str:
     """Return the key of the next command: the kind of rig decides."""
     if not status.described.arm:
-        return f"{command} other"
-    return f"{command} alone" if status.arm_removed else command
+        return "rig other"
+    return "rig alone" if status.arm_removed else "rig"
 
 
-def _say_next(after: str, rig: str, connect: str | None) -> None:
+def _say_next(after: str, rig: str, connect: str | None, described: str = "") -> None:
     from armrig.cli.next_step import naming, say_next
 
-    say_next(after, rig=naming(rig, connect))
+    say_next(after, rig=naming(rig, connect), described=described)
 
 
 @contextmanager
@@ -357,7 +357,8 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, js
     shown = told = ""
     status, asked_s = rig.status(), time.monotonic()
     # Computed once: the commands of later recordings print their own next command.
-    after = next_line(_after("lab", status), rig=naming(status.rig))
+    described = status.described.sha256
+    after = next_line(_after(status), rig=naming(status.rig), described=described)
     with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
         sample = None
         while True:

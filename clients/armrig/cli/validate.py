@@ -298,6 +298,7 @@ def check(
     require_level(level)
     data = signals.of(file)
     recorded = recorded_data.from_recording(data)
+    of_arm = recorded_data.from_arm(data)
     integrator, taken = signals.choice(data, named=not out.json)  # the remarks contain the reason
     with spinner("testing") as progress:
         loops = recorded_data.by_channel(partial(armrig.open_loop, level=level), data)
@@ -317,7 +318,7 @@ def check(
         for channel, found in tests.items():
             recorded_data.say_channel(channel)
             for (which, number), one in zip(_TESTS.items(), found, strict=True):
-                where = f"{which} (handout {number})" if number and recorded else which
+                where = f"{which} (handout {number})" if number and of_arm else which
                 if isinstance(one, str):
                     say(f"{where}: not known: {one}")
                     continue

@@ -57,6 +57,7 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (P1 | {"form": "P1"}, "search", "", "--structure process --form P1D"),
         (P1 | {"form": "P2DI"}, "search order", "", "--structure process --form P3DI"),
         (P1 | {"form": "P3D"}, "search", "", "--search"),
+        (P1 | {"form": "P1DI"}, "search", "complete", "--structure process --form P1DI"),
         (PEM, "search", "", "--structure pem --na 0 --nb 2 --nc 0 --nd 0 --nf 2 --nk 1"),
     ],
 )
@@ -78,12 +79,17 @@ def test_the_next_estimation_follows_the_findings(
             fit=fit,
             request=request,
             search=fit if "searched" in how else None,
+            validation=_validation(0.5 if how == "complete" else 0.0),
             signals=SignalChoice(detrend="detrended" in how),
         ),
         findings,
     )
 
     assert options == wanted
+
+
+def _validation(missing_dynamics: float) -> Any:
+    return SimpleNamespace(tests=SimpleNamespace(missing_dynamics=missing_dynamics))
 
 
 def _found(**fields: Any) -> Any:

@@ -248,7 +248,43 @@ def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:
     put(pair, "step-first", "0000000e")
     put(pair, "step-first-again", "0000000f")
 
-    assert next_line("calibrate", rig="") == "next: armrig sampling @first-again -o sampling.png"
+    assert next_line("rig", rig="") == "next: armrig sampling @first-again -o sampling.png"
+
+
+@pytest.mark.parametrize(
+    ("described", "wanted"),
+    [
+        ("", "plot @0000000a"),
+        ("ab", "plot @0000000a"),
+        ("cd", "collect blackbox --Ts 0.01 --seconds 30 --validation"),
+    ],
+)
+def test_the_next_command_names_no_pair_of_another_rig(
+    pair: Path, described: str, wanted: str
+) -> None:
+    for path in pair.iterdir():
+        path.unlink()
+    about: dict[str, Any] = {"description_sha256": "ab"}
+    put(pair, "blackbox", "0000000a", at="130000", **about)
+    details = {"validation_of": "0000000a"}
+    put(pair, "blackbox-validation", "0000000b", at="130000", details=details, **about)
+    asked = {"Ts": 0.01, "seconds": 30, "switching": "", "described": described}
+
+    assert next_line("sampling", **asked) == f"next: armrig {wanted}"
+
+
+@pytest.mark.parametrize(
+    ("described", "wanted"),
+    [("ab", "sampling @first -o sampling.png"), ("cd", "collect step")],
+)
+def test_a_name_of_another_rig_is_not_given_again(pair: Path, described: str, wanted: str) -> None:
+    for path in pair.iterdir():
+        path.unlink()
+    put(pair, "step-first", "0000000e", description_sha256="ab")
+
+    found = next_line("rig other", rig="", described=described)
+
+    assert found == f"next: armrig {wanted}"
 
 
 def test_the_next_command_names_a_rig_and_endpoint_that_are_not_defaults() -> None:

@@ -135,6 +135,8 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     """Unique id of the device; "" if it has none."""
     calibration_sha256: str
     """Hash of the attached calibration."""
+    description_sha256: str
+    """Hash of the attached description of the rig; "" in a recording of an older release."""
     armrig: str
     """Version of armrig that made the recording."""
     outcome_code: str
@@ -228,6 +230,7 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
         "pacing": manifest.pacing,
         "device": str(manifest.device.get("uid", "")),
         "calibration_sha256": manifest.calibration_sha256,
+        "description_sha256": manifest.description_sha256,
         "armrig": manifest.armrig,
         "outcome_code": outcome.code,
     }
