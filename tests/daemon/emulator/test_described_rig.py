@@ -40,6 +40,13 @@ def test_a_step_of_the_circuit_has_its_two_time_constants() -> None:
     assert y == pytest.approx(exact, abs=1e-9)
 
 
+def test_the_circuit_at_rest_is_away_from_the_rails() -> None:
+    """A sample at a rail has no value, and a rig that rests at a rail is not armed."""
+    rest = DescribedRig(RC, np.random.default_rng(1)).wiper(0)
+
+    assert rest == pytest.approx(0.5 / 6, abs=1e-4)
+
+
 def test_the_motion_does_not_depend_on_the_division_of_time() -> None:
     coarse, fine = moved(RC, [2.0] * 5, 20 * MS), moved(RC, [2.0] * 100, MS)
 

@@ -60,7 +60,7 @@ def test_a_reading_that_the_rig_does_not_use_has_no_value(tmp_path: Path) -> Non
     samples, _, _ = _recorded(tmp_path, RC)
 
     assert all(isnan(s.unused_1) and s.unused_1_counts for s in samples)
-    assert all(s.y_V == s.y_counts * 5 / 65536 for s in samples)
+    assert all(s.y_V == (s.y_counts - 5461.333) * 6 / 65536 for s in samples)
 
 
 def test_a_recording_without_a_description_is_the_arms() -> None:
