@@ -86,9 +86,8 @@ class Image(Value, frozen=True):
     """CRC of each image for other pins, which is refused."""
 
     def fits(self, crc: int) -> bool:
-        """Return whether a firmware, by its CRC, drives the pins of the rig."""
-        is_emulated = crc == 0  # a device without a binary, and without pins
-        return is_emulated or (crc not in self.others and self.crc in (0, crc))
+        """Return whether a firmware, by its CRC, drives the pins of the rig; 0 is no CRC."""
+        return crc != 0 and crc not in self.others and self.crc in (0, crc)
 
 
 Conversions = tuple[Conversion, Conversion] | tuple[Potentiometer, Potentiometer]

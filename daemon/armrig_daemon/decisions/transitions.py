@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.commands.codes import RefusalCode
+from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_core.rig.volts import volts_of
 from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
@@ -247,8 +248,8 @@ def _unfit(device: wire.HelloReply, rules: Rules) -> Fault | None:
         text = "the device has no exchange mode"
     elif not 1 <= device.pwm_bits <= 16:
         text = f"the device's duty has {device.pwm_bits} bits: 1 to 16 are possible"
-    elif (image := rules.image) and not image.fits(device.firmware):
-        # Each image drives another pin.
+    elif (image := rules.image) and not (device.uid == EMULATOR_UID or image.fits(device.firmware)):
+        # Each image drives another pin; an emulated device has neither image nor pins.
         text = (
             f"the firmware on the board, {device.firmware:08x}, is not the image {image.name} "
             f"that the rig needs, which `armrig flash --image {image.name}` writes"

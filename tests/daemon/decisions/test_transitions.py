@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_daemon import pipe
 from armrig_daemon.decisions import orders, outcomes, transitions
 from armrig_daemon.decisions.faults import Fault, Id
@@ -232,29 +233,31 @@ _ARM = Image("uno", 0, (0x1234, 0x4321))
 
 
 @pytest.mark.parametrize(
-    ("image", "firmware", "is_fit"),
+    ("image", "firmware", "uid", "is_fit"),
     [
-        (_SHIELD, 0x1234, True),
-        (_SHIELD, 0x4321, False),
-        (_SHIELD, 0, True),
-        (_ARM, 0x4321, False),
-        (_ARM, 0x9999, True),
+        (_SHIELD, 0x1234, 7, True),
+        (_SHIELD, 0x4321, 7, False),
+        (_SHIELD, 0, 7, False),
+        (_SHIELD, 0, EMULATOR_UID, True),
+        (_ARM, 0x4321, 7, False),
+        (_ARM, 0, 7, False),
+        (_ARM, 0x9999, 7, True),
     ],
 )
 def test_a_board_with_another_image_than_the_rig_needs_is_not_driven(
-    image: Image, firmware: int, is_fit: bool
+    image: Image, firmware: int, uid: int, is_fit: bool
 ) -> None:
-    """An emulated device is 0; a firmware of one's own is allowed at the arm's pins only."""
+    """Only an emulator has no image (0); one's own firmware is allowed at the arm's pins only."""
     bench = rested()
     state = awaiting(bench.loop.state, RequestKind.HELLO)
     rules = replace(state.rules, image=image)
 
-    met = _met(bench, replace(state, rules=rules), firmware=firmware)
+    met = _met(bench, replace(state, rules=rules), firmware=firmware, uid=uid)
 
     assert (met.state.phase is Phase.FAULT) == (not is_fit)
     assert bool(met.sent) == is_fit
     if not is_fit:
-        assert f"00004321, is not the image {image.name}" in met.state.fault.cause
+        assert f"{firmware:08x}, is not the image {image.name}" in met.state.fault.cause
         assert f"`armrig flash --image {image.name}`" in met.state.fault.cause
 
 
