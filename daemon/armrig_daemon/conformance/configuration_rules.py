@@ -1,15 +1,10 @@
-"""Rules of section 4 (configuration), and the rule of section 3 about HELLO_R."""
+"""Rules of section 4: configuration."""
 
 from __future__ import annotations
 
 from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import (
-    FULL_SCALE_MV,
-    QUEUE_CAPACITY,
-    SCHEMA_HASH,
-    SETPOINTS_PER_FRAME,
-    VERSION,
     WATCHDOG_MAX_MS,
     WATCHDOG_MIN_MS,
     Capability,
@@ -25,24 +20,6 @@ from armrig_daemon.conformance.rule import NotTried, expect, rule
 def ts_min_us(host: Host, m: int) -> int:
     """Return the shortest Ts with oversampling m, in µs."""
     return host.known.ts_min_us + 2 * (m - 1) * host.known.skew_us
-
-
-@rule(3, "HELLO_R identifies the device: version, schema, full scale, and possible values")
-def _hello(host: Host) -> None:
-    it = host.known
-    expect(
-        (it.version, it.schema) == (VERSION, SCHEMA_HASH), f"version {it.version}, {it.schema:x}"
-    )
-    expect(it.full_scale_mv == FULL_SCALE_MV, f"full scale {it.full_scale_mv} mV")
-    expect(it.boot_id != 0, "boot_id 0")
-    expect(bool(it.capabilities & Capability.EXCHANGE), f"capabilities {it.capabilities:x}")
-    expect(0 < it.hold_us < it.skew_us, f"hold_us {it.hold_us}, skew_us {it.skew_us}")
-    # Both values are rounded up.
-    expect(it.ts_min_us >= 2 * it.skew_us - 2, f"ts_min_us {it.ts_min_us}, skew_us {it.skew_us}")
-    expect(8 <= it.adc_bits <= 16 and 1 <= it.pwm_bits <= 16, f"{it.adc_bits}, {it.pwm_bits} bits")
-    if it.capabilities & Capability.SCHEDULED:
-        fits = 2 * SETPOINTS_PER_FRAME <= it.queue <= QUEUE_CAPACITY
-        expect(fits, f"a queue of {it.queue}")
 
 
 @rule(4, "CONFIG_R contains the accepted values, and their CRC-32")
@@ -149,7 +126,3 @@ def _mode(host: Host) -> None:
     reply = host.configure(mode=Mode.SCHEDULED)
     offered = host.known.capabilities & Capability.SCHEDULED
     expect(reply.code == (Code.OK if offered else Code.UNSUPPORTED), [reply])
-
-
-RULES = (_accepted, _refused, _limits, _rest, _nonce, _unsupported, _mode)
-WHO = (_hello,)

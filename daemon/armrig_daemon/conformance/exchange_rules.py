@@ -147,6 +147,3 @@ def _crc_flag(host: Host) -> None:
 
 def _rest(host: Host, u: int) -> int:
     return u if host.known.capabilities & Capability.ENABLE_LINE else 0
-
-
-RULES = (_time, _k, _latched, _range, _bounds, _slew, _unlooked, _order, _crc_flag)

@@ -21,6 +21,53 @@ _RAIL_CODES = 64
 _SUPPLY_LOW_MV = 4_000
 
 
+@rule(7, "KEEPALIVE and any other accepted frame feeds the watchdog")
+def _fed(host: Host) -> None:
+    host.reach(State.RUN, watchdog_ms=250)
+    came = host.alive(500)
+    expect(not came and host.state == State.RUN, came)
+    for _ in range(8):
+        came = [*host.listen(40), *host.ask(wire.Keepalive)]
+        expect(not came and host.state == State.RUN, came)
+
+
+@rule(7, "`rail_ticks` consecutive samples at a rail lead to FAULT(ADC_RAIL) after the last sample")
+def _rails(host: Host) -> None:
+    host.reach(State.RUN, rail_ticks=4)
+    in_a_row = [0, 0]
+    for _ in range(8):
+        sample = host.sample(0)
+        rails = [not _RAIL_CODES <= y < 65_536 - _RAIL_CODES for y in (sample.y0, sample.y1)]
+        flags = bool(sample.flags & Flag.ADC0_RAIL), bool(sample.flags & Flag.ADC1_RAIL)
+        expect(list(flags) == rails, f"y0 {sample.y0}, y1 {sample.y1}, flags 0x{sample.flags:04x}")
+        in_a_row = [n + 1 if at_rail else 0 for n, at_rail in zip(in_a_row, rails, strict=True)]
+        came = host.fence()
+        tripped = [m for m in came if isinstance(m, wire.Event)]
+        expect(bool(tripped) == (max(in_a_row) == 4), came)
+        if tripped:
+            expect(tripped[0].cause == Cause.ADC_RAIL and sample.state == State.FAULT, came)
+            return
+    raise NotTried(
+        "no potentiometer stays at a rail: turn the first into its dead band, or unplug one"
+    )
+
+
+@rule(7, "If `rail_ticks` and `turns` are 0, no reading leads to FAULT")
+def _no_guard(host: Host) -> None:
+    host.reach(State.RUN)
+    for _ in range(30):
+        expect(host.sample(0).state == State.RUN, f"state {host.state}")
+
+
+@rule(7, "If the motor stands still, there is no FAULT(REV_LIMIT), and REV_LIMIT is not set")
+def _still(host: Host) -> None:
+    host.reach(State.RUN, turns=50)
+    for _ in range(30):
+        sample = host.sample(0)
+        is_flagged = sample.flags & Flag.REV_LIMIT
+        expect(sample.state == State.RUN and not is_flagged, [sample])
+
+
 def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") -> list[wire.Message]:
     """Wait for FAULT(WATCHDOG) and check its time; return the messages up to this fault."""
     came: list[wire.Message] = []
@@ -81,16 +128,6 @@ def _hellos(host: Host, fed_us: int) -> None:
     expect(any(isinstance(m, wire.HelloReply) for m in came), "no HELLO_R")
 
 
-@rule(7, "KEEPALIVE and any other accepted frame feeds the watchdog")
-def _fed(host: Host) -> None:
-    host.reach(State.RUN, watchdog_ms=250)
-    came = host.alive(500)
-    expect(not came and host.state == State.RUN, came)
-    for _ in range(8):
-        came = [*host.listen(40), *host.ask(wire.Keepalive)]
-        expect(not came and host.state == State.RUN, came)
-
-
 @rule(7, "In IDLE and READY, at 0 V, the watchdog is off", silent=True)
 def _idle(host: Host) -> None:
     for state in (State.IDLE, State.READY):
@@ -116,43 +153,6 @@ def _left_alone(host: Host) -> None:
     expect(host.sample(20_000).u_k == 0, "a code that is not 0")
 
 
-@rule(7, "`rail_ticks` consecutive samples at a rail lead to FAULT(ADC_RAIL) after the last sample")
-def _rails(host: Host) -> None:
-    host.reach(State.RUN, rail_ticks=4)
-    in_a_row = [0, 0]
-    for _ in range(8):
-        sample = host.sample(0)
-        rails = [not _RAIL_CODES <= y < 65_536 - _RAIL_CODES for y in (sample.y0, sample.y1)]
-        flags = bool(sample.flags & Flag.ADC0_RAIL), bool(sample.flags & Flag.ADC1_RAIL)
-        expect(list(flags) == rails, f"y0 {sample.y0}, y1 {sample.y1}, flags 0x{sample.flags:04x}")
-        in_a_row = [n + 1 if at_rail else 0 for n, at_rail in zip(in_a_row, rails, strict=True)]
-        came = host.fence()
-        tripped = [m for m in came if isinstance(m, wire.Event)]
-        expect(bool(tripped) == (max(in_a_row) == 4), came)
-        if tripped:
-            expect(tripped[0].cause == Cause.ADC_RAIL and sample.state == State.FAULT, came)
-            return
-    raise NotTried(
-        "no potentiometer stays at a rail: turn the first into its dead band, or unplug one"
-    )
-
-
-@rule(7, "If `rail_ticks` and `turns` are 0, no reading leads to FAULT")
-def _no_guard(host: Host) -> None:
-    host.reach(State.RUN)
-    for _ in range(30):
-        expect(host.sample(0).state == State.RUN, f"state {host.state}")
-
-
-@rule(7, "If the motor stands still, there is no FAULT(REV_LIMIT), and REV_LIMIT is not set")
-def _still(host: Host) -> None:
-    host.reach(State.RUN, turns=50)
-    for _ in range(30):
-        sample = host.sample(0)
-        is_flagged = sample.flags & Flag.REV_LIMIT
-        expect(sample.state == State.RUN and not is_flagged, [sample])
-
-
 @rule(
     7,
     "STATUS reports the supply once a second, and VCC_LOW is set if the supply is below 4000 mV",
@@ -167,6 +167,3 @@ def _supply(host: Host) -> None:
     sample: wire.Sample = host.sample()
     expect(bool(sample.flags & Flag.VCC_LOW) == low, f"{second.vcc_mv} mV, [{sample.flags:04x}]")
     expect(second.stack_free >= 128, f"{second.stack_free} B of stack left")
-
-
-RULES = (_fed, _rails, _no_guard, _still, _watchdog, _unfed, _idle, _left_alone, _supply)

@@ -105,6 +105,3 @@ def _refill(host: Host, u: list[int], sent: int, ahead_of: int) -> int:
         put_setpoints(host, sent, u[sent : sent + SETPOINTS_PER_FRAME])
         sent += SETPOINTS_PER_FRAME
     return sent
-
-
-RULES = (_random_bytes, _full_line, _flood)

@@ -133,6 +133,3 @@ def _cal_meanwhile(host: Host) -> None:
     came = host.until(lambda m: isinstance(m, wire.CalReply), "CAL_R", 4 * PATIENCE_MS)
     expect(came[-1].state == State.ESTOP, f"state {came[-1].state} in CAL_R")
     expect(TYPES[wire.Cal] not in [m.of_type for m in came if isinstance(m, wire.Ack)], came)
-
-
-RULES = (_mean_time, _waiting, _overtaken, _cal, _cal_bounds, _cal_meanwhile)

@@ -306,22 +306,3 @@ def _unfed(host: Host) -> None:
     fed = host.rx_us
     came = host.until(lambda m: isinstance(m, wire.Event), "FAULT(WATCHDOG)")
     expect_watchdog(only(wire.Event, came[-1:]), fed, 100)
-
-
-RULES = (
-    _holes,
-    _disagree,
-    _capacity,
-    _frames,
-    _bad,
-    _range,
-    _slew,
-    _aligned,
-    _time,
-    _end,
-    _underrun,
-    _late,
-    _late_repeat,
-    _exchange,
-    _unfed,
-)

@@ -117,6 +117,3 @@ def _reset(host: Host) -> None:
     expect(halves[0] != halves[1], f"boot_id {before:08x} and then {after.boot_id:08x}")
     expect(host.configure(ts_us=0).config_crc == 0, "a configuration from before the boot")
     expect(not any(isinstance(m, wire.Sample) for m in came), came)
-
-
-RULES = (_stale, _ahead, _unknown, _hello, _hello_armed, _stop_always, _echo, _boot, _reset)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from re import sub
 from typing import Any
 
@@ -20,55 +19,7 @@ _FIELDS: dict[type[wire.Message], dict[str, Any]] = {
     wire.Cal: {"channel": 0, "zero": 0, "n": 1},
     wire.Setpoints: {"k0": 0, "n": 1, "zero": 0, "u": (0,) * 24},
 }
-_REFUSED_KINDS: dict[State, tuple[type[wire.Message], ...]] = {
-    State.IDLE: (wire.Arm, wire.Start, wire.ClearFault, wire.Setpoints),
-    State.READY: (wire.Start, wire.ClearFault, wire.Setpoints),
-    State.ARMED: (wire.Config, wire.Arm, wire.ClearFault, wire.Setpoints, wire.Cal),
-    State.RUN: (wire.Config, wire.Arm, wire.Start, wire.ClearFault, wire.Setpoints, wire.Cal),
-    State.FAULT: (wire.Config, wire.Arm, wire.Start, wire.Stop, wire.Setpoints, wire.Cal),
-    State.ESTOP: (wire.Config, wire.Arm, wire.Start, wire.Stop, wire.Setpoints, wire.Cal),
-}
 _NEEDED_CAPABILITY = {wire.Setpoints: Capability.SCHEDULED, wire.Cal: Capability.CAL}
-
-
-def _refuses(state: State, host: Host) -> None:
-    host.reach(state)
-    for kind in _REFUSED_KINDS[state]:
-        came = host.ask(kind, **_FIELDS.get(kind, {}))
-        needed = _NEEDED_CAPABILITY.get(kind)
-        offered = needed is None or host.known.capabilities & needed
-        code = Code.WRONG_STATE if offered else Code.UNSUPPORTED
-        answers = [m.code for m in came if isinstance(m, wire.Ack | wire.ConfigReply)]
-        expect(answers == [code] and len(came) == 1, came)
-        expect(host.state == state, f"state {host.state} after {kind.__name__}")
-
-
-def _wire_name(kind: type[wire.Message]) -> str:
-    """Return a type's name on the wire: CLEAR_FAULT for ClearFault."""
-    return sub(r"(?<=[a-z])([A-Z])", r"_\1", kind.__name__).upper()
-
-
-REFUSALS = tuple(
-    Rule(
-        section=3,
-        sentence=f"In {state.name}, these requests are answered WRONG_STATE: "
-        + ", ".join(map(_wire_name, kinds_)),
-        check=partial(_refuses, state),
-    )
-    for state, kinds_ in _REFUSED_KINDS.items()
-)
-
-
-@rule(3, "HELLO, EXCHANGE, PING and KEEPALIVE are accepted in any state but BOOT")
-def _everywhere(host: Host) -> None:
-    for state in STATES:
-        host.enter(state)
-        host.hello()
-        came = host.ask(wire.Keepalive)
-        expect(not [m for m in came if not isinstance(m, wire.HelloReply)], came)
-        taken = host.exchange(0)
-        expect(isinstance(taken, wire.Sample) and taken.state == state, [taken])
-        expect(host.pong is not None and host.pong.state == state, [host.pong])
 
 
 @rule(3, "CONFIG leads to READY, ARM to ARMED, START to RUN: the answer first, then the EVENT")
@@ -101,6 +52,48 @@ def _stop(host: Host) -> None:
         expect((left.config_crc, left.nonce, left.ts_us) == (0, 0, 0), [left])
     came = host.ask(wire.Stop)
     expect(codes(came) == [Code.OK] and len(came) == 1, came)
+
+
+@rule(3, "HELLO, EXCHANGE, PING and KEEPALIVE are accepted in any state but BOOT")
+def _everywhere(host: Host) -> None:
+    for state in STATES:
+        host.enter(state)
+        host.hello()
+        came = host.ask(wire.Keepalive)
+        expect(not [m for m in came if not isinstance(m, wire.HelloReply)], came)
+        taken = host.exchange(0)
+        expect(isinstance(taken, wire.Sample) and taken.state == state, [taken])
+        expect(host.pong is not None and host.pong.state == state, [host.pong])
+
+
+def _refuses(state: State, *refused: type[wire.Message]) -> Rule:
+    """Return the rule that a state refuses these requests, named as on the wire (CLEAR_FAULT)."""
+    names = (sub(r"(?<=[a-z])([A-Z])", r"_\1", kind.__name__).upper() for kind in refused)
+
+    @rule(3, f"In {state.name}, these requests are answered WRONG_STATE: {', '.join(names)}")
+    def check(host: Host) -> None:
+        host.reach(state)
+        for kind in refused:
+            came = host.ask(kind, **_FIELDS.get(kind, {}))
+            needed = _NEEDED_CAPABILITY.get(kind)
+            offered = needed is None or host.known.capabilities & needed
+            code = Code.WRONG_STATE if offered else Code.UNSUPPORTED
+            answers = [m.code for m in came if isinstance(m, wire.Ack | wire.ConfigReply)]
+            expect(answers == [code] and len(came) == 1, came)
+            expect(host.state == state, f"state {host.state} after {kind.__name__}")
+
+    return check
+
+
+_LATCHED = (wire.Config, wire.Arm, wire.Start, wire.Stop, wire.Setpoints, wire.Cal)
+_in_idle = _refuses(State.IDLE, wire.Arm, wire.Start, wire.ClearFault, wire.Setpoints)
+_in_ready = _refuses(State.READY, wire.Start, wire.ClearFault, wire.Setpoints)
+_in_armed = _refuses(State.ARMED, wire.Config, wire.Arm, wire.ClearFault, wire.Setpoints, wire.Cal)
+_in_run = _refuses(
+    State.RUN, wire.Config, wire.Arm, wire.Start, wire.ClearFault, wire.Setpoints, wire.Cal
+)
+_in_fault = _refuses(State.FAULT, *_LATCHED)
+_in_estop = _refuses(State.ESTOP, *_LATCHED)
 
 
 @rule(
@@ -237,22 +230,3 @@ def _clear(host: Host) -> None:
         came = host.ask(wire.ClearFault, token=token)
         expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
         expect(host.hello().token == 0, f"token {host.known.token} in IDLE")
-
-
-RULES = (
-    _way,
-    _stop,
-    _everywhere,
-    *REFUSALS,
-    _zero_volts,
-    _rest,
-    _event_time,
-    _pong,
-    _setpoints_mode,
-    _arm,
-    _start,
-    _old_arming,
-    _estop,
-    _estop_again,
-    _clear,
-)

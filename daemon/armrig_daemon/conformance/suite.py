@@ -7,7 +7,15 @@ from contextlib import suppress
 from textwrap import fill
 
 from armrig_protocol import messages as wire
-from armrig_protocol.messages import State
+from armrig_protocol.messages import (
+    FULL_SCALE_MV,
+    QUEUE_CAPACITY,
+    SCHEMA_HASH,
+    SETPOINTS_PER_FRAME,
+    VERSION,
+    Capability,
+    State,
+)
 
 from armrig_daemon.conformance import (
     byte_rules,
@@ -22,22 +30,9 @@ from armrig_daemon.conformance import (
 )
 from armrig_daemon.conformance.conversation import Broken, EndlessError
 from armrig_daemon.conformance.host import BOOT_MS, Host
-from armrig_daemon.conformance.rule import NotTried, Result, Rule, expect
+from armrig_daemon.conformance.rule import NotTried, Result, Rule, expect, rule
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 
-RULES: tuple[Rule, ...] = (
-    *configuration_rules.WHO,
-    *byte_rules.RULES,
-    *sequence_rules.RULES,
-    *state_rules.RULES,
-    *configuration_rules.RULES,
-    *exchange_rules.RULES,
-    *reading_rules.RULES,
-    *scheduled_rules.RULES,
-    *guard_rules.RULES,
-    *load_rules.RULES,
-    *byte_rules.LAST,
-)
 _MAX_TRIES = 6
 _STALL_MS = 80
 """A failed rule is tested again if the host was silent for longer than this time, in ms."""
@@ -45,6 +40,48 @@ _MAX_SUITE_MS, _MAX_RECEIVED_BYTES = 600_000, 1 << 22
 """Limits of the whole suite, in ms and in B; an Uno needs 24 s, and sends 0.23 MB."""
 PASS, FAIL, NOT_TRIED = "pass", "FAIL", "not tried"
 _INDENT = " " * 14
+
+
+@rule(3, "HELLO_R identifies the device: version, schema, full scale, and possible values")
+def _hello(host: Host) -> None:
+    it = host.known
+    expect(
+        (it.version, it.schema) == (VERSION, SCHEMA_HASH), f"version {it.version}, {it.schema:x}"
+    )
+    expect(it.full_scale_mv == FULL_SCALE_MV, f"full scale {it.full_scale_mv} mV")
+    expect(it.boot_id != 0, "boot_id 0")
+    expect(bool(it.capabilities & Capability.EXCHANGE), f"capabilities {it.capabilities:x}")
+    expect(0 < it.hold_us < it.skew_us, f"hold_us {it.hold_us}, skew_us {it.skew_us}")
+    # Both values are rounded up.
+    expect(it.ts_min_us >= 2 * it.skew_us - 2, f"ts_min_us {it.ts_min_us}, skew_us {it.skew_us}")
+    expect(8 <= it.adc_bits <= 16 and 1 <= it.pwm_bits <= 16, f"{it.adc_bits}, {it.pwm_bits} bits")
+    if it.capabilities & Capability.SCHEDULED:
+        fits = 2 * SETPOINTS_PER_FRAME <= it.queue <= QUEUE_CAPACITY
+        expect(fits, f"a queue of {it.queue}")
+
+
+@rule(1, "The device's frames are valid, and seq increases by 1 from frame to frame")
+def _sender(host: Host) -> None:
+    expect(host.spoilt == 0, f"{host.spoilt} of the device's frames were spoilt")
+    expect(host.breaks == 0, f"{host.breaks} breaks in the device's seq")
+
+
+_MODULES = (
+    byte_rules,
+    sequence_rules,
+    state_rules,
+    configuration_rules,
+    exchange_rules,
+    reading_rules,
+    scheduled_rules,
+    guard_rules,
+    load_rules,
+)
+RULES: tuple[Rule, ...] = (
+    _hello,
+    *(value for module in _MODULES for value in vars(module).values() if isinstance(value, Rule)),
+    _sender,  # last, because it is about all frames of the session
+)
 
 
 def run(
@@ -70,14 +107,14 @@ def run(
 
     try:
         host.hello(BOOT_MS)
-        for rule in left:
+        for one in left:
             try:
-                add(_tried(host, rule))
+                add(_tried(host, one))
             except EndlessError as err:
-                add(Result(rule.section, rule.sentence, FAIL, str(err)))
+                add(Result(one.section, one.sentence, FAIL, str(err)))
                 break
-        for rule in left:
-            add(Result(rule.section, rule.sentence, NOT_TRIED, "the suite had ended before"))
+        for one in left:
+            add(Result(one.section, one.sentence, NOT_TRIED, "the suite had ended before"))
     except EndlessError as err:
         raise Broken(str(err)) from err
     finally:
@@ -86,25 +123,25 @@ def run(
     return results
 
 
-def _tried(host: Host, rule: Rule) -> Result:
+def _tried(host: Host, one: Rule) -> Result:
     """Test a rule; if the test failed and the host stalled during the test, repeat the test."""
     came, outcome = "", FAIL
     for _ in range(_MAX_TRIES):
         try:
             host.to_idle()
             host.silence_ms = 0.0
-            rule.check(host)
+            one.check(host)
         except Broken as err:
             came = str(err)
             host.note_silence()
-            if rule.silent or host.silence_ms > _STALL_MS:
+            if one.silent or host.silence_ms > _STALL_MS:
                 continue
         except NotTried as err:
             outcome, came = NOT_TRIED, str(err)
         else:
             outcome, came = PASS, ""
         break
-    return Result(rule.section, rule.sentence, outcome, came)
+    return Result(one.section, one.sentence, outcome, came)
 
 
 def leave(host: Host) -> None:
@@ -154,41 +191,36 @@ def json_of(facts: wire.HelloReply | None, results: Sequence[Result]) -> dict[st
     }
 
 
-_PIN_RULES = (
-    (
-        7,
-        "At the pins: outside RUN, the motor's pin and the enable line are low, from the reset on",
-        {Violation.PIN_HIGH_WITHOUT_ENABLE, Violation.DRIVEN_OUTSIDE_RUN},
-    ),
-    (
-        5,
-        "At the pins: in RUN, the motor's pin has the code that SAMPLE reports",
-        {Violation.CODE_NOT_AT_PIN},
-    ),
-    (
-        1,
-        "At the pins: the program does not stop, and the transmitter is not overwritten",
-        {Violation.CPU_STOPPED, Violation.TX_OVERRUN},
-    ),
-)
-
-
 def pin_rules(violations: Sequence[Violated]) -> tuple[Rule, ...]:
     """Return the rules about a board's pins; they must be tested after all other rules."""
-    return tuple(_pin_rule(section, text, kinds, violations) for section, text, kinds in _PIN_RULES)
 
+    def pins(section: int, sentence: str, *kinds: Violation) -> Rule:
+        @rule(section, f"At the pins: {sentence}")
+        def check(host: Host) -> None:
+            host.fence()
+            seen = [v for v in violations if v.what in kinds]
+            ms = seen[0].cycle / CYCLES_PER_US / 1000 if seen else 0.0
+            came = f"{len(seen)} times, first {ms:.2f} ms after power-on"
+            expect(not seen, f"{seen[0].what.sentence}: {came}" if seen else "")
 
-def _pin_rule(
-    section: int, text: str, kinds: set[Violation], violations: Sequence[Violated]
-) -> Rule:
-    def check(host: Host) -> None:
-        host.fence()
-        seen = [v for v in violations if v.what in kinds]
-        if seen:
-            ms = seen[0].cycle / CYCLES_PER_US / 1000
-            expect(
-                False,
-                f"{seen[0].what.sentence}: {len(seen)} times, first {ms:.2f} ms after power-on",
-            )
+        return check
 
-    return Rule(section=section, sentence=text, check=check)
+    return (
+        pins(
+            7,
+            "outside RUN, the motor's pin and the enable line are low, from the reset on",
+            Violation.PIN_HIGH_WITHOUT_ENABLE,
+            Violation.DRIVEN_OUTSIDE_RUN,
+        ),
+        pins(
+            5,
+            "in RUN, the motor's pin has the code that SAMPLE reports",
+            Violation.CODE_NOT_AT_PIN,
+        ),
+        pins(
+            1,
+            "the program does not stop, and the transmitter is not overwritten",
+            Violation.CPU_STOPPED,
+            Violation.TX_OVERRUN,
+        ),
+    )
