@@ -281,6 +281,7 @@ def emulate(
         from armrig_core.process.open_files import require
 
         require("armrigd emulate", memory_mib=512, files=16)
+        from armrig_core.process.toml_file import convert
         from armrig_core.rig.description import path_of, read_description, shipped
 
         from armrig_daemon.emulator.device import Device
@@ -295,12 +296,10 @@ def emulate(
         else:
             used, file = (EmulatorSettings(), None) if config is None else load(config)
             rig_file = rig_file or file
-        given = {"seed": seed, "baud": baud}
-        given = {key: value for key, value in given.items() if value is not None}
         described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
-        if described.arm_removed:
-            given["arm_removed"] = True
-        used = msgspec.structs.replace(used, **given)
+        given = {"seed": seed, "baud": baud, "arm_removed": described.arm_removed or None}
+        given = {key: value for key, value in given.items() if value is not None}
+        used = convert(msgspec.structs.asdict(used) | given, EmulatorSettings)
         started = "" if settings is not None else _started(port, used.baud)
         report_stall = _print_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
         device = _firmware(image) if firmware or image else Device

@@ -101,21 +101,13 @@ class Device(Table, frozen=True, kw_only=True):
 
     `run --emulate` has the largest allowed value as its default.
     """
-    oversampling: int = 1
-    """Number of conversions averaged in a reading of a channel, 1 to 255; all must fit into Ts."""
-    rail_ticks: int = 0
-    """Number of consecutive samples at a rail that stop a run, 0 to 65535; 0 is no guard."""
+    oversampling: Annotated[int, Meta(ge=1, le=255)] = 1
+    """Number of conversions averaged in a reading of a channel; all must fit into Ts."""
+    rail_ticks: Annotated[int, Meta(ge=0, le=65535)] = 0
+    """Number of consecutive samples at a rail that stop a run; 0 is no guard."""
 
     def __post_init__(self) -> None:
-        """Refuse an unprintable port, a wrong socket path, and values that do not fit the wire."""
-        if not 1 <= self.oversampling <= 255:
-            raise InputError(
-                f"oversampling = {self.oversampling} must be 1 to 255; 1 is a single conversion"
-            )
-        if not 0 <= self.rail_ticks <= 65535:
-            raise InputError(
-                f"rail_ticks = {self.rail_ticks} must be 0 to 65535; give 0 to have no guard"
-            )
+        """Refuse an unprintable port, and a wrong path of a socket."""
         if not self.port.isprintable():
             raise InputError(f"port = '{printable(self.port)}' must have only printable characters")
         socket_path(self.port)

@@ -26,12 +26,12 @@ from msgspec.inspect import (
     DictType,
     FloatType,
     IntType,
+    LiteralType,
     UnionType,
     type_info,
 )
 
 from armrig_daemon.config import Config
-from armrig_daemon.emulator.settings import CHOICES, RANGES
 
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 BEGIN, END = "<!-- keys: begin -->", "<!-- keys: end -->"
@@ -129,7 +129,7 @@ def _keys(table: msgspec.Struct, path: str) -> Iterator[Key]:
                 name=field.name,
                 kind=_in_words(field.type),
                 default=shown,
-                allowed=_emulator_range(field.name) if path == "emulator" else _range(field.type),
+                allowed=_range(field.type),
                 description=descriptions[field.name],
                 example=shown or ('""' if _in_words(field.type) == "text" else "0"),
             )
@@ -179,15 +179,18 @@ def _in_words(kind: Any) -> str:
         return _in_words(kind.types[0])
     if isinstance(kind, BoolType):
         return "true or false"
-    if isinstance(kind, IntType):
+    if isinstance(kind, IntType | LiteralType):
         return "whole number"
     return "number" if isinstance(kind, FloatType) else "text"
 
 
 def _range(kind: Any) -> str:
-    """Return the allowed range of a numeric type, in words."""
+    """Return the allowed values of a numeric type, in words."""
     if isinstance(kind, UnionType):
         return _range(kind.types[0])
+    if isinstance(kind, LiteralType):
+        *most, last = map(str, kind.values)
+        return f"{', '.join(most)} or {last}"
     if not isinstance(kind, IntType | FloatType):
         return ""
     if kind.gt is not None and kind.le is not None:
@@ -195,14 +198,6 @@ def _range(kind: Any) -> str:
     if kind.ge is not None and kind.le is not None:
         return f"{_bound(kind.ge)} to {_bound(kind.le)}"
     return "" if kind.ge is None else f"{_bound(kind.ge)} or more"
-
-
-def _emulator_range(name: str) -> str:
-    """Return the allowed values of an emulator's setting, in words."""
-    if name in CHOICES:
-        *most, last = map(str, CHOICES[name])
-        return f"{', '.join(most)} or {last}"
-    return " to ".join(map(_bound, RANGES[name])) if name in RANGES else ""
 
 
 def _bound(value: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -73,19 +73,20 @@ def convert(table: Table, kind: type[T]) -> T:
 def _explain(message: str, table: Table, kind: type[msgspec.Struct]) -> str:
     text, _, place = message.partition(" - at `$")
     keys = [key for key in place.strip("`.").split(".") if key and key != "[...]"]
-    came, owner = _at(table, keys), _kind_at(kind, keys)
+    came, expected, name = _at(table, keys), _kind_at(kind, keys), ".".join(keys)
+    is_table = isinstance(expected, type) and issubclass(expected, msgspec.Struct)
     unknown = re.search(r"unknown field `(.+?)`", text)
     if unknown:
-        name = ".".join([*keys, unknown[1]])
         value = came.get(unknown[1]) if isinstance(came, dict) else None
-        allowed = f"; allowed are {', '.join(owner.__struct_fields__)}" if owner else ""
-        return f"{name} = {value!r}: no such key{allowed}"
-    if keys and owner is not None and not isinstance(came, dict):
-        name = ".".join(keys)
+        allowed = f"; allowed are {', '.join(expected.__struct_fields__)}" if is_table else ""
+        return f"{'.'.join([*keys, unknown[1]])} = {value!r}: no such key{allowed}"
+    if keys and is_table and not isinstance(came, dict):
         return f"{name} = {came!r}: must be a table, [{name}]"
-    if not keys or owner is not None:  # the message of a check of a table names the key
-        return f"{'.'.join(keys)}: {text}" if keys else text
-    return f"{'.'.join(keys)} = {came!r}: {text[0].lower()}{text[1:]}"
+    if not keys or is_table:  # the message of a check of a table names the key
+        return f"{name}: {text}" if keys else text
+    if get_origin(expected) is Literal:
+        text = f"allowed are {', '.join(map(repr, get_args(expected)))}"
+    return f"{name} = {came!r}: {text[0].lower()}{text[1:]}"
 
 
 def _at(table: Any, keys: list[str]) -> Any:
@@ -94,10 +95,10 @@ def _at(table: Any, keys: list[str]) -> Any:
     return table
 
 
-def _kind_at(kind: type[msgspec.Struct], keys: list[str]) -> type[msgspec.Struct] | None:
-    at: Any = kind
+def _kind_at(kind: Any, keys: list[str]) -> Any:
+    """Return the type of the value with these keys; None for a value that is in no table."""
     for key in keys:
-        if not (isinstance(at, type) and issubclass(at, msgspec.Struct)):
+        if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
             return None
-        at = next((f.type for f in msgspec.structs.fields(at) if f.name == key), None)
-    return at if isinstance(at, type) and issubclass(at, msgspec.Struct) else None
+        kind = next((f.type for f in msgspec.structs.fields(kind) if f.name == key), None)
+    return kind

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 from armrig_core.errors import FileError, InputError, OperationError
@@ -12,38 +12,11 @@ from armrig_core.process.bounded import CONFIGURATION_LIMIT
 from armrig_core.process.toml_file import convert, read_toml
 from armrig_core.rig.firmware_image import read_image, shipped_image
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
+from msgspec import Meta
 
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters
 
-# Allowed range of each number, both ends included.
-RANGES: dict[str, tuple[float, float]] = {
-    "seed": (0, 2**63 - 1),
-    "boot_ms": (0, 10_000),
-    "baud": (9_600, 4_000_000),
-    "conversion_us": (12, 1_000),
-    "clock_ppm": (-500, 500),
-    "adc_noise_v": (0, 0.5),
-    "coulomb_nm": (0, 10),
-    "stiffening": (0, 1_000),
-    "theta_1_range_deg": (180, 360),
-    "theta_1_zero_deg": (0, 360),
-    "alpha_range_deg": (10, 3_600),
-    "alpha_zero_deg": (0, 3_600),
-    "theta_1_low_v": (0, 2),
-    "theta_1_high_v": (3, 5),
-    "alpha_low_v": (0, 2),
-    "alpha_high_v": (3, 5),
-    "driver_gain": (0.5, 1.5),
-    "driver_offset_v": (-1, 1),
-    "queue": (2 * SETPOINTS_PER_FRAME, QUEUE_CAPACITY),
-    "supply_v": (2.7, 5.5),
-    "brown_out_s": (0, 86_400),
-}
-CHOICES: dict[str, tuple[int, ...]] = {
-    "pwm_bits": (0, 8, 9, 10, 11, 12, 13, 14, 15, 16),
-    "adc_bits": (0, 10, 12),
-}
 HARNESS_VARIABLE = "ARMRIG_FIL"
 _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
 
@@ -51,17 +24,17 @@ _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
 class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Properties of the emulated rig; the defaults describe the rig of the demonstration."""
 
-    seed: int = 1
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
     """Seed of all noise and of the boot ids."""
-    boot_ms: float = 50.0
+    boot_ms: Annotated[float, Meta(ge=0, le=10_000)] = 50.0
     """Time from reset to the first frame, in ms; a real Uno's boot loader takes about 1500."""
-    baud: int = 500_000
+    baud: Annotated[int, Meta(ge=9_600, le=4_000_000)] = 500_000
     """Speed of the emulated line, in bit/s."""
     model_baud: bool = True
     """True if `baud` determines the time of bytes on the line; false if bytes take no time."""
-    conversion_us: float = 104.0
+    conversion_us: Annotated[float, Meta(ge=12, le=1_000)] = 104.0
     """Time of one conversion, in µs; 104 is 13 clocks of the ATmega328P's ADC at 125 kHz."""
-    clock_ppm: float = 0.0
+    clock_ppm: Annotated[float, Meta(ge=-500, le=500)] = 0.0
     """Error of the device's oscillator, in ppm: 1 µs of the device lasts 1 + clock_ppm 1e-6 µs.
 
     The error affects Ts, conversions and the watchdog, but not the bits on the line.
@@ -71,63 +44,55 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     The default of `run --emulate` is true. A real device cannot stop its clock.
     """
-    pwm_bits: int = 10
+    pwm_bits: Literal[0, 8, 9, 10, 11, 12, 13, 14, 15, 16] = 10
     """Resolution of the duty, in bits; 0 is unlimited."""
-    adc_bits: int = 10
+    adc_bits: Literal[0, 10, 12] = 10
     """Resolution of the converter, in bits; 0 is all 16 bits of the code."""
-    adc_noise_v: float = 0.0025
+    adc_noise_v: Annotated[float, Meta(ge=0, le=0.5)] = 0.0025
     """Standard deviation of the converter's noise, in V; 0.0025 is half a step of 10 bits."""
     potentiometers: bool = True
     """True for tracks with ends and a dead band; false for ideal sensors of 360° on both joints."""
-    theta_1_range_deg: float = 352.0
+    theta_1_range_deg: Annotated[float, Meta(ge=180, le=360)] = 352.0
     """Electrical range of theta_1's track, in degrees; the rest of the turn is the dead band."""
-    theta_1_zero_deg: float = 176.0
+    theta_1_zero_deg: Annotated[float, Meta(ge=0, le=360)] = 176.0
     """Position of the wiper on the track at theta_1 = 0, in degrees."""
-    alpha_range_deg: float = 352.0
+    alpha_range_deg: Annotated[float, Meta(ge=10, le=3_600)] = 352.0
     """Electrical range of alpha's track, in degrees; the shaft stops at its ends."""
-    alpha_zero_deg: float = 176.0
+    alpha_zero_deg: Annotated[float, Meta(ge=0, le=3_600)] = 176.0
     """Position of the wiper on the track at alpha = 0, in degrees."""
-    theta_1_low_v: float = 0.0
+    theta_1_low_v: Annotated[float, Meta(ge=0, le=2)] = 0.0
     """Wiper's voltage at the beginning of theta_1's track, in V."""
-    theta_1_high_v: float = 5.0
+    theta_1_high_v: Annotated[float, Meta(ge=3, le=5)] = 5.0
     """Wiper's voltage at the end of theta_1's track, in V."""
     theta_1_reversed: bool = False
     """True if the wiper moves towards its track's beginning with increasing theta_1."""
-    alpha_low_v: float = 0.0
+    alpha_low_v: Annotated[float, Meta(ge=0, le=2)] = 0.0
     """Wiper's voltage at the beginning of alpha's track, in V."""
-    alpha_high_v: float = 5.0
+    alpha_high_v: Annotated[float, Meta(ge=3, le=5)] = 5.0
     """Wiper's voltage at the end of alpha's track, in V."""
     alpha_reversed: bool = False
     """True if the wiper moves towards its track's beginning with increasing alpha."""
-    driver_gain: float = 1.0
+    driver_gain: Annotated[float, Meta(ge=0.5, le=1.5)] = 1.0
     """Terminal voltage per volt of the duty, before `driver_offset_v` is added."""
-    driver_offset_v: float = 0.0
+    driver_offset_v: Annotated[float, Meta(ge=-1, le=1)] = 0.0
     """Voltage added at the terminals if the duty is not 0, in V; the sum stays in 0 to 5 V."""
-    queue: int = QUEUE_CAPACITY
+    queue: Annotated[int, Meta(ge=2 * SETPOINTS_PER_FRAME, le=QUEUE_CAPACITY)] = QUEUE_CAPACITY
     """Capacity of the queue in scheduled mode, in setpoints; an Uno has 256."""
-    supply_v: float = 5.0
+    supply_v: Annotated[float, Meta(ge=2.7, le=5.5)] = 5.0
     """Supply voltage, in V; below 4 V, the device does not drive the motor."""
-    brown_out_s: float = 0.0
+    brown_out_s: Annotated[float, Meta(ge=0, le=86_400)] = 0.0
     """Time after which the supply drops to 3.5 V, in s; 0 for no drop."""
     arm_removed: bool = False
     """True if the rotating part is removed."""
-    coulomb_nm: float = 0.0
+    coulomb_nm: Annotated[float, Meta(ge=0, le=10)] = 0.0
     """Coulomb friction of the chassis, in Nm; 0 for no friction."""
-    stiffening: float = 0.0
+    stiffening: Annotated[float, Meta(ge=0, le=1_000)] = 0.0
     """Cubic part of the spring, in Nm/rad³; 0 for a linear spring."""
     arm: dict[str, float] = {}
     """Parameters of the arm that differ from the handout's, by name; b_1 is viscous friction."""
 
     def __post_init__(self) -> None:
-        """Refuse a value out of its range."""
-        for key, (least, greatest) in RANGES.items():
-            value = getattr(self, key)
-            if not least <= value <= greatest:
-                raise InputError(f"{key}={value!r} must be from {least} to {greatest}")
-        for key, choices in CHOICES.items():
-            if getattr(self, key) not in choices:
-                allowed = ", ".join(map(str, choices))
-                raise InputError(f"{key}={getattr(self, key)!r} must be one of {allowed}")
+        """Refuse values that do not fit each other."""
         if self.alpha_zero_deg > self.alpha_range_deg:
             raise InputError(
                 f"alpha_zero_deg={self.alpha_zero_deg!r} must be on the track, "
