@@ -219,13 +219,11 @@ class Access(Table, frozen=True, kw_only=True):
     """File with the rig's key and certificates for tls/ or a router, from `armrig pki rig`."""
     names: str = ""
     """File with the access list from `armrig pki`: the clients that may drive or watch."""
-    passwords: str = ""
-    """File with a line user:password for each user; needed for tcp/ (only on this machine)."""
     router: str = ""
     """Endpoint of the laboratory's router, such as tls/lab.example.edu:7447; default: no router."""
 
     def __post_init__(self) -> None:
-        """Refuse an endpoint that other machines can reach without TLS."""
+        """Refuse endpoints without TLS."""
         if self.listen:
             check_listen(self.listen)
         if self.router and not (self.router.startswith("tls/") and network_address(self.router)):
@@ -241,8 +239,6 @@ class Client(Table, frozen=True, kw_only=True):
     """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: the local daemon."""
     certificate: str = ""
     """File with your key and certificates for tls/, from `armrig pki operator` or `observer`."""
-    password: str = ""
-    """File with a line user:password; needed for tcp/."""
 
 
 class Config(Table, frozen=True, kw_only=True):

@@ -82,14 +82,15 @@ def test_the_length_of_an_endpoint_is_limited_to_that_of_a_socket_path(
         ("tls/[2001:db8::1]:65535", ("2001:db8::1", 65_535)),
         ("unixsock-stream//run/armrig/1.sock", None),
         ("tls/lab", None),
+        ("tls/lab:0", None),
     ],
 )
 def test_the_address_of_a_network_endpoint_is_read(
     where: str, address: tuple[str, int] | None
 ) -> None:
     assert network_address(where) == address
-    if address is not None:
-        assert check_listen(where) == where[:3]
+    if address is not None and where.startswith("tls/"):
+        check_listen(where)
 
 
 def test_paths_of_credentials_are_relative_to_the_folder_of_their_file(
@@ -97,8 +98,8 @@ def test_paths_of_credentials_are_relative_to_the_folder_of_their_file(
 ) -> None:
     monkeypatch.setenv("HOME", "/home/ada")
     tables = {
-        "access": {"listen": "a", "certificate": "rig.pem", "names": "/etc/n", "passwords": ""},
-        "client": {"connect": "b", "certificate": "~/ada.pem", "password": "~nobody-so/p"},
+        "access": {"listen": "a", "certificate": "rig.pem", "names": ""},
+        "client": {"connect": "b", "certificate": "~/ada.pem"},
         "recording": {"directory": "runs"},
     }
 
@@ -106,13 +107,11 @@ def test_paths_of_credentials_are_relative_to_the_folder_of_their_file(
         "access": {
             "listen": "a",
             "certificate": "/etc/armrig/rig.pem",
-            "names": "/etc/n",
-            "passwords": "",
+            "names": "",
         },
         "client": {
             "connect": "b",
             "certificate": "/home/ada/ada.pem",
-            "password": "/etc/armrig/~nobody-so/p",
         },
         "recording": {"directory": "runs"},
     }

@@ -93,12 +93,12 @@ def ended(code: str, **state: Any) -> str:
 def odd_networks() -> None:
     """Print who may come over networks whose certificates count for a month, and not quite."""
     now = datetime(2026, 3, 1, 12, tzinfo=UTC)
-    for days, is_router in ((31, False), (30, True), (0, False)):
+    for days, is_router in ((31, False), (30, True)):
         network = Network(
             endpoint="tls/h:7447",
             operators=2,
             observers=5,
-            expires=now + timedelta(days=days) if days else None,
+            expires=now + timedelta(days=days),
             is_router=is_router,
             **NETWORK,
         )
@@ -106,10 +106,9 @@ def odd_networks() -> None:
 
 
 NETWORK: dict[str, Any] = {
-    "known_by": "certificate",
     "access_control": {},
     "low_pass_filter": [],
-    "transport": {},
+    "tls": {},
 }
 
 

@@ -21,7 +21,6 @@ from cryptography.x509.oid import NameOID
 from tests.integration.processes import Bench
 
 HOSTS = ["localhost", "127.0.0.1", "10.77.0.1"]
-PASSWORD = "correct horse battery"
 OPERATORS, OBSERVERS = ("alice", "carol"), ("bob",)
 
 
@@ -96,20 +95,6 @@ def by_certificate(bench: Bench, made: Path, where: str) -> str:
     bench.configure(
         watchdog_ms=250,
         more=f'[access]\nlisten = "{where}"\ncertificate = "{made}/rig-1.pem"\n'
-        f'names = "{made}/access.toml"\n',
-    )
-    return where
-
-
-def by_password(bench: Bench, made: Path) -> str:
-    """Have a bench's daemon listen on the loopback for who has a password; return where."""
-    where = f"tcp/127.0.0.1:{free_port()}"
-    passwords = bench.folder / "passwords"
-    passwords.write_text(f"alice:{PASSWORD}\nbob:{PASSWORD}\nmallory:{PASSWORD}\n")
-    passwords.chmod(0o600)
-    bench.configure(
-        watchdog_ms=250,
-        more=f'[access]\nlisten = "{where}"\npasswords = "{passwords}"\n'
         f'names = "{made}/access.toml"\n',
     )
     return where

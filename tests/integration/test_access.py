@@ -32,10 +32,8 @@ from armrig_daemon.service.network_guard import MAX_IDLE_FILES, SHUT_S
 from tests.integration.driving import bring_to_rest, samples
 from tests.integration.fork_server import ForkServer
 from tests.integration.laboratory import (
-    PASSWORD,
     Laboratory,
     by_certificate,
-    by_password,
     certificates,
     free_port,
 )
@@ -122,37 +120,6 @@ def test_a_run_too_long_for_the_network_is_refused_by_the_client(lab: Laboratory
             rig.run([1.0 + 1e-15] * 500_000)
 
 
-def test_a_user_with_a_password_is_known_by_name(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    where = by_password(bench, certificates(bench.folder))
-    bench.emulate()
-    bench.serve()
-
-    def rig(user: str, password: str = PASSWORD) -> Rig:
-        own = bench.folder / f"{user}.password"
-        own.write_text(f"{user}:{password}\n")
-        own.chmod(0o600)
-        monkeypatch.setenv("ARMRIG_CLIENT_PASSWORD", str(own))
-        return Rig("1", connect=where)
-
-    with rig("alice") as alice:
-        alice.arm("a test")
-        assert alice.status().owner == "a test (user alice)"
-        alice.disarm()
-    with rig("bob") as bob:
-        assert settled(bob) == "safe"
-        with pytest.raises(NoReplyError, match="not permitted"):
-            bob.stop()
-    with rig("mallory") as mallory, pytest.raises(NoReplyError, match="not permitted"):
-        mallory.status()
-    with pytest.raises(NoReplyError), rig("alice", "another password"):
-        pass
-    monkeypatch.delenv("ARMRIG_CLIENT_PASSWORD")
-    with pytest.raises(NoReplyError), Rig("1", connect=where):
-        pass
-
-
 def test_a_daemon_that_cannot_listen_does_not_start(bench: Bench) -> None:
     """Exit code 78, one line, and the motor's loop never starts."""
     made = certificates(bench.folder)
@@ -167,15 +134,13 @@ def test_a_daemon_that_cannot_listen_does_not_start(bench: Bench) -> None:
     assert bench.volts() == 0.0
 
 
-@pytest.mark.parametrize("level", ["socket", "certificate", "password"])
+@pytest.mark.parametrize("level", ["socket", "certificate"])
 def test_a_daemon_listens_only_at_configured_endpoints(bench: Bench, level: str) -> None:
     """A1: nothing, or one port of TCP; no multicast, no gossip, no second port."""
     made = certificates(bench.folder)
     port = free_port()
     if level == "certificate":
         by_certificate(bench, made, f"tls/127.0.0.1:{port}")
-    if level == "password":
-        port = int(by_password(bench, made).rsplit(":", 1)[1])
     bench.emulate()
     daemon = bench.serve()
 

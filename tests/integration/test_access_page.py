@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import os
 import re
 import shlex
@@ -38,10 +37,9 @@ def _commands(block: str) -> list[list[str]]:
     return [shlex.split(line)[1:] for line in block.splitlines()]
 
 
-ACCESS, CLIENT, ACCESS_BY_PASSWORD, CLIENT_BY_PASSWORD, ACCESS_BY_ROUTER = _blocks("toml")
+ACCESS, CLIENT, ACCESS_BY_ROUTER = _blocks("toml")
 # The others: tests/systemd/test_walk.py.
 INSTALL, MADE, PUT, _, _, USED, CHANGED, MADE_FOR_ROUTER, _, ROUTER, LOOKED = _blocks("sh")
-(PASSWORDS,) = _blocks("text")
 
 
 @pytest.fixture
@@ -110,21 +108,6 @@ def test_the_page_leads_to_a_recording_over_the_network(lab: Bench) -> None:
     assert asked.stdout.strip() in ("safe", "fault")
 
 
-def test_the_page_leads_to_access_by_password(lab: Bench) -> None:
-    port = free_port()
-    _client(lab, CLIENT_BY_PASSWORD, port)
-    for path in (lab.folder / "passwords", lab.folder / "config" / "armrig" / "alice.password"):
-        path.write_text(PASSWORDS)
-        path.chmod(0o400)
-    _serve(lab, ACCESS_BY_PASSWORD, port)
-
-    done = _armrig(lab, "stop")
-
-    assert done.returncode == 0, done.stderr
-    user = getpass.getuser()
-    wait_for(lambda: f"stop: by {user} (user alice)" in lab.processes[-1].said)
-
-
 @pytest.mark.exhaustive
 def test_the_page_leads_to_a_rig_behind_a_router(
     lab: Bench, monkeypatch: pytest.MonkeyPatch
@@ -158,15 +141,13 @@ def _at_router(text: str, port: int) -> str:
 
 @pytest.mark.root
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root installs files for another user")
-def test_the_page_protects_keys_and_passwords_from_students(lab: Bench) -> None:
+def test_the_page_protects_keys_from_students(lab: Bench) -> None:
     owner, folder = getpwnam("daemon"), lab.folder / "etc"
     student = {"user": 65534, "group": 65534, "extra_groups": [owner.pw_gid]}
     folder.mkdir()
     folder.chmod(0o755)
-    passwords = re.findall(r"`(install .* passwords .*?)`", PAGE)
-    (lab.folder / "pki" / "passwords").write_text(PASSWORDS)
 
-    for line in (*PUT.splitlines(), *passwords):
+    for line in PUT.splitlines():
         typed = line.replace("/etc/armrig/", str(folder)).replace("armrig ", "daemon ")
         subprocess.run(shlex.split(typed), cwd=lab.folder / "pki", check=True)
     read = {
@@ -177,7 +158,7 @@ def test_the_page_protects_keys_and_passwords_from_students(lab: Bench) -> None:
     }
 
     assert read.pop("access.toml").startswith(b"#")
-    assert read == {"rig-1.pem": b"", "passwords": b""}
+    assert read == {"rig-1.pem": b""}
 
 
 def test_the_page_leads_to_renewal_and_revocation_of_certificates(

@@ -26,7 +26,7 @@ from armrig_core.access.owned_session import (
     transport,
 )
 from armrig_core.commands.commands import Calibrate, Run
-from armrig_core.errors import InputError, OperationError
+from armrig_core.errors import OperationError
 from armrig_core.process import open_files
 from armrig_core.telemetry.topics import EVERY_RIG, command_key
 
@@ -70,9 +70,7 @@ def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Se
     Raises ValueError if the endpoint is not tls/HOST:PORT, or a file cannot be used. Raises
     OperationError if the router cannot listen on the endpoint.
     """
-    if check_listen(endpoint) != "tls":
-        msg = f"{endpoint!r}: a router identifies rigs and people by their certificates: use "
-        raise InputError(msg + f"tls/{endpoint.partition('/')[2]}")
+    check_listen(endpoint)
     people = read_access_list(names)
     config = router_config(endpoint, read_credential(certificate, "router"), people)
     open_files.raise_limit()

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import zenoh
 from armrig_core.access import daemon_lock
 from armrig_core.access.client_settings import ClientSettings, client_settings
-from armrig_core.access.credential import Credential, read_credential, read_users, utc
+from armrig_core.access.credential import Credential, read_credential, utc
 from armrig_core.access.endpoint import (
     SERVICE_USER,
     SERVICES,
@@ -39,7 +39,6 @@ _RETRY_MS = 500
 _ANSWER_TIMEOUT_S = 1.0  # in TLS 1.3, a refusal of the certificate follows after the handshake
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
 _NOT_YET, _EXPIRED, _OTHER_HOST = 9, 10, (62, 64)
-_SILENT = "no answer: check that the host is on, and that no firewall blocks the connection"
 
 
 class RigError(OperationError):
@@ -85,7 +84,7 @@ class Connection(NamedTuple):
     session: zenoh.Session
     endpoint: str
     name: str
-    """Client's name, from its certificate or password file; "" for a socket.
+    """Client's name, from its certificate; "" for a socket.
 
     The keys of the client's commands contain this name.
     """
@@ -230,31 +229,18 @@ def _settings(rig: str) -> ClientSettings:
 
 def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -> _Way:
     """Return the connection to an endpoint, with the necessary proof of identity."""
-    try:
-        if where.startswith("tls/"):
-            return _way_by_certificate(where, certificate or settings.certificate)
-        if where.startswith("tcp/") and settings.password:
-            ((user, password), *others) = read_users(Path(settings.password)).items()
-            if others:
-                raise RigError(
-                    f"{settings.password} has {1 + len(others)} users: keep only your own line"
-                )
-            proof = ("transport/auth/usrpwd", {"user": user, "password": password})
-            fault = partial(_why_not_accepted, where, user, settings.password)
-            return _Way(where, user, (proof,), fault)
-    except FileError as err:
-        raise RigError(str(err)) from err
-    return _Way(where)
-
-
-def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
-    if not certificate:
+    if not where.startswith("tls/"):
+        return _Way(where)
+    if not (certificate or settings.certificate):
         raise RigError(
             f"{where} needs your certificate: name its file in [client] certificate of "
             "~/.config/armrig/armrig.toml, or in ARMRIG_CLIENT_CERTIFICATE"
         )
-    path = Path(certificate)
-    credential = read_credential(path, "client")
+    path = Path(certificate or settings.certificate)
+    try:
+        credential = read_credential(path, "client")
+    except FileError as err:
+        raise RigError(str(err)) from err
     proof = ("transport/link/tls", credential.tls("connect"))
     address = network_address(where)
     if address is None:
@@ -374,9 +360,17 @@ def why_not_connected(host: str, port: int, credential: Credential, path: Path) 
 
     `path` is the file of the client's credential.
     """
-    line = _connected(host, port)
-    if isinstance(line, str):
-        return line
+    try:
+        line = socket.create_connection((host, port), timeout=LONGEST_S)
+    except socket.gaierror:
+        return f"there is no host {host}: check its spelling"
+    except ConnectionRefusedError:
+        listener = "armrigd runs, with [access], or `armrig router`"
+        return f"nobody listens at port {port} of {host}: check that {listener}"
+    except TimeoutError:
+        return "no answer: check that the host is on, and that no firewall blocks the connection"
+    except OSError as err:
+        return f"{err.strerror or err}: check that {host} can be reached from here"
     with line:
         try:
             connected = _context(credential, path).wrap_socket(line, server_hostname=host)
@@ -386,30 +380,6 @@ def why_not_connected(host: str, port: int, credential: Credential, path: Path) 
             return "the listener does not speak TLS 1.3: check that its [access] listen is tls/"
         with connected:
             return _answer_to_ours(connected, credential)
-
-
-def _connected(host: str, port: int) -> socket.socket | str:
-    """Return a connection, or the reason why there is none."""
-    try:
-        return socket.create_connection((host, port), timeout=LONGEST_S)
-    except socket.gaierror:
-        return f"there is no host {host}: check its spelling"
-    except ConnectionRefusedError:
-        listener = "armrigd runs, with [access], or `armrig router`"
-        return f"nobody listens at port {port} of {host}: check that {listener}"
-    except TimeoutError:
-        return _SILENT
-    except OSError as err:
-        return f"{err.strerror or err}: check that {host} can be reached from here"
-
-
-def _why_not_accepted(where: str, user: str, file: str) -> str:
-    """Return why a listener does not accept a user and a password; "" if it is unknown."""
-    line = _connected(*(network_address(where) or ("", 0)))
-    if isinstance(line, str):
-        return line
-    line.close()
-    return f"the listener does not accept user {user}: check the name and the password in {file}"
 
 
 def _context(credential: Credential, path: Path) -> ssl.SSLContext:

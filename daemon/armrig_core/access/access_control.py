@@ -7,7 +7,7 @@ of a node also apply to the messages that the node itself sends.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 from armrig_core.access.access_list import AccessList
 from armrig_core.access.credential import RIG_PREFIX, ROUTER
@@ -23,8 +23,6 @@ from armrig_core.telemetry.topics import (
     stream_key,
 )
 
-Subject = Literal["cert_common_names", "usernames"]
-"""Property by which zenoh identifies a client."""
 MOST_BYTES = 4096
 """Longest payload of any command except a run and a calibration, in B."""
 MOST_CALIBRATION_BYTES = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
@@ -33,12 +31,11 @@ MOST_LOCAL_BYTES = 88 << 20  # the longest run: 20 B per sample as JSON, and its
 MOST_MESSAGE_BYTES = 8 << 20  # longest message over a network, so that no client fills the memory
 
 
-def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
+def remote(rig: str, people: AccessList) -> dict[str, Any]:
     """Return the access control for a network: only operators and observers have permissions.
 
     `people` is the access list of rig `rig`, with the operators and the observers; a revoked client
-    is in neither list. zenoh identifies the clients by the property `subject`: "cert_common_names"
-    or "usernames".
+    is in neither list. zenoh identifies the clients by the common names of their certificates.
     """
     rules, policies = _watching(rig), []
     shared = [rule["id"] for rule in rules]
@@ -53,7 +50,8 @@ def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
                 {"rules": [*shared, f"{name} asks", f"{name} is answered"], "subjects": [name]}
             )
     names = (*people.operators, *people.observers)
-    return _denied_but(rules, policies, [{"id": name, subject: [name]} for name in names])
+    subjects = [{"id": name, "cert_common_names": [name]} for name in names]
+    return _denied_but(rules, policies, subjects)
 
 
 def of_router(people: AccessList) -> dict[str, Any]:
@@ -63,7 +61,7 @@ def of_router(people: AccessList) -> dict[str, Any]:
     rig may publish, answer and hold a liveliness token under its own id, and receives the requests
     to this id.
     """
-    found = remote(EVERY_RIG, people, "cert_common_names")
+    found = remote(EVERY_RIG, people)
     for name in people.rigs:
         its = _own(name.removeprefix(RIG_PREFIX))
         found["rules"] += [

@@ -16,7 +16,7 @@ from armrig_core.process.toml_file import read_toml
 LIMIT = 1 << 20
 """Longest access list, in B."""
 _HEADING = """\
-# Permissions at the rigs, by the name in the certificate (or of the user with a password).
+# Permissions at the rigs, by the name in the certificate.
 # `armrig pki` writes this file; armrigd and `armrig router` read it at their start: restart them
 # after each change.
 """

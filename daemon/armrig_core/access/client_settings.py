@@ -23,8 +23,6 @@ class ClientSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Endpoint of the daemon."""
     certificate: str = ""
     """Path of a credential's file."""
-    password: str = ""
-    """Path of a file with a user and a password."""
 
 
 def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> ClientSettings:

@@ -2,9 +2,6 @@
 
 One PEM file contains all three, in this order; `armrig pki` writes such files. The file is checked
 before zenoh uses it, because zenoh reports any defect only as a failed connection.
-
-Users with passwords are in a file with lines user:password, the format of zenoh. The daemon accepts
-passwords only on the loopback of its own machine, because that connection is not encrypted.
 """
 
 from __future__ import annotations
@@ -17,12 +14,13 @@ import stat
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import Any, Literal
 
 from armrig_core.errors import FileError, InputError
-from armrig_core.process.bounded import CONFIGURATION_LIMIT, decoded, read_bounded
+from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_bounded
 from armrig_core.process.printable import printable
 
 Purpose = Literal["rig", "client", "router", "rig at a router"]
@@ -44,8 +42,6 @@ _NAME = re.compile(r"[a-z0-9-]{1,40}")
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
 _NOT_YET, _EXPIRED, _PURPOSE = 9, 10, 26
 _NO_CHECK_TIME = 0x200000  # X509_V_FLAG_NO_CHECK_TIME
-MIN_PASSWORD_LENGTH = 12
-"""Shortest password, in characters: a shorter password is guessed quickly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,8 +91,8 @@ def rig_name(rig: str) -> str:
     return f"{RIG_PREFIX}{rig}"
 
 
-def require_private(path: Path, found: os.stat_result, secret: str) -> None:
-    """Refuse a secret file that users other than its owner may read or change.
+def require_private(path: Path, found: os.stat_result) -> None:
+    """Refuse a key's file that users other than its owner may read or change.
 
     The file's group may not read the file either: for a service, this group contains all people who
     may operate the service.
@@ -107,14 +103,8 @@ def require_private(path: Path, found: os.stat_result, secret: str) -> None:
     if found.st_uid != os.geteuid():
         remedy = f"chown {_this_user()} {quote(str(path))} && {remedy}"
     raise FileError(
-        f"{path}: with mode {stat.S_IMODE(found.st_mode):04o} other users can read or change "
-        f"{secret}; allowed is 0400 or 0600: `{remedy}`"
-    )
-
-
-def _read_private(path: Path, secret: str) -> bytes:
-    return read_bounded(
-        path, CONFIGURATION_LIMIT, lambda found: require_private(path, found, secret)
+        f"{path}: with mode {stat.S_IMODE(found.st_mode):04o} other users can read or change the "
+        f"key; allowed is 0400 or 0600: `{remedy}`"
     )
 
 
@@ -173,7 +163,7 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
 
 def _read(path: Path, purpose: Purpose) -> bytes:
     try:
-        return _read_private(path, "the key")
+        return read_bounded(path, CONFIGURATION_LIMIT, partial(require_private, path))
     except FileNotFoundError as err:
         raise FileError(f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one") from err
     except OSError as err:
@@ -246,52 +236,3 @@ def _other_purpose(purpose: Purpose) -> str:
 
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
-
-
-def read_users(path: Path) -> dict[str, str]:
-    """Return the password of each user in a file.
-
-    Raises FileError if the file cannot be read, or users other than its owner can read it. It also
-    raises FileError if a line is not user:password, a password is too short, or a user repeats.
-    """
-    try:
-        data = _read_private(path, "a password")
-    except OSError as err:
-        raise FileError(
-            f"{path}: {err.strerror}; the file needs a line user:password for each user"
-        ) from err
-    try:
-        lines = decoded(data).splitlines()
-    except FileError as err:
-        raise FileError(f"{path}: {err}") from err
-    users: dict[str, str] = {}
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
-        name, _, password = (part.strip() for part in line.partition(":"))
-        try:
-            _check_user(name, password, users)
-        except InputError as err:
-            raise FileError(f"{path}: line {number}: {err}") from err
-        users[name] = password
-    if not users:
-        raise FileError(f"{path}: no users; the file needs a line user:password for each user")
-    return users
-
-
-def read_passwords(path: Path) -> frozenset[str]:
-    """Return the names of the users in a password file; raise as `read_users` does."""
-    return frozenset(read_users(path))
-
-
-def _check_user(name: str, password: str, before: dict[str, str]) -> None:
-    try:
-        check_name(name)
-    except ValueError as err:
-        raise InputError(f"{err}; after the name come : and the password") from err
-    if (length := len(password)) < MIN_PASSWORD_LENGTH:
-        raise InputError(
-            f"the password of {name!r} has {length} characters: at least {MIN_PASSWORD_LENGTH}"
-        )
-    if name in before:
-        raise InputError(f"{name!r} is listed twice; once is allowed")

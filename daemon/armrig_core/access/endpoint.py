@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 import re
 import stat
@@ -22,8 +21,8 @@ SERVICES = PurePosixPath("/run/armrig")
 SERVICE_USER = "armrig"
 """User of the daemons that systemd runs."""
 _FILES = {
-    "access": ("certificate", "names", "passwords"),
-    "client": ("certificate", "password"),
+    "access": ("certificate", "names"),
+    "client": ("certificate",),
     "rig": ("file",),
 }
 _NETWORK = re.compile(r"(tls|tcp)/(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9.-]+)):(\d{1,5})")
@@ -85,34 +84,18 @@ def endpoint(rig: str, directory: PurePosixPath) -> str:
     return f"unixsock-stream/{path}"
 
 
-def check_listen(where: str) -> str:
-    """Return the protocol, tls or tcp, of an endpoint that listens on a network.
-
-    Raises ValueError if the protocol is neither tls nor tcp, or the protocol is tcp and other
-    machines can reach the address.
-    """
-    found = _NETWORK.fullmatch(where)
-    if found is None or not 0 < int(found[4]) < 1 << 16:
-        raise InputError(
-            f"listen = {where!r} must be tls/HOST:PORT or tcp/127.0.0.1:PORT, such as "
-            "tls/0.0.0.0:7447"
-        )
-    host = found[2] or found[3]
-    loopback = False
-    with suppress(ValueError):  # a name may resolve to any address
-        loopback = ipaddress.ip_address(host).is_loopback
-    if found[1] == "tcp" and not loopback:
-        raise InputError(
-            f"listen = {where!r}: tcp is not encrypted; allowed is tcp/127.0.0.1:{found[4]}; "
-            f"for a network use tls/{host}:{found[4]} with certificates"
-        )
-    return found[1]
+def check_listen(where: str) -> None:
+    """Refuse an endpoint that does not listen on a network by TLS; raise InputError."""
+    if not where.startswith("tls/") or network_address(where) is None:
+        raise InputError(f"listen = {where!r} must be tls/HOST:PORT, such as tls/0.0.0.0:7447")
 
 
 def network_address(where: str) -> tuple[str, int] | None:
     """Return host and port of a tls or tcp endpoint; None for any other endpoint."""
     found = _NETWORK.fullmatch(where)
-    return None if found is None else (found[2] or found[3], int(found[4]))
+    if found is None or not 0 < int(found[4]) < 1 << 16:
+        return None
+    return found[2] or found[3], int(found[4])
 
 
 def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:

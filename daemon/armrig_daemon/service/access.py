@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from armrig_core.access import access_control
-from armrig_core.access.access_list import AccessList, read_access_list
-from armrig_core.access.credential import read_credential, read_passwords, rig_name
-from armrig_core.access.endpoint import check_listen
+from armrig_core.access.access_list import read_access_list
+from armrig_core.access.credential import read_credential, rig_name
 from armrig_core.errors import FileError, InputError
 
-from armrig_daemon.config import Access, Config
+from armrig_daemon.config import Config
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,16 +21,14 @@ class Network:
 
     endpoint: str
     """Endpoint at which the daemon listens, or endpoint of the router to which it connects."""
-    known_by: str
-    """Proof of a client's name: `certificate`, or `user` for a user name with password."""
     access_control: dict[str, Any]
     low_pass_filter: list[dict[str, Any]]
-    transport: dict[str, Any]
-    """Part of zenoh's `transport` that identifies clients."""
+    tls: dict[str, Any]
+    """Part of zenoh's `transport/link` that identifies both ends."""
     operators: int
     observers: int
-    expires: datetime | None
-    """Time at which the rig's certificate expires; None without a certificate."""
+    expires: datetime
+    """Time at which the rig's certificate expires."""
     is_router: bool = False
     """True for a router: the daemon connects to the router, and the router identifies clients."""
 
@@ -73,10 +70,9 @@ def router_of(config: Config) -> Network | None:
         raise InputError(f"{msg}this rig only with a certificate of {rig_name(rig)}")
     return Network(
         endpoint=access.router,
-        known_by="certificate",
         access_control=access_control.at_router(rig),
         low_pass_filter=access_control.size_limits(rig),
-        transport={"link": {"tls": credential.tls("connect")}},
+        tls=credential.tls("connect"),
         operators=0,
         observers=0,
         expires=credential.expires,
@@ -91,60 +87,30 @@ def network_of(config: Config) -> Network | None:
     be used.
     """
     access = config.access
-    _check_keys(access)
     if not access.listen:
+        needless = "certificate" if access.certificate and not access.router else "names"
+        if getattr(access, needless):
+            raise InputError(
+                f"[access] {needless} is given, but listen is not, so that nobody could connect; "
+                "give listen, such as tls/0.0.0.0:7447"
+            )
         return None
-    expires: datetime | None = None
-    transport: dict[str, Any]
-    subject: access_control.Subject
+    for key, made_by in (("certificate", "armrig pki rig"), ("names", "armrig pki ca")):
+        if not getattr(access, key):
+            raise InputError(
+                f"[access] listen = {access.listen!r}: needs {key}, too; `{made_by}` makes one"
+            )
     try:
         people = read_access_list(Path(access.names))
-        if access.certificate:
-            rig = read_credential(Path(access.certificate), "rig")
-            known_by, subject, expires = "certificate", "cert_common_names", rig.expires
-            transport = {"link": {"tls": rig.tls("listen")}}
-        else:
-            users = read_passwords(Path(access.passwords))
-            people = AccessList(
-                operators=tuple(name for name in people.operators if name in users),
-                observers=tuple(name for name in people.observers if name in users),
-            )
-            known_by, subject = "user", "usernames"
-            transport = {"auth": {"usrpwd": {"dictionary_file": access.passwords}}}
+        rig = read_credential(Path(access.certificate), "rig")
     except FileError as err:
         raise InputError(f"[access] {err}") from err
     return Network(
         endpoint=access.listen,
-        known_by=known_by,
-        access_control=access_control.remote(config.rig.id, people, subject),
+        access_control=access_control.remote(config.rig.id, people),
         low_pass_filter=access_control.size_limits(config.rig.id),
-        transport=transport,
+        tls=rig.tls("listen"),
         operators=len(people.operators),
         observers=len(people.observers),
-        expires=expires,
+        expires=rig.expires,
     )
-
-
-def _check_keys(access: Access) -> None:
-    given = [key for key in ("certificate", "names", "passwords") if getattr(access, key)]
-    if not access.listen:
-        if access.router:
-            given = [key for key in given if key != "certificate"]
-        if given:
-            raise InputError(
-                f"[access] {given[0]} is given, but listen is not, so that nobody could connect; "
-                "give listen, such as tls/0.0.0.0:7447"
-            )
-        return
-    protocol = check_listen(access.listen)
-    needed = ["certificate", "names"] if protocol == "tls" else ["names", "passwords"]
-    makes = {"certificate": "armrig pki rig", "names": "armrig pki ca"}
-    for key in needed:
-        if key not in given:
-            made = f"; `{makes[key]}` makes one" if key in makes else ": lines user:password"
-            raise InputError(f"[access] listen = {access.listen!r}: needs {key}, too{made}")
-    for key in given:
-        if key not in needed:
-            raise InputError(
-                f"[access] {key} is not allowed with listen = {access.listen!r}: remove {key}"
-            )

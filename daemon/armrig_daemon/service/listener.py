@@ -2,7 +2,7 @@
 
 The session listens at the endpoint, or is connected to a router. Each endpoint has a separate
 session. Clients of the Unix socket are therefore not affected by the limits of a network's
-listener: passwords, number of links and rate of queries.
+listener: number of links and rate of queries.
 """
 
 from __future__ import annotations
@@ -65,8 +65,7 @@ def session_config(endpoint: str, network: Network | None = None) -> zenoh.Confi
         config["transport"]["unicast"] = strangers(MAX_LINKS)
         config["access_control"] = network.access_control
         config["low_pass_filter"] = network.low_pass_filter
-        config["transport"]["link"] |= network.transport.get("link", {})
-        config["transport"] |= {"auth": network.transport.get("auth", {})}
+        config["transport"]["link"]["tls"] = network.tls
     return zenoh.Config.from_json5(json.dumps(config))
 
 
@@ -81,7 +80,7 @@ def _router_config(network: Network) -> dict[str, Any]:
         "qos": LANES,
         "transport": transport(access_control.MOST_MESSAGE_BYTES),
     }
-    config["transport"]["link"] |= network.transport["link"]
+    config["transport"]["link"]["tls"] = network.tls
     return config
 
 
@@ -134,7 +133,7 @@ class Listener:
         answer.
         """
         self._admit = admit
-        self._known_by = "" if network is None else network.known_by
+        self._is_network = network is not None
         self._buckets: dict[str, admission.Bucket] = {}
         # A network endpoint creates no socket file. It therefore needs no `group_may_open`, which
         # admits only one session at a time.
@@ -220,10 +219,10 @@ class Listener:
     def _parts(self, query: zenoh.Query) -> tuple[str, str]:
         """Return the names of command and client; the client's name is empty on the Unix socket."""
         key = str(query.key_expr)
-        if not self._known_by:
+        if not self._is_network:
             return key.rsplit("/", 1)[-1], ""
         _, name, asker = key.rsplit("/", 2)
-        return name, f"{self._known_by} {asker}"
+        return name, f"certificate {asker}"
 
     def _is_too_many(self, name: str) -> bool:
         """Count a query, in the thread of its queryable; return whether it exceeds the limit."""

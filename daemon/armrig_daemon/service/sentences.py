@@ -64,12 +64,10 @@ def unreachable(endpoint: str, devices: str) -> str:
 
 def reached(network: Network, now: datetime) -> tuple[str, str]:
     """Return a level, and a line with the permitted clients and the expiry of the certificate."""
-    who = f"{network.operators} may drive and {network.observers} may watch, by {network.known_by}"
+    who = f"{network.operators} may drive and {network.observers} may watch, by certificate"
     text = f"also at {network.endpoint}: {who}"
     if network.is_router:
         text = f"also through the router {network.endpoint}, for the clients that it admits"
-    if network.expires is None:
-        return "info", text
     text += f"; the rig's certificate is valid until {network.expires:%Y-%m-%d}"
     if network.expires - now > _EXPIRY_NOTICE:
         return "info", text

@@ -33,15 +33,6 @@ def made(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def password(tmp_path: Path) -> Path:
-    """Give a file with the password of one user."""
-    path = tmp_path / "password"
-    path.write_text("ada:a long enough password\n")
-    path.chmod(0o600)
-    return path
-
-
 @contextmanager
 def _listening(rig: Path, protocol: str = "tls", **tls: Any) -> Iterator[int]:
     """Have zenoh listen with a rig's credential; give the port."""
@@ -134,22 +125,6 @@ def test_a_certificate_not_yet_valid_by_the_listener_s_clock_is_reported(
     )
 
 
-def test_a_wrong_password_is_reported(password: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ARMRIG_CLIENT_PASSWORD", str(password))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        where = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-        monkeypatch.setattr(session.zenoh, "open", _refused)
-        told = _told_over(where)
-
-    said = "the listener does not accept user ada: check the name and the password in "
-    assert told == f"{said}{password}"
-    assert _told_over(where).startswith("nobody listens at port ")
-
-
-def _refused(_: object) -> None:
-    raise zenoh.ZError("refused")
-
-
 def test_a_rig_that_refuses_our_certificate_is_reported(made: Path, tmp_path: Path) -> None:
     pki.make_authority(tmp_path / "other")
     other = str(tmp_path / "other" / "authority.pem")
@@ -189,32 +164,6 @@ def test_an_invalid_endpoint_is_refused(made: Path, where: str) -> None:
 def test_a_missing_certificate_is_reported_with_where_to_configure_it(made: Path) -> None:
     with pytest.raises(RigError, match=r"needs your certificate: .* ARMRIG_CLIENT_CERTIFICATE"):
         Rig("1", connect="tls/localhost:7447").__enter__()
-
-
-TCP = "tcp/lab:7447"
-
-
-def test_a_password_is_sent_only_over_tcp(password: Path) -> None:
-    settings = ClientSettings(password=str(password))
-
-    over_tcp, over_socket = (_way(where, None, settings) for where in (TCP, "unixsock-stream/x"))
-
-    proof = {"user": "ada", "password": "a long enough password"}
-    assert (over_tcp.name, dict(over_tcp.proof)) == ("ada", {"transport/auth/usrpwd": proof})
-    assert (over_socket.name, over_socket.proof) == ("", ())
-    assert (_way(TCP, None, ClientSettings()).name, over_tcp.endpoint) == ("", TCP)
-
-
-@pytest.mark.parametrize("n", [2, 3])
-def test_a_file_with_the_passwords_of_others_is_refused_with_their_number(
-    password: Path, n: int
-) -> None:
-    password.write_text("".join(f"user-{k}:a long enough password\n" for k in range(n)))
-
-    with pytest.raises(RigError) as refused:
-        _way(TCP, None, ClientSettings(password=str(password)))
-
-    assert str(refused.value) == f"{password} has {n} users: keep only your own line"
 
 
 def test_an_explicit_credential_has_precedence_over_the_configured_one(made: Path) -> None:

@@ -14,7 +14,7 @@ from armrig_core.errors import InputError
 from armrig_daemon.config import Access, Config, load
 from armrig_daemon.service.access import network_of, router_of
 
-TLS, TCP = "tls/0.0.0.0:7447", "tcp/127.0.0.1:7447"
+TLS = "tls/0.0.0.0:7447"
 
 
 @pytest.fixture
@@ -24,13 +24,9 @@ def files(tmp_path: Path) -> dict[str, str]:
     pki.issue_to_rig(tmp_path, "1", ["localhost"])
     pki.issue_to_person(tmp_path, "alice", "operators")
     pki.issue_to_person(tmp_path, "bob", "observers")
-    passwords = tmp_path / "passwords"
-    passwords.write_text("alice:correct horse\nmallory:battery staple\n")
-    passwords.chmod(0o600)
     return {
         "certificate": str(tmp_path / "rig-1.pem"),
         "names": str(tmp_path / "access.toml"),
-        "passwords": str(passwords),
     }
 
 
@@ -48,14 +44,11 @@ def test_without_an_endpoint_there_is_no_network() -> None:
 
 def test_a_client_on_the_list_is_admitted(files: dict[str, str]) -> None:
     tls = _network(listen=TLS, **_chosen(files, "certificate", "names"))
-    tcp = _network(listen=TCP, **_chosen(files, "names", "passwords"))
 
-    assert (tls.known_by, tls.operators, tls.observers) == ("certificate", 1, 1)
+    assert (tls.operators, tls.observers) == (1, 1)
     assert tls.expires == read_credential(Path(files["certificate"]), "rig").expires
-    assert tcp.expires is None
-    assert (tcp.known_by, tcp.operators, tcp.observers) == ("user", 1, 0)
-    subjects = [subject["id"] for subject in tcp.access_control["subjects"]]
-    assert subjects == ["alice"]
+    subjects = [subject["id"] for subject in tls.access_control["subjects"]]
+    assert subjects == ["alice", "bob"]
 
 
 @pytest.mark.parametrize(
@@ -64,15 +57,6 @@ def test_a_client_on_the_list_is_admitted(files: dict[str, str]) -> None:
         (TLS, [], r"needs certificate, too; `armrig pki rig` makes one"),
         (TLS, ["names"], r"needs certificate, too"),
         (TLS, ["certificate"], r"needs names, too; `armrig pki ca` makes one"),
-        (TLS, ["names", "passwords"], r"needs certificate, too"),
-        (
-            TLS,
-            ["certificate", "names", "passwords"],
-            r"passwords is not allowed with listen = 'tls/",
-        ),
-        (TCP, [], r"needs names, too"),
-        (TCP, ["names"], r"needs passwords, too: lines user:password"),
-        (TCP, ["names", "certificate"], r"needs passwords, too"),
         ("", ["certificate"], r"certificate is given, but listen is not"),
         ("", ["names"], r"names is given, but listen is not"),
     ],
@@ -87,14 +71,9 @@ def test_a_missing_access_key_is_reported(
 @pytest.mark.parametrize(
     ("listen", "says"),
     [
-        (
-            "tcp/0.0.0.0:7447",
-            r"tcp is not encrypted; allowed is tcp/127.0.0.1:7447; .* tls/0.0.0.0",
-        ),
-        ("tcp/192.0.2.7:7447", r"tcp is not encrypted"),
-        ("tcp/[::]:7447", r"tcp is not encrypted"),
-        ("tcp/localhost:7447", r"tcp is not encrypted"),
-        ("udp/127.0.0.1:7447", r"must be tls/HOST:PORT or tcp/127.0.0.1:PORT"),
+        ("tcp/192.0.2.7:7447", r"must be tls/HOST:PORT"),
+        ("tcp/127.0.0.1:7447", r"must be tls/HOST:PORT"),
+        ("udp/127.0.0.1:7447", r"must be tls/HOST:PORT"),
         ("tls/0.0.0.0", r"must be tls/HOST:PORT"),
         ("tls/0.0.0.0:0", r"must be tls/HOST:PORT"),
         ("tls/0.0.0.0:70000", r"must be tls/HOST:PORT"),
@@ -103,15 +82,13 @@ def test_a_missing_access_key_is_reported(
         ("7447", r"must be tls/HOST:PORT"),
     ],
 )
-def test_an_endpoint_without_encryption_is_refused_beyond_this_machine(
-    listen: str, says: str
-) -> None:
+def test_an_endpoint_without_encryption_is_refused(listen: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         load([], {"ARMRIG_ACCESS_LISTEN": listen}, {})
 
 
-@pytest.mark.parametrize("listen", ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tls/[::]:7447"])
-def test_local_and_encrypted_endpoints_are_accepted(listen: str) -> None:
+@pytest.mark.parametrize("listen", ["tls/127.0.0.1:7447", "tls/[::]:7447"])
+def test_encrypted_endpoints_are_accepted(listen: str) -> None:
     assert load([], {"ARMRIG_ACCESS_LISTEN": listen}, {}).access.listen == listen
 
 
@@ -125,15 +102,14 @@ def test_credential_paths_are_relative_to_the_folder_of_the_configuration(
     assert network_of(load([path], {}, {})) is not None
 
 
-@pytest.mark.parametrize("key", ["certificate", "names", "passwords"])
+@pytest.mark.parametrize("key", ["certificate", "names"])
 def test_a_file_that_cannot_be_used_is_refused(
     files: dict[str, str], tmp_path: Path, key: str
 ) -> None:
     files[key] = str(tmp_path / "nothing")
-    listen, keys = (TCP, ["names", "passwords"]) if key == "passwords" else (TLS, [])
 
     with pytest.raises(InputError, match=rf"^\[access\] {tmp_path}/nothing: "):
-        _network(listen=listen, **_chosen(files, *(keys or ["certificate", "names"])))
+        _network(listen=TLS, **_chosen(files, "certificate", "names"))
 
 
 def test_a_client_certificate_is_refused_for_the_daemon(
@@ -145,19 +121,10 @@ def test_a_client_certificate_is_refused_for_the_daemon(
         _network(listen=TLS, **_chosen(files, "certificate", "names"))
 
 
-def test_a_password_file_readable_by_others_is_refused(files: dict[str, str]) -> None:
-    Path(files["passwords"]).chmod(0o640)
-
-    says = "with mode 0640 other users can read or change a password; allowed is 0400 or 0600"
-    with pytest.raises(InputError, match=says) as caught:
-        _network(listen=TCP, **_chosen(files, "names", "passwords"))
-    assert "horse" not in str(caught.value)
-
-
 def test_the_access_list_denies_every_request_that_it_does_not_allow() -> None:
     people = AccessList(operators=("alice",), observers=("bob",), revoked=("eve",))
 
-    control = remote("1", people, "cert_common_names")
+    control = remote("1", people)
 
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
     assert {rule["permission"] for rule in control["rules"]} == {"allow"}
@@ -192,7 +159,7 @@ def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_p
     assert (found.endpoint, found.is_router) == (router, True)
     assert found.expires == read_credential(Path(files["certificate"]), "rig").expires
     assert found.low_pass_filter == size_limits("1")
-    assert "connect_certificate_base64" in found.transport["link"]["tls"]
+    assert "connect_certificate_base64" in found.tls
     assert _network(router=router, certificate=files["certificate"]) is None
     assert _network(router=router, listen=TLS, **_chosen(files, "certificate", "names")) is not None
     for certificate, says in (

@@ -25,10 +25,9 @@ def plain(monkeypatch: pytest.MonkeyPatch) -> None:
 def _network(**changes: Any) -> Network:
     fields: dict[str, Any] = {
         "endpoint": "tls/h:7447",
-        "known_by": "certificate",
         "access_control": {"rules": ["ours"]},
         "low_pass_filter": ["short"],
-        "transport": TLS,
+        "tls": TLS["link"]["tls"],
         "operators": 0,
         "observers": 0,
         "expires": None,
@@ -50,36 +49,30 @@ def test_the_daemon_tries_a_lost_router_every_second() -> None:
 
 
 def test_network_clients_have_limits_that_the_unix_socket_has_not() -> None:
-    passwords = {"auth": {"usrpwd": {"dictionary_file": "/p"}}}
     local: Any = session_config("unixsock-stream//s")
     tls: Any = session_config("tls/h:7447", _network())
-    tcp: Any = session_config("tcp/127.0.0.1:1", _network(transport=passwords))
 
     assert local == json.loads(
         json.dumps(owned_session("unixsock-stream//s", most_received=88 << 20))
     )
     assert tls["listen"]["endpoints"] == ["tls/h:7447#tls_handshake_timeout_ms=3000"]
     assert (tls["access_control"], tls["low_pass_filter"]) == ({"rules": ["ours"]}, ["short"])
-    for config in (tls, tcp):
-        assert config["transport"]["unicast"] == strangers(250)
-        assert config["transport"]["link"]["rx"] == {"max_message_size": 8 << 20}
+    assert tls["transport"]["unicast"] == strangers(250)
+    assert tls["transport"]["link"]["rx"] == {"max_message_size": 8 << 20}
     assert tls["transport"]["link"]["tls"] == {"enable_mtls": True}
-    assert (tls["transport"]["auth"], tcp["transport"]["auth"]) == ({}, passwords["auth"])
-    assert "tls" not in tcp["transport"]["link"]
 
 
 @pytest.mark.parametrize(
-    ("known_by", "key", "parts"),
+    ("is_network", "key", "parts"),
     [
-        ("", "rig/lab-2/cmd/arm", ("arm", "")),
-        ("user", "rig/lab-2/cmd/arm/ada", ("arm", "user ada")),
-        ("certificate", "rig/lab-2/cmd/stop/bob", ("stop", "certificate bob")),
+        (False, "rig/lab-2/cmd/arm", ("arm", "")),
+        (True, "rig/lab-2/cmd/stop/bob", ("stop", "certificate bob")),
     ],
 )
 def test_the_key_of_a_command_names_the_network_client(
-    known_by: str, key: str, parts: tuple[str, str]
+    is_network: bool, key: str, parts: tuple[str, str]
 ) -> None:
     made = Listener.__new__(Listener)
-    made._known_by = known_by
+    made._is_network = is_network
 
     assert made._parts(SimpleNamespace(key_expr=key)) == parts  # type: ignore[arg-type]

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
+from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
@@ -841,13 +842,12 @@ def test_an_unresponsive_loop_is_killed_once(
 
 def _network(endpoint: str, **changes: Any) -> Network:
     fields: dict[str, Any] = {
-        "known_by": "certificate",
         "access_control": {},
         "low_pass_filter": [],
-        "transport": {},
+        "tls": {},
         "operators": 2,
         "observers": 5,
-        "expires": None,
+        "expires": datetime(2100, 1, 1, tzinfo=UTC),
     }
     return Network(endpoint=endpoint, **{**fields, **changes})
 
