@@ -861,8 +861,6 @@ def spa() -> Variants:
     yield "unlike", armrig.spa(unlike(), delay=3)
     yield "window", armrig.spa(d["plain"], 21, [0.1, 3.0, 12.0, 31.0], delay=1)
     yield "log", armrig.spa(d["plain"], "log")
-    yield "welch", armrig.spa(d["odd"], 64, method="welch", delay=2)
-    yield "unlike welch", armrig.spa(unlike(1.0), 32, [0.3, 1.7, 5.1], method="welch")
     yield "unlike integrator", armrig.spa(unlike_integrating(), 24, integrator=True)
 
 
@@ -904,15 +902,15 @@ def impulse_response() -> Variants:
     yield "unlike", armrig.impulse_response(unlike(), 24, integrator=False)
     for kernel in ("dc", "ss"):
         yield kernel, armrig.impulse_response(d["plain"], 20, kernel)
-    yield "plain", armrig.impulse_response(unlike()[50:], 12, None, negative_lags=3)
+    yield "plain", armrig.impulse_response(unlike()[50:], 12, None)
     yield "odd", armrig.impulse_response(d["odd"])
 
 
 @variants
 def correlation() -> Variants:
     yield "unlike", armrig.correlation(unlike(1.0), 9)
-    yield "order", armrig.correlation(data()["odd"], 8, 3)
-    yield "unlike integrator", armrig.correlation(unlike_integrating(), 7, 3, integrator=True)
+    yield "odd", armrig.correlation(data()["odd"], 8)
+    yield "unlike integrator", armrig.correlation(unlike_integrating(), 7, integrator=True)
 
 
 @variants
@@ -1022,28 +1020,22 @@ def named_signal() -> Variants:
     yield "clock", n.clock_of(0.07)
 
 
-@variants
-def PlannedModel() -> Variants:
-    yield "plain", planned()
-
-
-def planned(**more: Any) -> armrig.PlannedModel:
+def planned(noise_variance: float = 0.02, **more: Any) -> armrig.Fit:
     """Return a model for the design of an experiment."""
-    return armrig.PlannedModel(B=COMPLEX[0], F=COMPLEX[1], noise_variance=0.02, Ts=0.1, **more)
+    known = {"B": COMPLEX[0], "F": COMPLEX[1], "nk": 1, "Ts": 0.1}
+    return armrig.Fit.of_channel(noise_covariance=[[noise_variance]], **known | more)
 
 
 @variants
 def predicted_std() -> Variants:
     u = switching(201, 3, 0.2)
     yield "bj", armrig.predicted_std(planned(C=[1, 0.5], D=[1, -0.6]), u, noise_variance=0.1)
-    arx = armrig.PlannedModel(A=COMPLEX[1], B=COMPLEX[0], noise_variance=0.02, Ts=0.1)
+    arx = planned(A=COMPLEX[1], F=[1.0])
     yield "arx", armrig.predicted_std(arx, armrig.merge([late(), late()[:70]]), initial="zero")
     F = np.convolve([1.0, -0.7], [1.0, -1.0])
-    model = armrig.PlannedModel(B=[0, 0.3, 0.2], F=F, noise_variance=0.1, Ts=0.1, integrator=True)
+    model = planned(0.1, B=[0, 0.3, 0.2], F=F, integrator=True)
     yield "integrator", armrig.predicted_std(model, u)
-    slow = armrig.PlannedModel(
-        B=[0, 0, 0, -7.0, 2.5], F=np.poly([0.82, 0.35]), noise_variance=4.0, Ts=0.5
-    )
+    slow = planned(4.0, B=[0, 0, 0, -7.0, 2.5], F=np.poly([0.82, 0.35]), nk=3, Ts=0.5)
     yield "unlike", armrig.predicted_std(slow, unlike())
     fit = oe_backwards()
     yield "unlike fit", armrig.predicted_std(fit, unlike_integrating())

@@ -195,9 +195,6 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
         TURNS, ax=ax()
     ),
     "plot_impulse": lambda e: armrig.impulse_response(e.plant.dataset(1, 600), 20).plot(ax=ax()),
-    "plot_impulse, negative lags": lambda e: armrig.impulse_response(
-        second_order(), 20, None, 5, integrator=False
-    ).plot(level=0.95, ax=ax()),
     "plot_spectral, spa": lambda e: armrig.spa(second_order(), "log").plot(ax=ax()),
     "plot_spectral, etfe": lambda e: armrig.etfe(e.periods).plot(ax=ax()),
     "plot_spectral, bla": lambda e: armrig.bla([e.periods, e.periods]).plot(ax=ax()),
@@ -261,7 +258,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_spectral, unlike": lambda e: armrig.spa(
         of.unlike_integrating(), 24, integrator=True
     ).plot(ax=ax()),
-    "plot_impulse, unlike": lambda e: armrig.impulse_response(of.unlike(), 12, None, 3).plot(
+    "plot_impulse, unlike": lambda e: armrig.impulse_response(of.unlike(), 12, None).plot(
         level=0.9, ax=ax()
     ),
     "plot_correlation, unlike": lambda e: armrig.correlation(of.unlike(), 9).plot(ax=ax()),

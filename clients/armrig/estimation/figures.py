@@ -63,8 +63,6 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
     band = std * float(scale.max(initial=0.0))
     name = f"{100 * level:g} % {response.band_name} band"
     stems(ax, response.lags, g, VERMILION, band=band, label=name)
-    if response.lags[0] < 0:
-        ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     rate = label_coefficients(ax, response)
     how = f"{response.kernel.upper()} kernel" if response.kernel else "least squares"
     finish(*(p for p in (ax, below) if p is not None))

@@ -76,12 +76,11 @@ class Correlation(OfDataset):
 
 
 @takes_recordings
-def correlation(
-    data: Dataset, lags: int = 20, order: int | None = None, *, integrator: bool | None = None
-) -> Correlation:
+def correlation(data: Dataset, lags: int = 20, *, integrator: bool | None = None) -> Correlation:
     """Estimate the impulse response by correlating y with u after whitening u.
 
-    Both signals are filtered by L(q), an autoregression fitted to u. Then ::
+    Both signals are filtered by L(q), an autoregression fitted to u, with the order that has the
+    least AIC. Then ::
 
         g(k) = R_yu(k) / R_u(0)
 
@@ -95,9 +94,6 @@ def correlation(
         N samples; missing samples and several experiments are allowed.
     lags : int, default 20
         Largest lag L, >= 1.
-    order : int, optional
-        Order of the autoregression, by default chosen by AIC. With order 0 the signals are not
-        filtered.
     integrator : bool, optional
         As in `etfe`. If y integrates, the rate of y is analysed.
 
@@ -130,7 +126,7 @@ def correlation(
     integrates = decided.integrates
     treated = difference(data) if integrates else data
     parts = list(treated.experiments())
-    L = _whitener([part.u - np.mean(part.u) for part in parts], order)
+    L, _ = autoregression([part.u - np.mean(part.u) for part in parts])
     gap = max(lags, 40)
     u = joined((_whitened(part.u, L) for part in parts), gap)
     y = joined((_whitened(part.y, L) for part in parts), gap)
@@ -156,19 +152,6 @@ def correlation(
         **labels(treated),
         notes=decided.notes,
     )
-
-
-def _whitener(u: list[Vector], order: int | None) -> Vector:
-    if order is None:
-        return autoregression(u)[0]
-    require_integers(order=(order, 0))
-    R, _ = _crossed(joined(u, order + 1), joined(u, order + 1), order)
-    R = R[order:]
-    if order == 0:
-        return np.ones(1)
-    from scipy.linalg import solve_toeplitz
-
-    return np.append(1.0, -solve_toeplitz(R[:order], R[1:]))
 
 
 def _whitened(x: Vector, L: Vector) -> Vector:

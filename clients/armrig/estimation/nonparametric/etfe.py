@@ -56,7 +56,7 @@ def etfe(
     ----------
     data : Dataset
         One experiment. Missing outputs are allowed only if the input is periodic and each instant
-        of the period was measured at least once.
+        of the period was measured at least once; they are replaced as in `bla`.
     period_length : int, optional
         Length of the period in samples. By default the period is detected in u.
     integrator : bool, optional
@@ -160,26 +160,11 @@ def _aperiodic(data: Dataset, integrates: bool) -> Lines:
 
 
 def _periodic(data: Dataset, P: int, integrates: bool) -> Lines:
-    treated = difference(data) if integrates else data
-    periods = data.N // P - 1
-    cut = slice(P, (1 + periods) * P)
-    y = treated.y[cut].reshape(periods, P)
-    there = np.isfinite(y)
-    if holes := int(np.count_nonzero(~there.any(axis=0))):
-        raise InputError(
-            f"{holes} of the {P} instants of the period were never measured after the first "
-            "period, which is a transient: record more periods, or use spa"
-        )
-    U = np.fft.rfft(data.u[cut][:P])
+    U, Y, known = _whole_periods(data, P, 1, integrates=integrates)
     at = _lines(excited(U))
-    G = np.fft.rfft(np.nanmean(y, axis=0))[at] / U[at]
-    variance = np.full(at.size, np.nan)
-    whole = there.all(axis=1)
-    if np.count_nonzero(whole) >= 2:
-        scatter = np.var(np.fft.rfft(y[whole], axis=1)[:, at], axis=0, ddof=1)
-        variance = scatter / (np.abs(U[at]) ** 2 * periods)
-    words = f"{periods} periods of {P} samples, after a transient period: exact except for noise"
-    return at, G, variance, P, words
+    variance = _noise_variance([(U, Y, known)], at)
+    words = f"{len(Y)} periods of {P} samples, after a transient period: exact except for noise"
+    return at, np.mean(Y[:, at], axis=0) / U[at], variance, P, words
 
 
 def period(u: Vector, tolerance: float = 1e-9) -> int | None:

@@ -25,7 +25,7 @@ from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score_in_blocks
-from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import summation
 from armrig.numerics.whiteness import (
     LJUNG_BOX,
@@ -56,7 +56,7 @@ class ImpulseResponse(OfDataset):
     """Coefficients g(k) of y(t) = sum of g(k) u(t - k), with their uncertainty."""
 
     lags: NDArray[np.int_]
-    """Lags -negative_lags … n - 1, in samples."""
+    """Lags 0 … n - 1, in samples."""
     g: Vector
     """Coefficients at `lags`, in units of y per unit of u."""
     covariance: Matrix
@@ -82,11 +82,6 @@ class ImpulseResponse(OfDataset):
     def std(self) -> Vector:
         """Standard deviations of g; with a kernel, the standard deviations of the posterior."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-    @property
-    def rate_std(self) -> Vector | None:
-        """Standard deviations of `rate`; None if y does not integrate."""
-        return self.decaying[1] if self.integrator else None
 
     @property
     def integrator(self) -> bool:
@@ -119,20 +114,16 @@ class ImpulseResponse(OfDataset):
         return np.asarray(self.lags[np.abs(g) > two_sided(level) * std])
 
     def first_lag(self, level: float = 0.99) -> int | None:
-        """Return the first significant lag >= 0, or None."""
-        found = [int(k) for k in self.significant(level) if k >= 0]
-        return found[0] if found else None
+        """Return the first significant lag, or None."""
+        return next(iter(self.significant(level).tolist()), None)
 
     def step_response(self) -> StepResponse:
         """Return the response to a unit step: the running sum of g(0), g(1), …."""
-        causal = self.lags >= 0
-        g = self.g[causal]
-        S = np.tri(g.size)
-        covariance = S @ self.covariance[np.ix_(causal, causal)] @ S.T
+        S = np.tri(self.g.size)
         return StepResponse(
-            t=self.Ts * np.arange(g.size, dtype=np.float64),
-            y=S @ g,
-            std=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+            t=self.Ts * np.arange(self.g.size, dtype=np.float64),
+            y=S @ self.g,
+            std=np.sqrt(np.maximum(np.diag(S @ self.covariance @ S.T), 0.0)),
         )
 
     def spectrum(self, omega: ArrayLike) -> SpectralEstimate:
@@ -174,8 +165,7 @@ class ImpulseResponse(OfDataset):
     def __repr__(self) -> str:
         """Return the result as a few lines of text."""
         how = "plain least squares" if self.kernel is None else f"regularised, {self.kernel}"
-        first, last = int(self.lags[0]), int(self.lags[-1])
-        what = f"impulse response of {self.output}, lags {first} … {last}, Ts {self.Ts:g} s"
+        what = f"impulse response of {self.output}, lags 0 … {self.lags[-1]}, Ts {self.Ts:g} s"
         lines = [f"{what} ({how}; {self.N} samples)"]
         if self.hyperparameters:
             values = ", ".join(f"{k} {v:.4g}" for k, v in self.hyperparameters.items())
@@ -198,11 +188,10 @@ def impulse_response(
     data: Dataset,
     n: int | None = None,
     kernel: Kernel | None = "tc",
-    negative_lags: int = 0,
     *,
     integrator: bool | None = None,
 ) -> ImpulseResponse:
-    """Estimate g in y(t) = c + sum over k = -m … n-1 of g(k) u(t - k) + v(t).
+    """Estimate g in y(t) = c + sum over k = 0 … n-1 of g(k) u(t - k) + v(t).
 
     Each experiment has its own level c. A row of the regression is used only if its y is valid and
     all its inputs are inside the experiment.
@@ -216,8 +205,7 @@ def impulse_response(
     With a kernel, the coefficients g(0), g(1), … have the Gaussian prior N(0, s P(lambda)) with the
     scale s. The hyperparameters and sigma² maximise the marginal likelihood, and g is the posterior
     mean. The band is then Bayesian (credible). For white v the coverage of this band is correct on
-    average over systems drawn from the prior, but not for each system. Negative lags have no prior,
-    because a prior would shrink these coefficients and hide feedback.
+    average over systems drawn from the prior, but not for each system.
 
     If y integrates, g does not decay. Then the response of the rate is estimated, with the running
     sums of u as regressors and the measured y as output. Each experiment has a level and a ramp. g
@@ -232,16 +220,13 @@ def impulse_response(
         default is a tenth of N, at most 70.
     kernel : {"tc", "dc", "ss", None}
         Kernel: tuned/correlated, diagonal/correlated or stable spline; None for least squares.
-    negative_lags : int, default 0
-        Number m of negative lags. A coefficient outside its band at a negative lag indicates
-        feedback.
     integrator : bool, optional
         As in `etfe`.
 
     Returns
     -------
     ImpulseResponse
-        `lags`, `g` and `std`, (m + n,), with g in units of y per unit of u.
+        `lags`, `g` and `std`, (n,), with g in units of y per unit of u.
 
     Raises
     ------
@@ -261,47 +246,36 @@ def impulse_response(
     >>> print(f"lag {response.lags[peak]}: {response.g[peak]:.4f} ± {response.std[peak]:.4f} rad/V")
     lag 4: -0.0127 ± 0.0001 rad/V
     """
-    _require_input(data, kernel)
-    decided = integration(data, integrator)
-    integrates = decided.integrates
-    n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
-    require_integers(n=(n, 1), negative_lags=(negative_lags, 0))
-    lags = np.arange(-negative_lags, n)
-    # A fifth more lags are estimated and then dropped. Without these extra lags the last
-    # coefficients would include the effect of all later lags, because running sums at neighbouring
-    # lags are similar.
-    spare = 1 + n // 5 if kernel is None and integrates else 0
-    asked = range(-negative_lags, n + spare)
-    rows = regression(data, asked, integrator=integrates)
-    free = len(asked) if kernel is None else negative_lags
-    _require_rows(rows, free, f"n={n} with negative_lags={negative_lags}", data.N)
-    estimate = _plain(rows) if kernel is None else _regularised(rows, kernel, negative_lags)
-    found = _response(data, rows, lags, estimate, kernel, integrates=integrates)
-    return replace(found, warnings=(*decided.notes, *found.warnings))
-
-
-def _require_input(data: Dataset, kernel: Kernel | None) -> None:
     if kernel is not None and kernel not in KERNELS:
         raise InputError(
             f"kernel={kernel!r} must be one of {', '.join(map(repr, KERNELS))}, or None"
         )
     if np.ptp(data.u) == 0:
         raise InputError("u is constant: it determines no response; record an input that varies")
-
-
-def _require_rows(rows: FirRegression, free: int, asked: str, samples: int) -> None:
-    needed = max(free + rows.nuisance + 2, 3)
+    decided = integration(data, integrator)
+    integrates = decided.integrates
+    n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
+    require_integers(n=(n, 1))
+    # A fifth more lags are estimated and then dropped. Without these extra lags the last
+    # coefficients would include the effect of all later lags, because running sums at neighbouring
+    # lags are similar.
+    asked = n + 1 + n // 5 if kernel is None and integrates else n
+    rows = regression(data, asked, integrator=integrates)
+    needed = max((asked if kernel is None else 0) + rows.nuisance + 2, 3)
     if needed > rows.N:
         raise InputError(
-            f"{asked} needs at least {needed} rows with all inputs known, got {rows.N} of "
-            f"{samples} samples; lower the number of lags"
+            f"n={n} needs at least {needed} rows with all inputs known, got {rows.N} of "
+            f"{data.N} samples; lower the number of lags"
         )
+    estimate = _plain(rows) if kernel is None else _regularised(rows, kernel)
+    found = _response(data, rows, n, estimate, kernel, integrates=integrates)
+    return replace(found, warnings=(*decided.notes, *found.warnings))
 
 
 def _response(
     data: Dataset,
     rows: FirRegression,
-    lags: NDArray[np.int_],
+    n: int,
     estimate: Posterior,
     kernel: Kernel | None,
     *,
@@ -311,10 +285,10 @@ def _response(
     g, covariance = estimate.g, estimate.covariance
     p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
     white = Whiteness(p_value=p, test=LJUNG_BOX)
-    g, covariance = g[: lags.size], covariance[: lags.size, : lags.size]
-    S = data.Ts * np.tri(lags.size)
+    g, covariance = g[:n], covariance[:n, :n]
+    S = data.Ts * np.tri(n)
     return ImpulseResponse(
-        lags=lags,
+        lags=np.arange(n),
         g=S @ g if integrates else g,
         covariance=S @ covariance @ S.T if integrates else covariance,
         rate=g if integrates else None,
@@ -373,7 +347,11 @@ def _plain(rows: FirRegression) -> Posterior:
     R = rows.triangle()
     d = R.shape[0] - 1
     basis = orthonormal(R[:, :d])
-    _require_rank(basis, d, "lags")
+    if basis.rank < d:
+        raise InputError(
+            f"u determines only {basis.rank} of {d} lags, because u has too few frequencies; "
+            "excite with a richer input (telegraph, PRBS), or use a kernel with fewer lags"
+        )
     g = basis.coefficients(R[:, d])
     degrees = rows.N - d - rows.nuisance
     noise = autoregression(rows.residuals(g))
@@ -384,37 +362,16 @@ def _plain(rows: FirRegression) -> Posterior:
     return Posterior(g=g, covariance=covariance, noise_variance=variance, hyperparameters={})
 
 
-def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Posterior:
-    """Return the posterior of all lags; the first m lags are negative and have a flat prior."""
+def _regularised(rows: FirRegression, kernel: Kernel) -> Posterior:
     R = rows.triangle()
     d = R.shape[0] - 1
-    _require_rank(orthonormal(R[:, :m]), m, "negative lags")
-    found = Evidence(
+    return Evidence(
         kernel=kernel,
-        R=R[m:d, m:d],
-        r=R[m:d, d],
+        R=R[:d, :d],
+        r=R[:d, d],
         rest=float(R[d, d] ** 2),
-        M=rows.N - rows.nuisance - m,
+        M=rows.N - rows.nuisance,
     ).posterior()
-    if m == 0:
-        return found
-    # For negative lags f (flat prior) and the other lags p, each g_p of the posterior leads to g_f
-    # = R_ff^-1 (r_f - R_fp g_p).
-    inverse = np.linalg.inv(R[:m, :m])
-    slope = -inverse @ R[:m, m:d]
-    flat = inverse @ R[:m, d] + slope @ found.g
-    own = found.noise_variance * inverse @ inverse.T
-    both = slope @ found.covariance
-    covariance = np.block([[own + both @ slope.T, both], [both.T, found.covariance]])
-    return replace(found, g=np.concatenate([flat, found.g]), covariance=covariance)
-
-
-def _require_rank(basis: Basis, d: int, what: str) -> None:
-    if basis.rank < d:
-        raise InputError(
-            f"u determines only {basis.rank} of {d} {what}, because u has too few frequencies; "
-            "excite with a richer input (telegraph, PRBS), or use a kernel with fewer lags"
-        )
 
 
 def _default(N: int, *, plain: bool) -> int:

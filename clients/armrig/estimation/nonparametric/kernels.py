@@ -240,8 +240,8 @@ class FirRegression:
             yield (x.rows(part) for part in reversed(x.parts()))
 
 
-def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression:
-    """Return the regression of y(t) on u(t - k) for k in `lags`; 0 must be in `lags`.
+def regression(data: Dataset, n: int, *, integrator: bool) -> FirRegression:
+    """Return the regression of y(t) on u(t - k) for k = 0 … n - 1.
 
     For an integrating output the regressors are the running sums Ts (u(0) + … + u(t - k)). The
     coefficients g(k) are then the impulse response of the rate, but the noise is still the noise of
@@ -252,20 +252,17 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
     experiments = []
     for part in data.experiments():
         x = data.Ts * np.cumsum(part.u - mean) if integrator else part.u - mean
-        experiments.append(_experiment(part, x, lags, columns=1 + integrator))
+        experiments.append(_experiment(part, x, n, columns=1 + integrator))
     return FirRegression(
         experiments=tuple(experiments), nuisance=sum(x.own.shape[1] for x in experiments)
     )
 
 
-def _experiment(part: Dataset, x: Vector, lags: range, *, columns: int) -> FirExperiment:
+def _experiment(part: Dataset, x: Vector, n: int, *, columns: int) -> FirExperiment:
     """Return one experiment's regression; level and (if `columns` is 2) ramp are projected out."""
-    first, last = lags[-1], -lags[0]
-    padded = np.concatenate([np.zeros(first), x, np.zeros(last)])
-    windows = sliding_window_view(padded, len(lags))[:, ::-1]
+    windows = sliding_window_view(np.append(np.zeros(n - 1), x), n)[:, ::-1]
     used = np.array(part.valid)
-    used[:first] = False
-    used[max(part.N - last, 0) :] = False
+    used[: n - 1] = False
     basis = orthonormal(np.vander(np.linspace(-1, 1, part.N), columns)[used]).spread(used)
     y = np.where(used, part.y, 0.0)
     found = FirExperiment(
@@ -273,7 +270,7 @@ def _experiment(part: Dataset, x: Vector, lags: range, *, columns: int) -> FirEx
         y=basis.without(y),
         used=used,
         own=basis.Q,
-        shadow=np.zeros((basis.rank, len(lags))),
+        shadow=np.zeros((basis.rank, n)),
     )
     for rows in found.parts():
         found.shadow[:] += basis.Q[rows].T @ windows[rows]

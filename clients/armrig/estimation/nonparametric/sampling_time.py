@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.impulse import impulse_response, long_enough
-from armrig.estimation.nonparametric.spectra import explained, filled, welch
+from armrig.estimation.nonparametric.spectra import explained, filled
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
@@ -370,12 +369,21 @@ def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
 
 def _power(data: Dataset, *, integrates: bool) -> tuple[Vector, Vector]:
     """Return frequencies and the spectrum of y (of its rate if y integrates), by Welch's method."""
+    from scipy.signal import welch
+
     whole = filled(data, integrator=integrates)
-    if integrates:
-        whole = merge([difference(part)[1:] for part in whole.experiments()])
-    shortest = min(part.N for part in whole.experiments())
-    omega = np.linspace(0, np.pi / data.Ts, 257)[1:]
-    return omega, welch(whole, max(8, min(512, shortest // 2)), omega).y
+    parts = [difference(part)[1:] if integrates else part for part in whole.experiments()]
+    length = max(8, min(512, min(part.N for part in parts) // 2))
+    taper = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
+    omega, power = np.linspace(0, np.pi / data.Ts, 257)[1:], np.zeros(256)
+    for y in (part.y for part in parts if length <= part.N):
+        _, density = welch(
+            y, window=taper, noverlap=length - length // 2, nfft=512, return_onesided=False
+        )
+        power += density[1:257] * ((y.size - length) // (length // 2) + 1)
+    if not power.any():
+        raise InputError(f"no {length} samples in a row are of one experiment; record longer")
+    return omega, power
 
 
 def _share(omega: Vector, power: Vector, above: float) -> float:

@@ -1,4 +1,4 @@
-"""Spectra of u and y: by a lag window on the covariances, or by averages of periodograms."""
+"""Spectra of u and y, by a lag window on the covariances."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ MIN_POWER_SHARE = 1e-8
 _MIN_BLUNTED_RATIO = 1.1  # least ratio of |G| with the longer window to |G| for a note
 _BLUNTED_SIGMAS = 4.0  # least difference of the two |G| for a note, in standard deviations
 _MAX_RESPONSE_LAGS = 60  # lags of the impulse response from which missing outputs are computed
-_OVERLAP_CORRELATION = 1 / 36  # correlation of two periodograms if Hann segments overlap by half
 _MIN_FREQUENCIES = 3
 
 
@@ -168,54 +167,6 @@ def filled(data: Dataset, *, integrator: bool) -> Dataset:
         free = own @ basis.coefficients((data.y[a:b] - explained)[there])
         y[a:b] = np.where(there, data.y[a:b], explained + free)
     return data.replaced(y=y, valid=np.ones(data.N, dtype=np.bool_), step=None)
-
-
-def welch(data: Dataset, length: int, omega: Vector) -> Spectra:
-    """Return the spectra, averaged over Hann-tapered segments that overlap by half.
-
-    The mean of each segment is subtracted. A segment with a missing sample is not used.
-    """
-    taper = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
-    turn = np.exp(-1j * np.outer(np.arange(length), omega) * data.Ts)
-    tapered = turn * taper[:, None]
-    segments = _segments(data, length)
-    K = len(segments)
-    if K == 0:
-        raise InputError(
-            f"no {length} samples in a row have an output; use shorter segments (window), "
-            'or method="blackman-tukey", which needs no complete segments'
-        )
-    U, Y = (
-        np.array([(x[cut] - np.mean(x[cut])) @ tapered for cut in segments])
-        for x in (data.u, data.y)
-    )
-    energy = taper**2
-    scale = data.Ts / float(np.sum(energy))
-    Phi_u, Phi_y = (scale * np.mean(np.abs(X) ** 2, axis=0) for X in (U, Y))
-    Phi_yu = scale * np.mean(Y * np.conj(U), axis=0)
-    nu = K / (1 + 2 * _OVERLAP_CORRELATION * (K - 1) / K)
-    return Spectra(
-        u=Phi_u,
-        y=Phi_y,
-        yu=Phi_yu,
-        averages=np.full(omega.size, nu),
-        reality=np.abs(energy @ turn**2 / np.sum(energy)) ** 2,
-        noise=np.maximum(Phi_y - np.abs(Phi_yu) ** 2 / Phi_u, 0.0) * nu / max(nu - 1, 1e-3),
-    )
-
-
-def _segments(data: Dataset, length: int) -> list[slice]:
-    """Return the segments without a missing sample, each in one experiment."""
-    found = []
-    for begin, end in zip(data.starts, (*data.starts[1:], data.N), strict=True):
-        while begin + length <= end:
-            missing = np.flatnonzero(~data.valid[begin : begin + length])
-            if missing.size:
-                begin += int(missing[-1]) + 1
-                continue
-            found.append(slice(begin, begin + length))
-            begin += max(length // 2, 1)
-    return found
 
 
 def explained(estimate: SpectralEstimate) -> Integers:

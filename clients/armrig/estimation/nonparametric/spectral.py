@@ -20,7 +20,6 @@ from armrig.estimation.nonparametric.spectra import (
     blackman_tukey,
     blunted,
     filled,
-    welch,
 )
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers
@@ -42,7 +41,6 @@ def spa(
     window: int | Literal["log"] | None = None,
     omega: ArrayLike | None = None,
     *,
-    method: Literal["blackman-tukey", "welch"] = "blackman-tukey",
     delay: int = 0,
     integrator: bool | None = None,
 ) -> SpectralEstimate:
@@ -73,17 +71,13 @@ def spa(
     Parameters
     ----------
     data : Dataset
-        N samples; missing samples and several experiments are allowed. The method "welch" uses only
-        segments without a missing sample.
+        N samples; missing samples and several experiments are allowed.
     window : int or "log", optional
-        gamma in samples, >= 2, by default N/10 but at most 30. For "welch" the window is the length
-        of a segment, by default N/8. With "log", gamma decreases as omega increases, so
-        that the resolution is half of omega; gamma is limited to 4 … N/4.
+        gamma in samples, >= 2, by default N/10 but at most 30. With "log", gamma decreases as omega
+        increases, so that the resolution is half of omega; gamma is limited to 4 … N/4.
     omega : array_like (n,), optional
         Frequencies in rad/s, 0 to pi/Ts. By default there are 128 equally spaced frequencies up to
         pi/Ts. With window="log" there are 100 frequencies on a logarithmic scale.
-    method : {"blackman-tukey", "welch"}
-        "welch" averages the periodograms of Hann-tapered segments that overlap by half.
     delay : int, default 0
         Known delay in samples. Before the estimation y is advanced by the delay, and afterwards the
         phase of G is corrected. If `delay` is not given, a delay comparable to the length of the
@@ -104,7 +98,6 @@ def spa(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 6.4 and 6.5.
-    .. [2] P. D. Welch, IEEE Trans. Audio Electroacoustics 15 (1967) 70-73.
 
     Examples
     --------
@@ -113,53 +106,30 @@ def spa(
     >>> print(f"{estimate.omega[peak]:.0f} rad/s, coherence {estimate.coherence[peak]:.2f}")
     20 rad/s, coherence 0.93
     """
-    if method not in ("blackman-tukey", "welch"):
-        raise InputError(f'method={method!r} must be "blackman-tukey" or "welch"')
     decided = integration(data, integrator)
     integrates = decided.integrates
     require_integers(delay=(delay, 0))
     data = _advanced(data, delay) if delay else data
-    N = _samples_with_output(data)
-    w = _frequencies(omega, data, logarithmic=isinstance(window, str))
-    smoothed = _by_segments if method == "welch" else _by_lags
-    spectra, words, notes = smoothed(data, window, w, N, integrates=integrates)
-    words += f", aligned by {delay} samples" if delay else ""
-    turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
-    notes = [*decided.notes, *notes]
-    return _estimate(data, w, turned, words, N, integrates=integrates, notes=notes)
-
-
-def _samples_with_output(data: Dataset) -> int:
-    """Return the number of samples with an output; refuse too few samples or a constant u."""
     N = data.N - data.missing
     if N < _LEAST_SAMPLES:
         needed = f"spa needs at least {_LEAST_SAMPLES} samples with an output"
         raise InputError(f"{needed}, got {N}; record longer")
     if np.ptp(data.u) == 0:
         raise InputError("u is constant: it excites no frequency; record an input that varies")
-    return N
-
-
-def _by_segments(
-    data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
-) -> tuple[Spectra, str, list[str]]:
-    """Return Welch's spectra, the name of the method, and an empty list of notes."""
-    length = _length(window, N)
-    spectra = welch(difference(data) if integrates else data, length, omega)
-    return spectra, f"Welch, segments of {length} samples", []
-
-
-def _by_lags(
-    data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
-) -> tuple[Spectra, str, list[str]]:
-    """Return Blackman and Tukey's spectra, the method's name, and any note on a blunted peak."""
-    gamma = _gamma(window, omega, data.Ts, N)
+    w = _frequencies(omega, data, logarithmic=isinstance(window, str))
+    gamma = _gamma(window, w, data.Ts, N)
     whole = filled(data, integrator=integrates)
-    whole = _rate(whole) if integrates else whole
-    spectra = blackman_tukey(whole, gamma, omega, N)
-    notes = [] if isinstance(window, str) else blunted(whole, spectra, int(gamma[0]), omega, N)
+    if integrates:  # the rate is not known at the first sample of an experiment
+        whole = merge([difference(part)[1:] for part in whole.experiments() if part.N > 1])
+    spectra = blackman_tukey(whole, gamma, w, N)
+    notes = [*decided.notes]
+    if not isinstance(window, str):
+        notes += blunted(whole, spectra, int(gamma[0]), w, N)
     size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
-    return spectra, f"Blackman-Tukey, Hann lag window, gamma {size} samples", notes
+    words = f"Blackman-Tukey, Hann lag window, gamma {size} samples"
+    words += f", aligned by {delay} samples" if delay else ""
+    turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
+    return _estimate(data, w, turned, words, N, integrates=integrates, notes=notes)
 
 
 def _advanced(data: Dataset, delay: int) -> Dataset:
@@ -178,11 +148,6 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     )
 
 
-def _rate(data: Dataset) -> Dataset:
-    """Return the rate of y without each experiment's first sample, at which the rate is unknown."""
-    return merge([difference(part)[1:] for part in data.experiments() if part.N > 1])
-
-
 def _frequencies(omega: ArrayLike | None, data: Dataset, *, logarithmic: bool) -> Vector:
     nyquist = np.pi / data.Ts
     if omega is None and logarithmic:
@@ -195,17 +160,6 @@ def _frequencies(omega: ArrayLike | None, data: Dataset, *, logarithmic: bool) -
             f"omega from {w[0]:g} to {w[-1]:g} rad/s is outside 0 to {nyquist:g} rad/s (pi/Ts)"
         )
     return w
-
-
-def _length(window: int | str | None, N: int) -> int:
-    if window is None:
-        return max(8, N // 8)
-    if isinstance(window, str):
-        raise InputError(
-            f"window={window!r} is for Blackman-Tukey; give the length of a segment for Welch"
-        )
-    require_integers(window=(window, 4))
-    return window
 
 
 def _gamma(window: int | str | None, omega: Vector, Ts: float, N: int) -> NDArray[np.int_]:
@@ -253,7 +207,7 @@ def _estimate(
     if float(np.min(s.averages)) < 8:
         notes.append(
             f"only {float(np.min(s.averages)):.1f} independent averages: too few for trustworthy "
-            "bands; use a smaller window (Welch: shorter segments)"
+            "bands; use a smaller window"
         )
     return SpectralEstimate(
         omega=omega,
