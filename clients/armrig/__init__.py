@@ -23,7 +23,8 @@ def __getattr__(name: str) -> Any:
 
 _EARLIER_NAMES = {"SubspaceFit": "Fit", "MultivariableFit": "Fit"}
 """Public names of earlier releases, and the present names."""
-_NAME_OF_MATLAB = {
+_OTHER_NAMES = {
+    "PlannedModel": "Fit.of_channel",
     "iddata": "Dataset",
     "resid": "residuals",
     "ssest": "n4sid",
@@ -40,12 +41,12 @@ _NAME_OF_MATLAB = {
     "impulseest": "impulse_response",
     "cra": "correlation",
 }
-"""Functions of the System Identification Toolbox, and the corresponding functions of armrig."""
+"""Functions of the System Identification Toolbox and of earlier releases, and the present names."""
 
 
 def _no_attribute(name: str) -> str:
-    if name in _NAME_OF_MATLAB:
-        return f"armrig has no {name}; use armrig.{_NAME_OF_MATLAB[name]}"
+    if name in _OTHER_NAMES:
+        return f"armrig has no {name}; use armrig.{_OTHER_NAMES[name]}"
     near = [known for known in __all__ if known.casefold() == name.casefold()]
     meant = f"; did you mean armrig.{near[0]}?" if near else ""
     return f"module {__name__!r} has no attribute {name!r}{meant}"

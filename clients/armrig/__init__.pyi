@@ -50,7 +50,6 @@ from armrig.excitation import staircase as staircase
 from armrig.excitation import step as step
 from armrig.excitation import telegraph as telegraph
 from armrig.excitation import white_noise as white_noise
-from armrig.excitation.experiment_design import PlannedModel as PlannedModel
 from armrig.excitation.experiment_design import predicted_std as predicted_std
 from armrig.excitation.input_description import describe_input as describe_input
 from armrig.excitation.physical_experiment_design import (

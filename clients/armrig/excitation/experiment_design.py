@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -136,7 +136,7 @@ def inverted(
 
 
 def predicted_std(
-    model: Fit | PlannedModel,
+    model: Fit,
     u: ArrayLike | Dataset,
     *,
     noise_variance: float | None = None,
@@ -156,8 +156,8 @@ def predicted_std(
 
     Parameters
     ----------
-    model : Fit or PlannedModel
-        Model of an earlier experiment, or assumed model.
+    model : Fit
+        Model of an earlier experiment, or an assumed model, see `Fit.of_channel`.
     u : array_like, shape (N,), or Dataset
         Planned input without the offset, in the unit of the model's input. If u is a Dataset, its
         input, gaps and boundaries of experiments are used, but not its y.
@@ -176,8 +176,9 @@ def predicted_std(
     Raises
     ------
     ValueError
-        The input cannot determine all parameters, or the noise variance is not known. Data with
-        gaps are also refused if the model is not an output-error model.
+        The input cannot determine all parameters, the noise variance is not known, or C or F has a
+        root on or outside the unit circle. Data with gaps are also refused if the model is not an
+        output-error model.
 
     References
     ----------
@@ -186,8 +187,8 @@ def predicted_std(
     Examples
     --------
     >>> import armrig
-    >>> model = armrig.PlannedModel(B=[0, 0.1], F=[1, -0.9], noise_variance=1e-4, Ts=0.01)
-    >>> print(armrig.predicted_std(model, armrig.telegraph(1000, 0.05)))
+    >>> model = armrig.Fit.of_channel(B=[0, 0.1], F=[1, -0.9], nk=1, Ts=0.01)
+    >>> print(armrig.predicted_std(model, armrig.telegraph(1000, 0.05), noise_variance=1e-4))
     predicted for 1000 samples in 10 s:
       b1 = 0.1 ± 4.1e-05 (0.041 %)
       f1 = -0.9 ± 4.2e-05 (0.0047 %)
@@ -200,6 +201,9 @@ def predicted_std(
         )
     if initial not in ("estimate", "zero"):
         raise InputError(f'initial={initial!r} must be "estimate" or "zero"')
+    for name, p in (("C", model.C), ("F", _without_known_root(model, "f"))):
+        if not stable(p):
+            raise InputError(f"{name} has a root on or outside the unit circle")
     planned = planned_data(u, model.Ts)
     output_error = model.A.size == model.C.size == model.D.size == 1
     if planned.missing and not output_error:
@@ -212,25 +216,26 @@ def predicted_std(
         for part in planned.experiments()
         for block in _gradient(model, part, variance, estimate=initial == "estimate")
     ]
-    names, theta, to_full = _parameters(model)
-    return inverted(np.vstack(rows), variance, names, theta, planned, to_full)
+    to_full = np.eye(model.theta.size)
+    if model.integrating:
+        # F = (1 - q^-1) F̃ is linear in F̃: f_k = f̃_k - f̃_(k-1). The equations for A are the
+        # same.
+        own = np.r_[model.slice_of(model.integrating)]
+        to_full[own[1:], own[:-1]] = -1.0
+        to_full = np.delete(to_full, own[-1], axis=1)
+    return inverted(np.vstack(rows), variance, model.names, model.theta, planned, to_full)
 
 
-def _gradient(
-    model: Fit | PlannedModel, part: Dataset, variance: float, *, estimate: bool
-) -> Iterator[Array]:
+def _gradient(model: Fit, part: Dataset, variance: float, *, estimate: bool) -> Iterator[Array]:
     """Yield blocks of rows Psi for one experiment; the sum of Psi^T Psi is lambda M."""
     # The columns belong to a, b, c, d and f, without the factor of an integrator.
     # An integrator in A is removed by differencing y, an integrator in F by summing u.
-    A, B, C, D = model.A, model.B, model.C, model.D
-    F, u, N = model.F, part.u, part.N
-    inside = integrating_polynomial(model)
-    if inside == "A":
-        A = without_integrator(A)
-    if inside == "F":
+    B, C, D, u, N = model.B, model.C, model.D, part.u, part.N
+    A, F = (_without_known_root(model, letter) for letter in "af")
+    if model.integrating == "f":
         # The mean of u leads to a ramp, which is projected out anyway. Without the mean, the sums
         # have smaller rounding errors.
-        F, u = without_integrator(F), np.cumsum(u - np.mean(u) if estimate else u)
+        u = np.cumsum(u - np.mean(u) if estimate else u)
     na, nf = A.size - 1, F.size - 1
     forced = filtered(B, F, u)
     white = filtered(D, C, np.column_stack([u, forced, filtered([1.0], A, forced)]).T)
@@ -247,7 +252,7 @@ def _gradient(
     Z = np.zeros((N, 0))
     if model.A.size > 1:
         rows[: max(model.A.size, B.size) - 1] = False
-        if inside and estimate:
+        if model.integrating and estimate:
             Z = filtered(D, C, np.ones((1, N))).T  # offset of the input
     elif estimate:
         count = transient_count(
@@ -261,14 +266,14 @@ def _gradient(
         yield _by_noise(model, np.sqrt(variance * np.arange(N, 0.0, -1.0)), Psi.shape[1])
 
 
-def _by_noise(model: Fit | PlannedModel, weight: Vector, width: int) -> Array:
+def _by_noise(model: Fit, weight: Vector, width: int) -> Array:
     """Return the impulse responses from e to the gradient; row j is multiplied by `weight[j]`."""
     # psi_e(t) = sum_j s_j e(t-j): over N samples from rest, psi_e psi_e^T is expected to add up to
     # lambda times the sum of (N - j) s_j s_j^T.
     pulse = np.zeros(weight.size)
     pulse[0] = 1.0
     s = np.zeros((weight.size, width))
-    A = without_integrator(model.A) if integrating_polynomial(model) == "A" else model.A
+    A = _without_known_root(model, "a")
     na, nc, nd = A.size - 1, model.C.size - 1, model.D.size - 1
     nb = model.B.size - model.nk
     s[:, :na] = by_denominator(pulse, A, na)
@@ -277,85 +282,7 @@ def _by_noise(model: Fit | PlannedModel, weight: Vector, width: int) -> Array:
     return np.asarray(s * weight[:, None])
 
 
-def _parameters(model: Fit | PlannedModel) -> tuple[tuple[str, ...], Vector, Array]:
-    """Return names and values of the parameters, and d(values)/d(estimated parameters)."""
-    parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
-    parts |= {"d": model.D[1:], "f": model.F[1:]}
-    names = tuple(f"{letter}{k + 1}" for letter, p in parts.items() for k in range(p.size))
-    to_full = np.eye(len(names))
-    if model.integrator:
-        # F = (1 - q^-1) F̃ is linear in F̃: f_k = f̃_k - f̃_(k-1). The equations for A are the
-        # same.
-        letter = integrating_polynomial(model).lower()
-        own = [k for k, name in enumerate(names) if name[0] == letter]
-        to_full = np.delete(to_full, own[-1], axis=1)
-        to_full[own[1:], own[:-1]] = -1.0
-    return names, np.concatenate(list(parts.values())), to_full
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PlannedModel:
-    """Model that is assumed before there are data: A y = (B/F) u + (C/D) e.
-
-    Raises
-    ------
-    ValueError
-        A denominator does not begin with 1 or is unstable, or all coefficients of B are 0.
-
-    Examples
-    --------
-    >>> import armrig
-    >>> model = armrig.PlannedModel(B=[0, 0.1], F=[1, -0.9], noise_variance=1e-4, Ts=0.01)
-    >>> model.B, model.F
-    (array([0. , 0.1]), array([ 1. , -0.9]))
-    """
-
-    B: Vector
-    """Coefficients in q^-1; the number of leading zeros is the delay nk."""
-    F: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients in q^-1, beginning with 1; with `integrator` one of its roots is 1."""
-    noise_variance: float
-    """Variance of e, in the squared unit of y."""
-    Ts: float
-    """Sampling time, in s."""
-    integrator: bool = False
-    """True if the model has the known factor 1 - q^-1, in A if A is not 1, otherwise in F."""
-    A: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients in q^-1, beginning with 1."""
-    C: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients in q^-1, beginning with 1."""
-    D: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients in q^-1, beginning with 1."""
-
-    def __post_init__(self) -> None:
-        """Refuse polynomials that do not define a valid model."""
-        for name in "ABCDF":
-            p = column(name, getattr(self, name))
-            object.__setattr__(self, name, p)
-            if name != "B" and p[0] != 1:
-                raise InputError(f"{name}={p.tolist()} must begin with 1")
-        if not self.B.any():
-            raise InputError("all coefficients of B are 0; give the numerator in q^-1, delay first")
-        name = integrating_polynomial(self)
-        p = getattr(self, name or "F")
-        if name and abs(np.sum(p)) > 1e-8 * np.sum(np.abs(p)):
-            raise InputError(
-                f"integrator=True, but {name}(1)={np.sum(p):.3g} is not 0; multiply {name} with "
-                "1 - q^-1"
-            )
-        F = without_integrator(self.F) if name == "F" else self.F
-        for name, p in (("C", self.C), ("F", F)):
-            if not stable(p):
-                msg = f"{name} has a root on or outside the unit circle"
-                msg += "; declare an integrator with integrator=True" if name == "F" else ""
-                raise InputError(msg)
-
-    @property
-    def nk(self) -> int:
-        """Number of samples before u reaches y."""
-        return int(np.argmax(self.B != 0))
-
-
-def integrating_polynomial(model: Fit | PlannedModel) -> str:
-    """Return "A" or "F", the polynomial with the known factor 1 - q^-1, or "" if there is none."""
-    return "" if not model.integrator else "A" if model.A.size > 1 else "F"
+def _without_known_root(model: Fit, letter: str) -> Array:
+    """Return A or F without the factor 1 - q^-1 of an integrator."""
+    p = model.polynomial(letter)
+    return without_integrator(p) if letter == model.integrating else p

@@ -10,8 +10,9 @@ from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.estimation.polynomial_structures import armax, bj, oe
 from armrig.excitation import step, telegraph
-from armrig.excitation.experiment_design import PlannedModel, predicted_std
+from armrig.excitation.experiment_design import predicted_std
 from armrig.excitation.physical_experiment_design import predicted_parameter_std
+from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.physics.systems import ArmParameters, arm, chassis
 from hypothesis import given, settings
@@ -21,6 +22,11 @@ from tests.sampling import sampled
 
 B, A = np.array([0, 1, 0.5]), np.array([1, -1.2, 0.6])
 RUNS, N = 200, 400
+
+
+def planned(noise_variance: float = 1.0, Ts: float = 1.0, **polynomials: Any) -> Fit:
+    """Return a model with one delay and a known variance of e."""
+    return Fit.of_channel(noise_covariance=[[noise_variance]], Ts=Ts, nk=1, **polynomials)
 
 
 def test_a_fit_predicts_its_std_for_its_estimation_data(plant: Any) -> None:
@@ -70,7 +76,7 @@ def test_the_plan_for_coloured_noise_agrees_with_theory() -> None:
     """
     a, c, n = -0.7, 0.4, 20_000
     u = 1e-6 * telegraph(n, 0.3)  # teaches nothing of a
-    model = PlannedModel(A=[1, a], B=[0, 1.0], C=[1, c], noise_variance=4.0, Ts=1.0)  # type: ignore[arg-type]
+    model = planned(A=[1, a], B=[0, 1.0], C=[1, c], noise_variance=4.0, Ts=1.0)
 
     predicted = predicted_std(model, u)
 
@@ -84,7 +90,7 @@ def test_the_plan_for_coloured_noise_agrees_with_theory() -> None:
 def test_a_coloured_noise_model_weighs_the_frequencies() -> None:
     """BJ: b's std is that of least squares on u and y through D, and d's that of an AR(1)."""
     u, D = telegraph(2000, 0.3), np.array([1, -0.8])
-    coloured = PlannedModel(B=[0, 1.0], D=D, noise_variance=1.0, Ts=1.0)  # type: ignore[arg-type]
+    coloured = planned(B=[0, 1.0], D=D, noise_variance=1.0, Ts=1.0)
 
     predicted = predicted_std(coloured, u)
 
@@ -103,7 +109,7 @@ def test_deviations_are_proportional_to_noise_and_inverse_to_input(
     """The standard deviation is proportional to noise and inverse to the input's size."""
     u = telegraph(300, 0.3, 0.0, 5.0)
     one, other = (
-        predicted_std(PlannedModel(B=B, F=A, noise_variance=v, Ts=1.0), x).std
+        predicted_std(planned(B=B, F=A, noise_variance=v, Ts=1.0), x).std
         for v, x in ((1.0, u), (noise**2, gain * u))
     )
 
@@ -112,7 +118,7 @@ def test_deviations_are_proportional_to_noise_and_inverse_to_input(
 
 def test_the_text_of_a_plan_states_whether_the_experiment_is_long_enough() -> None:
     u = telegraph(3000, 0.3)
-    predicted = predicted_std(PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), u)
+    predicted = predicted_std(planned(B=B, F=A, noise_variance=0.1, Ts=0.01), u)
     got = float(predicted.std[2])
 
     assert predicted.seconds_for(f1=got / 2) == pytest.approx(4 * 30)
@@ -124,9 +130,7 @@ def test_the_text_of_a_plan_states_whether_the_experiment_is_long_enough() -> No
         predicted.explain(g1=1.0)
     with pytest.raises(ValueError, match="f1=0: a wanted standard deviation must be > 0"):
         predicted.explain(f1=0)
-    longer = predicted_std(
-        PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), telegraph(12_000, 0.3)
-    )
+    longer = predicted_std(planned(B=B, F=A, noise_variance=0.1, Ts=0.01), telegraph(12_000, 0.3))
     assert longer.std[2] == pytest.approx(got / 2, rel=0.1)
 
 
@@ -156,7 +160,7 @@ def test_the_inertia_s_standard_deviation_is_predicted_from_physics() -> None:
 
 def test_an_input_with_too_little_information_is_refused() -> None:
     """A step at the first sample excites nothing if the initial state is unknown."""
-    model, u = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=1.0), telegraph(300, 0.1)
+    model, u = planned(B=B, F=A, noise_variance=1.0, Ts=1.0), telegraph(300, 0.1)
 
     with pytest.raises(ValueError, match=r"determines only \d of 4 parameters"):
         predicted_std(model, step(300))
@@ -170,22 +174,19 @@ def test_an_input_with_too_little_information_is_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"F": [2.0, 1.0]}, "must begin with 1"),
-        ({"F": [1.0, -1.0]}, "F has a root on or outside.*integrator=True"),
-        ({"F": [1.0, -0.5], "integrator": True}, r"F\(1\)=0.5 is not 0"),
-        ({"A": [1.0, -0.5], "integrator": True}, r"A\(1\)=0.5 is not 0"),
+        ({"F": [1.0, -1.0]}, "F has a root on or outside"),
         ({"C": [1.0, 2.0]}, "C has a root on or outside"),
-        ({"B": [0.0, 0.0]}, "all coefficients of B are 0"),
+        ({"B": [0.0, 0.0]}, r"determines only \d of 3 parameters"),
     ],
 )
 def test_an_impossible_planned_model_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        PlannedModel(**({"B": B, "F": A, "noise_variance": 1.0, "Ts": 1.0} | change))
+        predicted_std(planned(**({"B": B, "F": A} | change)), telegraph(300, 0.3))
 
 
 def test_impossible_arguments_of_a_plan_are_refused() -> None:
     u = telegraph(300, 0.3)
-    model = PlannedModel(B=B, A=A, noise_variance=1.0, Ts=1.0)
+    model = planned(B=B, A=A, noise_variance=1.0, Ts=1.0)
     gaps = Dataset(u=u, y=u, Ts=1.0, valid=np.arange(300) > 3)
 
     with pytest.raises(ValueError, match=r"4 samples are missing.*only an output-error model"):
@@ -209,7 +210,7 @@ def test_a_gap_at_the_end_informs_like_a_shorter_experiment(initial: Any) -> Non
     u = telegraph(300, 0.1)
     y, there = np.where(np.arange(300) < 180, 0.0, np.nan), np.arange(300) < 180
     gap = Dataset(u=u, y=y, valid=there, Ts=0.01)
-    model = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=0.01)
+    model = planned(B=B, F=A, noise_variance=1.0, Ts=0.01)
 
     for predict in (
         lambda x: predicted_std(model, x, initial=initial),
@@ -228,7 +229,7 @@ def test_each_experiment_adds_its_information() -> None:
     """Two equal experiments from rest halve every variance; each has its own initial state."""
     u = telegraph(200, 0.1)
     once = Dataset(u=u, y=np.zeros(200), Ts=0.01)
-    model = PlannedModel(B=B, A=A, C=[1, 0.4], noise_variance=1.0, Ts=0.01)  # type: ignore[arg-type]
+    model = planned(B=B, A=A, C=[1, 0.4], noise_variance=1.0, Ts=0.01)
 
     for predict in (
         lambda x: predicted_std(model, x),
@@ -243,9 +244,7 @@ def test_a_known_initial_state_lowers_the_deviation_of_an_integrator(structure: 
     """Initial state and offset are then not estimated."""
     u = telegraph(60, 0.1) - 2.5
     integrating = np.convolve(A, [1.0, -1.0])
-    model = PlannedModel(
-        B=B, noise_variance=1.0, Ts=0.01, integrator=True, **{structure: integrating}
-    )
+    model = planned(B=B, noise_variance=1.0, Ts=0.01, integrator=True, **{structure: integrating})
 
     known, estimated = (predicted_std(model, u, initial=how) for how in ("zero", "estimate"))
 
