@@ -29,7 +29,7 @@ _HELP_INDENT = 6
 
 _HEADINGS = {
     "Rig": {"rig": "lab status watch stop reset note dashboard", "calibration": "calibrate"},
-    "Runs": {"runs": "collect record play demo"},
+    "Runs": {"runs": "collect record play", "demo": "demo"},
     "Recordings": {"recordings": "ls info plot verify export recover replay"},
     "Identify": {"identify": "sampling hints identify batch"},
     "Validate": {"validate": "validate compare check linearity report"},

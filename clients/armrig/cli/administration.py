@@ -28,8 +28,8 @@ from armrig.cli.printing import (
     say,
     say_answer,
     say_more,
+    spinner,
 )
-from armrig.cli.spinner import spinner
 from armrig.lab import installation
 
 if TYPE_CHECKING:

@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Sequence
+from json import dumps
 from pathlib import Path
+from shlex import quote
 from threading import Thread
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
+import typer
 from armrig_core.errors import InputError, OperationError
-from armrig_core.rig.description import (
-    Description,
-    path_of,
-    read_description,
-    require_model,
-    shipped,
-)
-from numpy.typing import NDArray
+from armrig_core.process.options import chosen
 
 import armrig
-from armrig.cli.printing import columns, fields_of, inform
-from armrig.cli.spinner import spinner
-from armrig.excitation import step, telegraph
+from armrig.cli.next_step import opener, say_next
+from armrig.cli.options import Json
+from armrig.cli.printing import columns, fields_of, inform, print_result, spinner
 
 if TYPE_CHECKING:
+    from armrig.excitation.demonstration import Experiment
     from armrig.report.study import Study
 
 RIG = "demo"
-LOW, HIGH = 0.5, 4.5
-_MAX_TS, _MIN_TS = 1.0, 0.001  # s
-_FASTEST, _SLOWEST = 10, 10  # samples in the fastest time constant, slowest ones in an experiment
-_SHARE = 0.9  # of the highest voltage, and of the way of an output to its limit
+_MAX_S, _MAX_DESCRIBED_S = 600.0, 86_400.0
 _CONFIG = """\
 # Configuration of the demonstration: an emulated rig, sampled at 100 Hz.
 [rig]
@@ -72,93 +64,14 @@ _FIRMWARE = (
 )
 
 
-class Pace(NamedTuple):
-    """Sampling time and levels of the demonstration, and the lengths of its experiments, in s."""
-
-    Ts: float = 0.01
-    seconds: float = 30.0
-    """Length of a telegraph signal."""
-    switch: float = 0.05
-    """Probability that the telegraph signal switches at a sample."""
-    step_s: float = 3.0
-    high: float = HIGH
-    """Highest voltage of the inputs; the lowest is a ninth of it."""
-
-
-def pace_of(described: Description, seconds: float | None) -> Pace:
-    """Return the pace of a rig, by the time constants and the limits of its model.
-
-    Raises InputError if the description has no model.
-    """
-    if described.arm:
-        return Pace() if seconds is None else Pace(seconds=seconds)
-    model, system = require_model(described)
-    poles = np.linalg.eigvals(np.array(system.A)).astype(complex)
-    rates = np.abs(poles.real if system.Ts is None else np.log(np.abs(poles)) / system.Ts)
-    rates = rates[rates > 1e-9] if np.any(rates > 1e-9) else np.ones(1)
-    fast, slow = 1 / rates.max(), 1 / rates.min()
-    Ts = system.Ts or min(_MAX_TS, max(_MIN_TS, float(f"{fast / _FASTEST:.0e}")))
-    return Pace(
-        Ts=Ts,
-        seconds=seconds or max(30.0, float(np.ceil(_SLOWEST * slow + model.delay_s))),
-        switch=float(np.clip(2 * Ts / slow, 0.01, 0.5)),
-        step_s=max(3.0, float(np.ceil(5 * slow + 2 * model.delay_s))),
-        high=_highest_level(described),
-    )
-
-
-def _highest_level(described: Description) -> float:
-    """Return the highest voltage, at most `HIGH`, at which each output stays within its limits."""
-    model, system = require_model(described)
-    A, B = np.array(system.A), np.array(system.B)
-    still = np.linalg.pinv((np.eye(len(A)) if system.Ts else 0.0) - A) @ B
-    highest = min(HIGH, _SHARE * described.input.u_max_v)
-    rest = model.offset or [0.0] * len(described.outputs)
-    gains = (np.array(system.C) @ still)[:, 0]
-    for output, gain, y in zip(described.outputs.values(), gains, rest, strict=True):
-        room = (output.high if gain > 0 else output.low) - y
-        if gain and np.isfinite(room):
-            highest = min(highest, _SHARE * room / gain)
-    return float(f"{highest:.2g}")
-
-
-class Experiment(NamedTuple):
-    """One run of the demonstration."""
-
-    name: str
-    u: NDArray[np.float64]
-    """Motor voltage at each sample, in V."""
-    request: dict[str, Any]
-    """Other fields of the request to the daemon: kind and details."""
-    Ts: float = Pace().Ts
-    """Sampling time, in s."""
-
-    @property
-    def seconds(self) -> float:
-        """Length, in s."""
-        return self.Ts * self.u.size
-
-
-def experiments(pace: Pace, seed: int) -> list[Experiment]:
-    """Return a step, a telegraph signal, and a telegraph signal for validation."""
-    Ts, N = pace.Ts, round(pace.seconds / pace.Ts)
-    levels = {"low": pace.high * LOW / HIGH, "high": pace.high}
-    up = step(round(pace.step_s / Ts), **levels, at=round(pace.step_s / 6 / Ts))
-    asked = {"experiment": "step", "details": {"input": "step", **levels}}
-    plan = [Experiment("step", up, asked, Ts)]
-    for name, number in (("telegraph", seed), ("validation", seed + 1)):
-        details = {"input": "telegraph", **levels, "a": pace.switch, "seed": number}
-        u = telegraph(N, pace.switch, **levels, seed=number)
-        plan.append(Experiment(name, u, {"experiment": "blackbox", "details": details}, Ts))
-    return plan
-
-
 def write_config(directory: Path, seed: int, Ts: float, rig_file: Path | None = None) -> Path:
     """Write the configuration of the demonstration's rig, and return its path."""
+    from armrig_core.rig.description import path_of
+
     path = directory / "armrig.toml"
     paths = (directory, path_of(rig_file) if rig_file else Path())
     # A string of JSON is also one of TOML.
-    folder, rig = (json.dumps(str(path.absolute()), ensure_ascii=False) for path in paths)
+    folder, rig = (dumps(str(path.absolute()), ensure_ascii=False) for path in paths)
     file = f"\nfile = {rig}" if rig_file else ""
     text = _CONFIG.format(rig=RIG, file=file, Ts=Ts, directory=folder, seed=seed)
     path.write_text(text, encoding="utf-8")
@@ -166,30 +79,53 @@ def write_config(directory: Path, seed: int, Ts: float, rig_file: Path | None = 
 
 
 def demo(
-    directory: Path,
-    *,
-    seconds: float | None,
-    seed: int,
-    virtual: bool = False,
-    firmware: bool = False,
-    rig_file: Path | None = None,
-) -> tuple[dict[str, Any], str]:
-    """Record an emulated rig, identify and validate models, and write a report to `directory`.
+    directory: Path = chosen(Path("demo"), "Folder for all files."),
+    seconds: float | None = chosen(
+        None,
+        "Length of each telegraph signal, in s.",
+        "30, or by the model of --rig-file",
+        min=5,
+    ),
+    seed: int = chosen(1, "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2),
+    virtual: bool = chosen(
+        False, "Run in virtual time, without waiting; the same seed gives the same bytes."
+    ),
+    firmware: bool = chosen(
+        False,
+        "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
+        "builds the necessary program, which no wheel contains.",
+    ),
+    rig_file: Path | None = chosen(
+        None,
+        "Description of the rig: a file, or a name of `armrig rigs`.",
+        "the arm",
+        names="--rig-file TOML",
+    ),
+    json: Json = False,
+) -> None:
+    """Emulate a rig, record it, identify models and write a report.
 
-    Returns the results and the paths of the files as JSON fields, and as text.
+    The demo needs no hardware. It takes two minutes; with --virtual it takes 20 s, on any system
+    with Python.
 
-    If the machine stalls too often in real time, the remaining experiments are recorded in virtual
-    time. If they cannot be recorded in virtual time either, an OperationError is raised.
-    `firmware` needs `virtual`. `rig_file` describes the rig, by default the arm; another rig is
-    recorded in virtual time.
+    With --json the last line contains the paths of all files and the fit of each model.
     """
+    from armrig_core.rig.description import path_of, read_description, shipped
+
+    from armrig.excitation.demonstration import experiments, pace_of
+
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
+    most = _MAX_S if rig_file is None else _MAX_DESCRIBED_S
+    if seconds is not None and seconds > most:
+        raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {most:g} s")
     described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
     pace = pace_of(described, seconds)
     plan = experiments(pace, seed)
     directory.mkdir(parents=True, exist_ok=True)
     config = write_config(directory, seed, pace.Ts, rig_file)
     paths: list[Path] = []
-    virtual = virtual or not described.arm  # a slow rig needs hours
+    virtual = virtual or firmware or not described.arm  # a slow rig needs hours
     why = "" if virtual else _record(plan, config, paths)
     if why:
         inform(f"not in real time: {why}; the demonstration goes on in virtual time")
@@ -213,10 +149,12 @@ def demo(
         "figures": sorted(map(str, directory.absolute().glob("*.svg"))),
         "report": str(pdf.absolute()),
     }
-    return facts, _text(done, names, directory, pdf)
+    print_result(facts, _text(done, names, directory, pdf), json=json)
+    if not json:
+        say_next("demo", opener=opener(), file=quote(str(_from_here(pdf.absolute()))))
 
 
-def _record(plan: list[Experiment], config: Path, done: list[Path]) -> str:
+def _record(plan: Sequence[Experiment], config: Path, done: list[Path]) -> str:
     """Append real-time recordings to `done`; return why some are missing, or "" if none is."""
     if sys.platform != "linux":
         return "emulation in real time needs Linux"
@@ -268,12 +206,12 @@ def _text(done: Study, names: list[str], directory: Path, pdf: Path) -> str:
     for recording, name in zip(done.recordings, names, strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
         samples = f"{recording.samples.size} samples{missing}, sha256 {recording.short_hash}"
-        files.append((name, f"{from_here(recording.path)}: {samples}"))
+        files.append((name, f"{_from_here(recording.path)}: {samples}"))
     files += [("figures", str(directory / "*.svg")), ("report", str(pdf))]
     return f"simulated on the validation recording\n{columns(models)}\n\n{columns(files)}"
 
 
-def from_here(path: Path) -> Path:
+def _from_here(path: Path) -> Path:
     """Return the path relative to the current folder, if the file is in this folder."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
@@ -292,7 +230,7 @@ def record_in_virtual_time(
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     program += ["--firmware"] if firmware else []
-    requests = (json.dumps({"u": one.u.tolist(), **one.request}) for one in plan)
+    requests = (dumps({"u": one.u.tolist(), **one.request}) for one in plan)
     Thread(target=_load_drawing_modules).start()
     played = subprocess.run(program, input="\n".join(requests).encode(), capture_output=True)
     if played.returncode:

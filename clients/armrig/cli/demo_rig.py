@@ -21,7 +21,7 @@ from armrig.rig.session import RigError
 from armrig.rig.status import scheduling_sentences
 
 if TYPE_CHECKING:
-    from armrig.cli.demo import Experiment
+    from armrig.excitation.demonstration import Experiment
 
 MAX_ENDED_RUNS = 3
 """If stalls have ended this number of runs of an experiment, the demonstration continues in virtual

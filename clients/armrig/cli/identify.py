@@ -22,12 +22,14 @@ from armrig.cli import model_structures, results
 from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
 from armrig.cli.options import Detrend, Json, ModelOrders
 from armrig.cli.printing import (
+    estimating,
     fields_of,
     print_result,
     say,
     say_answer,
     say_more,
     some,
+    spinner,
     tell,
     tell_findings,
 )
@@ -46,7 +48,6 @@ from armrig.cli.recorded_data import (
     say_channel,
     source_facts,
 )
-from armrig.cli.spinner import estimating, spinner
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
 from armrig.numerics.quantities import listed

@@ -8,7 +8,7 @@ import typer
 from armrig_core.process.options import Group, option, parameter
 
 import armrig
-from armrig.cli.spinner import estimating, too_high
+from armrig.cli.printing import estimating, too_high
 from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
 from armrig.models.structure_table import (
     COUNTED,

@@ -20,9 +20,8 @@ import armrig
 from armrig import plots
 from armrig.cli import recorded_data
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
-from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, tell
+from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, spinner, tell
 from armrig.cli.results import Draw, Output, Shown, shown
-from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit

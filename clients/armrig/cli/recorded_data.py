@@ -17,9 +17,8 @@ from armrig_core.telemetry.channels import ARM_OUTPUTS, CHANNELS
 
 import armrig
 from armrig.cli.options import CalibrationFile, Detrend, From, To
-from armrig.cli.printing import inform, say, tell, tell_findings, warned
+from armrig.cli.printing import inform, say, spinner, tell, tell_findings, warned
 from armrig.cli.results import name_runs
-from armrig.cli.spinner import spinner
 from armrig.data.files import OTHER_DATA, RECORDING
 from armrig.data.step import DOUBT, MEAN, codes_of
 from armrig.numerics.quantities import listed, plural

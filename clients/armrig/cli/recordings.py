@@ -28,12 +28,12 @@ from armrig.cli.printing import (
     print_result,
     print_table,
     some,
+    spinner,
     tell,
     warned,
 )
 from armrig.cli.recorded_data import File, Part
 from armrig.cli.results import Draw, Plot, Shown, check_output, check_plot, name_runs, write_plot
-from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
     from armrig_core.recording_file.manifest import Recovered

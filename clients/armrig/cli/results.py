@@ -15,9 +15,8 @@ from armrig_core.process.options import Group, group, option
 
 import armrig
 from armrig.cli.options import Json, Verbose
-from armrig.cli.printing import inform, print_json, tell
+from armrig.cli.printing import inform, print_json, spinner, tell
 from armrig.cli.printing import say as say_line
-from armrig.cli.spinner import spinner
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,6 @@ from functools import partial
 from itertools import count
 from math import inf
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
@@ -22,7 +21,7 @@ from armrig_core.process.options import Commands, chosen, group, option
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 
 import armrig
-from armrig.cli.next_step import naming, opener, own_recordings, say_next, step_again, typed
+from armrig.cli.next_step import naming, own_recordings, say_next, step_again, typed
 from armrig.cli.options import Connect, From, Json, RigId, SamplingTime, To
 from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
@@ -43,7 +42,6 @@ DEAD_MAN_S = 1.0
 """Default time in s after which a closed terminal or a lost connection stops the motor."""
 _MAX_NAME_LENGTH = 40  # characters of a kind of experiment that the daemon accepts
 _MAX_SEED = 2**53
-_MAX_DEMO_S, _MAX_DESCRIBED_S = 600.0, 86_400.0
 Seconds = Annotated[float, option("--seconds", "Length, in s; at most 4 000 000 samples.")]
 Low = Annotated[
     float | None, option("--low", "Lowest voltage of the input, in V, at least 0.", "0.5")
@@ -586,54 +584,3 @@ def _announce(
         f"in a second terminal: armrig watch{naming(rig, named)}",
         json=json,
     )
-
-
-def demo(
-    directory: Path = chosen(Path("demo"), "Folder for all files."),
-    seconds: float | None = chosen(
-        None,
-        "Length of each telegraph signal, in s.",
-        "30, or by the model of --rig-file",
-        min=5,
-    ),
-    seed: int = chosen(1, "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2),
-    virtual: bool = chosen(
-        False, "Run in virtual time, without waiting; the same seed gives the same bytes."
-    ),
-    firmware: bool = chosen(
-        False,
-        "Run the Uno's firmware in simavr, in virtual time; `make fil` in a checkout "
-        "builds the necessary program, which no wheel contains.",
-    ),
-    rig_file: Path | None = chosen(
-        None,
-        "Description of the rig: a file, or a name of `armrig rigs`.",
-        "the arm",
-        names="--rig-file TOML",
-    ),
-    json: Json = False,
-) -> None:
-    """Emulate a rig, record it, identify models and write a report.
-
-    The demo needs no hardware. It takes two minutes; with --virtual it takes 20 s, on any system
-    with Python.
-
-    With --json the last line contains the paths of all files and the fit of each model.
-    """
-    from armrig.cli.demo import demo as run_demo
-    from armrig.cli.demo import from_here
-
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
-    most = _MAX_DEMO_S if rig_file is None else _MAX_DESCRIBED_S
-    if seconds is not None and seconds > most:
-        raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {most:g} s")
-    how: dict[str, Any] = {
-        "virtual": virtual or firmware,
-        "firmware": firmware,
-        "rig_file": rig_file,
-    }
-    facts, text = run_demo(directory, seconds=seconds, seed=seed, **how)
-    print_result(facts, text, json=json)
-    if not json:
-        say_next("demo", opener=opener(), file=quote(str(from_here(Path(facts["report"])))))

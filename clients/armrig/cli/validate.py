@@ -29,15 +29,16 @@ from armrig.cli.next_step import (
 from armrig.cli.options import CalibrationFile, Json, ModelOrders
 from armrig.cli.printing import (
     echo,
+    estimating,
     fields_of,
     inform,
     print_result,
     say,
     say_answer,
+    spinner,
     tell,
     tell_findings,
 )
-from armrig.cli.spinner import estimating, spinner
 from armrig.data.finding import OWN_DATA
 from armrig.numerics.quantities import listed
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.cli import demo, demo_rig
+from armrig.cli import demo, demo_rig, main
+from armrig.excitation.demonstration import Experiment, pace_of
 from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError
@@ -160,7 +161,7 @@ def test_the_demonstration_continues_in_virtual_time(
     monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
     folder = tmp_path / "demo"
 
-    demo.demo(folder, seconds=5, seed=1)
+    assert main(["demo", "--directory", str(folder), "--seconds", "5"]) == 0
 
     assert "the demonstration goes on in virtual time" in capsys.readouterr().err
     assert len(list(folder.glob("*.mcap"))) == 3
@@ -176,7 +177,7 @@ def test_the_report_names_recordings_in_virtual_time_and_the_reason() -> None:
 
 
 def _recorded(rig: Rig, left_s: float = 60.0) -> Path:
-    experiment = demo.Experiment("step", np.full(3, 1.0), {})
+    experiment = Experiment("step", np.full(3, 1.0), {})
     return demo_rig.recorded(rig, experiment, time.monotonic() + left_s)
 
 
@@ -185,4 +186,4 @@ def _recorded(rig: Rig, left_s: float = 60.0) -> Path:
 )
 def test_the_levels_of_another_rig_keep_its_limits(name: str, high: float) -> None:
     """1.1 V heats TCLab to 48 °C; its limit is 50 °C."""
-    assert demo.pace_of(shipped(name), None).high == high
+    assert pace_of(shipped(name), None).high == high

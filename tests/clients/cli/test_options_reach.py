@@ -34,7 +34,7 @@ FILE, OTHER = "f.mcap", "other.mcap"
 WORK = {
     "dashboard": "armrig.dashboard.serving.dashboard",
     "lab": "armrig.rig.local_daemon.running",
-    "demo": "armrig.cli.demo.demo",
+    "demo": "armrig.cli.demo._record armrig.cli.demo.record_in_virtual_time",
     "record": "armrig.cli.runs._record_one armrig.cli.runs.record_many",
     "router": "armrig.lab.router.open_router",
     "conformance --device /dev/a": "os.execv",

@@ -16,6 +16,7 @@ import pytest
 from armrig import __main__ as program
 from armrig.cli import demo, main
 from armrig.data.finding import warning
+from armrig.excitation.demonstration import Pace, experiments
 from armrig.lab.fleet_recorder import RigRecorded
 from armrig.report.batch.batch import Batch
 from armrig.report.batch.tasks import CHECKS
@@ -217,7 +218,7 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
 
 def test_a_demonstration_plays_a_step_and_two_telegraphs_with_seeds_in_a_row() -> None:
     for seconds, seed in ((5.0, 1), (7.5, 40)):
-        step, telegraph, validation = demo.experiments(demo.Pace(seconds=seconds), seed)
+        step, telegraph, validation = experiments(Pace(seconds=seconds), seed)
 
         assert [step.name, telegraph.name, validation.name] == ["step", "telegraph", "validation"]
         assert (step.seconds, telegraph.seconds, validation.seconds) == (3.0, seconds, seconds)
@@ -273,8 +274,11 @@ def test_a_demonstration_completes_missing_recordings_in_virtual_time(
     for name, function in work.items():
         monkeypatch.setattr(demo, name, function)
 
-    found, _ = demo.demo(tmp_path / "d", seconds=5, seed=9, virtual=virtual)
+    options = ["--seconds", "5", "--seed", "9", "--json", *["--virtual"] * virtual]
+    assert main(["demo", "--directory", str(tmp_path / "d"), *options]) == 0
 
+    said = capsys.readouterr()
+    found = json.loads(said.out)
     names = ["step", "telegraph", "validation"]
     assert found["recordings"] == dict(zip(names, map(str, paths), strict=True))
     assert found["in_virtual_time"] == names[n_real:]
@@ -283,9 +287,8 @@ def test_a_demonstration_completes_missing_recordings_in_virtual_time(
     assert found["report"] == str(tmp_path / "d" / "report.pdf")
     assert asked[:-1] == ([(names[n_real:], 9, False)] if n_real < 3 else [])
     assert asked[-1] == (paths, 1 if n_real == 3 else 2)
-    said = capsys.readouterr().err
-    assert ("not in real time: too busy" in said) == bool(why)
-    assert ("the daemon's log: " in said) is not virtual
+    assert ("not in real time: too busy" in said.err) == bool(why)
+    assert ("the daemon's log: " in said.err) is not virtual
 
 
 def test_a_demonstration_prints_the_results_of_its_models(tmp_path: Path) -> None:

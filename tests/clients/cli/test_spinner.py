@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from armrig.cli.printing import MIN_WAIT_S, estimating, remaining, spinner
 from armrig.cli.results import write_plot
-from armrig.cli.spinner import MIN_WAIT_S, estimating, remaining, spinner
 from rich.console import Console
 
 from tests.integration.processes import wait_for

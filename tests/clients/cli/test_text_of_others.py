@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.printing import tell
-from armrig.cli.spinner import spinner
+from armrig.cli.printing import spinner, tell
 from armrig.rig.collection import bar
 from armrig_core.recording_file.manifest import Outcome
 from rich.console import Console
