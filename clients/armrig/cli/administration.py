@@ -123,17 +123,20 @@ def flash(
     if image is not None and file is not None:
         raise typer.BadParameter("--image and --hex exclude each other")
     firmware = read_image(file or shipped_image(image or "uno"))
-    _check_size(firmware)
+    size = len(firmware.data)
+    if size > avrdude.FLASH_BYTES:
+        has = f"an {avrdude.CHIP} has room for {avrdude.FLASH_BYTES}"
+        raise InputError(f"{firmware.path}: {size} B, but {has}")
     program = avrdude.find()
     board = avrdude.chosen(port, avrdude.plugged_in())
     call = avrdude.command(program, port=board.port, image=firmware.path)
-    about = {"path": str(firmware.path), "bytes": len(firmware.data), "crc": f"{firmware.crc:08x}"}
+    about = {"path": str(firmware.path), "bytes": size, "crc": f"{firmware.crc:08x}"}
     about["sha256"] = firmware.sha256
     facts = {"port": board.port, "board": board.name, "firmware": about, "command": call}
     plan = (
         f"board     {board.name} at {board.port}\n"
         f"firmware  {firmware.path}\n"
-        f"          {len(firmware.data)} B, CRC-32 {firmware.crc:08x}, sha256 {firmware.sha256}\n"
+        f"          {size} B, CRC-32 {firmware.crc:08x}, sha256 {firmware.sha256}\n"
         f"command   {join(call)}"
     )
     show(plan)
@@ -171,14 +174,6 @@ def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
             f"-U efuse:w:0x{avrdude.WANTED_FUSE:02x}:m"
         )
     print_result({"efuse": f"{value:02x}", "brown_out": level}, *lines, json=json)
-
-
-def _check_size(firmware: FirmwareImage) -> None:
-    from armrig.lab.avrdude import CHIP, FLASH_BYTES
-
-    size = len(firmware.data)
-    if size > FLASH_BYTES:
-        raise InputError(f"{firmware.path}: {size} B, but an {CHIP} has room for {FLASH_BYTES}")
 
 
 def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str, Any], str]:

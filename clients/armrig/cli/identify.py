@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ import armrig
 from armrig import plots
 from armrig.cli import model_structures, results
 from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
-from armrig.cli.options import Detrend, Json, ModelOrders
+from armrig.cli.options import Detrend, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     estimating,
     fields_of,
@@ -99,8 +99,10 @@ def sampling(
     data = signals.of_one(file)
     integrator, taken = signals.choice(data, named=not out.json)  # the notes contain the reason
     with spinner("estimating the response"):
-        choice = armrig.sampling_time(data, integrator=integrator)
-        steps = _steps(data, integrator) if choice.from_step else None
+        choice, steps = armrig.sampling_time(data, integrator=integrator), None
+        if choice.from_step:
+            with suppress(ValueError):  # the levels are not held long enough
+                steps = armrig.step_analysis(data, integrator=integrator)
     if steps is not None:  # print a warning that both results contain only once
         said = set(choice.notes)
         steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
@@ -155,14 +157,6 @@ def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
     of = "gain gain_std tau tau_std equivalent_time equivalent_time_std settling settling_std "
     of += "overshoot overshoot_std dead_time dead_time_interval"
     return {} if steps is None else {"step": fields_of(steps, of)}
-
-
-def _steps(data: Dataset, integrator: bool | None) -> StepAnalysis | None:
-    """Return the analysis of the steps; None if the levels are not held long enough."""
-    try:
-        return armrig.step_analysis(data, integrator=integrator)
-    except ValueError:
-        return None
 
 
 def hints(
@@ -587,7 +581,7 @@ def identify_each(
 def validate_each(
     *,
     folder: Folder,
-    model: Annotated[Path, option("--model JSON", "Model file written by identify --save.")],
+    model: ModelFile,
     output: Table,
     detrend: Detrend = False,
     selection: Selection,
@@ -663,16 +657,15 @@ def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> N
 
 
 def _say_batch(done: Batch, *, json: bool) -> None:
-    problems = done.problems
-    failed = {
-        row["recording"]: _failed_checks(row) for row in done.rows if row.get("passed") is False
-    }
-    damaged = {
-        row["recording"]: f"the result covers the undamaged part: {row['damage']}"
-        for row in done.rows
-        if row["damage"] and not row["problem"] and row["recording"] not in failed
-    }
-    without = {row["recording"]: row["problem"] for row in problems}
+    failed, damaged, without = dict[str, str](), dict[str, str](), dict[str, str]()
+    for row in done.rows:
+        name = row["recording"]
+        if row["problem"]:
+            without[name] = row["problem"]
+        if row.get("passed") is False:
+            failed[name] = _failed_checks(row)
+        elif row["damage"] and not row["problem"]:
+            damaged[name] = f"the result covers the undamaged part: {row['damage']}"
     facts = {"table": done.table, "rows": len(done.rows), "done_before": done.done_before}
     before = f", {done.done_before} of them processed before" if done.done_before else ""
     print_result(
@@ -686,7 +679,7 @@ def _say_batch(done: Batch, *, json: bool) -> None:
     if failed:
         names = some([*failed], _MAX_NAMES)
         tell(f"{len(failed)} failed a check: {names}; the table contains the checks")
-    if problems or failed:
+    if without or failed:
         raise typer.Exit(1)
 
 

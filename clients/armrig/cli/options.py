@@ -11,14 +11,6 @@ import typer
 from armrig_core.process.options import chosen, group, option
 
 RigId = Annotated[str, option("--rig", "Id of the rig.")]
-RigFile = Annotated[
-    Path | None,
-    option(
-        "--rig-file TOML",
-        "Description of the rig: a file, or a name of `armrig rigs`.",
-        "[rig] file, or the arm",
-    ),
-]
 Connect = Annotated[
     str | None,
     option(
@@ -64,6 +56,7 @@ To = Annotated[
         callback=_not_nan,
     ),
 ]
+ModelFile = Annotated[Path, option("--model JSON", "Model file written by identify --save.")]
 Detrend = Annotated[bool, option("--detrend", "Subtract the mean of each signal of each file.")]
 
 

@@ -175,7 +175,11 @@ def greybox(
     own = model is not None and model.endswith(".py")
     after = replace(part, signal=None)
     if model is not None and own:
-        refuse_for_equations(given, friction)
+        for name, value in (("--set", given), ("--friction", friction)):
+            if value:
+                raise typer.BadParameter(
+                    f"{name} is for chassis and arm: write the value or the friction into the file"
+                )
         # The equations contain the level: no hint at means.
         part = replace(part, offset=True)
         data = part.of(file)
@@ -219,15 +223,6 @@ def greybox(
     )
 
 
-def refuse_for_equations(given: list[str] | None, friction: str | None) -> None:
-    """Refuse options of the rig's own model."""
-    for name, value in (("--set", given), ("--friction", friction)):
-        if value:
-            raise typer.BadParameter(
-                f"{name} is for chassis and arm: write the value or the friction into the file"
-            )
-
-
 def own_equations(path: Path) -> armrig.Ode:
     """Execute a model file, and return its `model`."""
     import runpy
@@ -238,16 +233,13 @@ def own_equations(path: Path) -> armrig.Ode:
     except OSError as err:
         raise InputError(f"{path}: {err.strerror}") from err
     except (Exception, SystemExit) as err:
-        line = next((f.lineno for f in _frames(err) if f.filename == str(path)), None)
+        frames = reversed(traceback.extract_tb(err.__traceback__))
+        line = next((f.lineno for f in frames if f.filename == str(path)), None)
         where = f", line {line}" if line else ""
         raise InputError(f"{path}{where}: {type(err).__name__}: {err}") from err
     if not isinstance(found, armrig.Ode):
         raise InputError(f"{path} defines no `model`; write model = armrig.Ode(f=…, …)")
     return found
-
-
-def _frames(err: BaseException) -> list[traceback.FrameSummary]:
-    return [*traceback.extract_tb(err.__traceback__)][::-1]
 
 
 def _grey_facts(fit: armrig.GreyFit) -> dict[str, Any]:

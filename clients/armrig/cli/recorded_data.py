@@ -234,15 +234,6 @@ def as_modelled(
     return ordered.replaced(step=None, outputs=model.outputs, inputs=model.inputs)
 
 
-def check_varies(file: Path, output: str, y: Vector) -> None:
-    """Refuse a constant output, because it contains no response to the input."""
-    import numpy as np
-
-    if y.size > 1 and np.ptp(y) == 0:
-        msg = f"{file}: {output} is constant, {y[0]:.4g}, so it responds to no input; give "
-        raise InputError(msg + "a column that varies (--signal), or record again")
-
-
 def hint_at_means(outputs: Named, inputs: Named, *, may_offset: bool = False) -> None:
     """If the mean of a signal is far from 0, as at an operating point, suggest an option."""
     every = [*outputs, *inputs]
@@ -460,11 +451,17 @@ class SignalChoice(DataOptions):
         self._hint_at_means(columns, model)
         data = between(data, self.start, self.stop)
         for name, y in measured(data.signals()):
-            check_varies(file, name, y)
+            if y.size > 1 and (y == y[0]).all():
+                raise InputError(
+                    f"{file}: {name} is constant, {y[0]:.4g}, so it responds to no input; give a "
+                    "column that varies (--signal), or record again"
+                )
         return data
 
     def _hint_at_means(self, data: Signals, model: Fit | None) -> None:
-        if not (self.detrend or self.offset or _without_means(model) or _with_level(model)):
+        if not (
+            self.detrend or self.offset or _without_means(model) or getattr(model, "offset", False)
+        ):
             inputs = list(zip(data.inputs, data.u.T, strict=True))
             hint_at_means(measured(data), inputs, may_offset=self.offset is not None)
 
@@ -608,10 +605,6 @@ def source_facts(data: Dataset | Signals) -> dict[str, str]:
 
 def _without_means(model: Fit | None) -> bool:
     return MEAN in codes_of(getattr(model, "history", ()))
-
-
-def _with_level(model: Fit | None) -> bool:
-    return bool(getattr(model, "offset", False))
 
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:

@@ -36,15 +36,11 @@ from armrig.cli.recorded_data import File, Part
 from armrig.cli.results import Draw, Plot, Shown, check_output, check_plot, name_runs, write_plot
 
 if TYPE_CHECKING:
-    from armrig_core.recording_file.manifest import Recovered
     from armrig_core.recording_file.recovery import RecoveredFile
 
-    from armrig.data.finding import Finding
     from armrig.recordings.files.catalogue import Catalogue, LeftOut
     from armrig.recordings.files.recording_names import Answering
     from armrig.recordings.files.recording_summary import RecordingSummary
-    from armrig.recordings.files.replay import Replay
-    from armrig.recordings.jitter import Spread
 
 Folder = Annotated[
     Path | None,
@@ -203,15 +199,13 @@ def _names(left_out: Sequence[LeftOut]) -> str:
     return some([shown_path(Path(left.path.name)) for left in left_out], _MAX_NAMES)
 
 
-_MAX_GAPS, _MAX_NOTES = 3, 10  # lines without --verbose
-_MAX_TEXT = 1000  # characters
-_BY_DEVICE = "the device", "arrival of the samples at the host, which does not affect them"
-_BY_HOST = "the host", "lateness of the host's request for each sample"
 TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 
 def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
+    from armrig.recordings.overview import contents_facts, contents_rows
+
     recording = armrig.load(file, part.calibration, start=part.start, stop=part.stop)
     name_runs(recording)
 
@@ -220,117 +214,12 @@ def info(file: File, part: Part, out: Shown) -> None:
             say_next("info", file=typed(file))
 
     out.show(
-        facts=lambda: _recording_facts(recording),
-        say=lambda: print_table(*_recording_rows(recording, verbose=out.verbose), verdict=True),
+        facts=lambda: contents_facts(recording),
+        say=lambda: print_table(*contents_rows(recording, verbose=out.verbose), verdict=True),
         figures=lambda: timing_figures(recording),
         say_next=say_next_command,
         height=TIMING_HEIGHT,
     )
-
-
-def _recording_facts(rec: armrig.Recording) -> dict[str, Any]:
-    from armrig.recordings.jitter import disturbances
-
-    return {
-        **fields_of(rec, "sha256 manifest"),
-        "emulated": rec.manifest.emulated,
-        **fields_of(rec, "outcome recovered"),
-        "samples": int(rec.samples.size),
-        "missing": rec.missing,
-        "invalid": rec.hidden,
-        **fields_of(rec, "truncated damage"),
-        "sampling": armrig.sampling_statistics(rec),
-        "causes": disturbances(rec),
-        "calibration": rec.calibration,
-        "remarks": [f.text for f in _calibration_doubts(rec)],
-        "verdict": armrig.data_verdict(rec).facts(),
-        **fields_of(rec, "gaps events notes"),
-    }
-
-
-def _recording_rows(rec: armrig.Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
-    from armrig.recordings.daemon_reports import gap_lines
-    from armrig.recordings.jitter import disturbances
-    from armrig.recordings.usability import calibration_date, outcome_text
-
-    manifest, timing = rec.manifest, armrig.sampling_statistics(rec)
-    details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
-    verdict = armrig.data_verdict(rec)
-    yield "verdict", verdict.summary
-    yield "recording", str(rec.path)
-    if verbose:
-        yield "sha256", rec.sha256
-    rig = f"rig {manifest.rig}{', emulated' if manifest.emulated else ''}"
-    yield "run", f"{manifest.run_id} of {rig}, {manifest.started}"
-    if manifest.owner:
-        yield "owner", _clipped(manifest.owner)
-    yield (
-        "experiment",
-        _clipped(f"{manifest.experiment}: {details}" if details else manifest.experiment),
-    )
-    yield "samples", _sample_count(rec)
-    yield "outcome", outcome_text(rec)
-    if rec.recovered is not None:
-        yield "recovered", _recovered(rec.recovered)
-    calibrated = rec.description.is_calibrated
-    yield "calibrated", calibration_date(rec.calibration) if calibrated else "by its description"
-    for remark in _calibration_doubts(rec):
-        yield "remark", remark.text
-    of_interval = "spread of the sampling interval, by the device's clock"
-    yield "jitter", _percentiles(timing.jitter, 0, of_interval)
-    if verbose:
-        pacer, late = _BY_DEVICE if manifest.pacing == "scheduled" else _BY_HOST
-        yield "paced by", pacer
-        yield "host's lateness", _percentiles(timing.lateness, 1, late)
-    if verbose and (found := disturbances(rec).texts()):
-        yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
-    notes = [_clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}") for note in rec.notes]
-    for name, texts, most in (("gap", gap_lines(rec.gaps), _MAX_GAPS), ("note", notes, _MAX_NOTES)):
-        shown = texts if verbose else texts[:most]
-        yield from ((name, text) for text in shown)
-        if more := len(texts) - len(shown):
-            yield name, f"{more} more; --verbose shows them"
-    if rec.truncated:
-        yield "damage", rec.damage
-    for finding in verdict.findings if verbose else ():
-        yield finding.about, finding.text
-
-
-def _calibration_doubts(rec: armrig.Recording) -> Iterator[Finding]:
-    """Yield the doubts about the calibration; the description of another rig has its scales."""
-    from armrig.recordings.usability import doubts_of_calibration
-
-    if rec.description.is_calibrated:
-        yield from doubts_of_calibration(rec.calibration, rec.manifest)
-
-
-def _clipped(text: str) -> str:
-    return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
-
-
-def _sample_count(rec: armrig.Recording) -> str:
-    """Return the numbers of samples as text; for a truncated file, also the time of its end."""
-    turns = rec.description.channels[0].turns
-    why = "an angle (dead band, and the sample after)" if turns else f"a valid {rec.first}"
-    text = f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without {why}"
-    if rec.truncated:
-        text += f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
-    return text
-
-
-def _recovered(how: Recovered) -> str:
-    cut_off = f", the last {how.cut_off_bytes} B were cut off" if how.cut_off_bytes else ""
-    cut_off += f"; {how.damage}" if how.damage else ""
-    when = how.when[:19].replace("T", " ")
-    return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were kept{cut_off}"
-
-
-def _percentiles(spread: Spread, decimals: int, meaning: str) -> str:
-    """Return the percentiles of a time, and the meaning of this time."""
-    if spread.n == 0:
-        return "too few samples"
-    p50, p99 = f"{spread.p50:.{decimals}f}", f"{spread.p99:.{decimals}f}"
-    return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs; {meaning}"
 
 
 def timing_figures(recording: armrig.Recording) -> dict[str, Draw]:
@@ -352,24 +241,17 @@ def replay(file: File, json: Json = False) -> None:
     if json:
         print_json(found)
     else:
+        same = "replay made the same decisions, to the last bit"
+        same += f", up to the end of the file: {found.until}" if found.until else ""
         print_table(
             ("replayed", f"{found.steps} steps of the core over {found.seconds:.3f} s"),
             ("frames", f"{found.frames} to the device, as recorded"),
             ("samples", f"{found.samples} as recorded"),
             *((s.level, f"{s.t:.3f} s: {s.message}") for s in found.said),
-            ("verdict", _replay_verdict(found)),
+            ("verdict", f"DIFFERS: {found.difference}" if found.difference else same),
         )
     if found.difference:
         raise typer.Exit(1)
-
-
-def _replay_verdict(found: Replay) -> str:
-    if found.difference:
-        return f"DIFFERS: {found.difference}"
-    same = "replay made the same decisions, to the last bit"
-    if found.until:
-        return f"{same}, up to the end of the file: {found.until}"
-    return same
 
 
 Where = Annotated[

@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from itertools import chain, islice
 from math import degrees, isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.process.loading import end_at_ctrl_c
 from armrig_core.process.options import argument, chosen
@@ -21,7 +21,7 @@ from armrig_core.rig.channels import Channel, channel
 from armrig_core.telemetry.topics import PLAYED
 
 import armrig
-from armrig.cli.options import Connect, Json, RigFile, RigId
+from armrig.cli.options import Connect, Json, RigId
 from armrig.cli.printing import (
     echo,
     folded,
@@ -88,10 +88,7 @@ def watch(
                 channels, samples = _channels_of(first), chain([first], samples)
             else:
                 channels = opened.status().described.channels
-            if sys.stdout.isatty():
-                _watch(samples, channels)
-            else:
-                _watch_in_lines(samples, channels)
+            _watch(samples, channels)
 
 
 def stop(
@@ -248,19 +245,18 @@ def _degrees(channel: Channel) -> tuple[str, float]:
 
 
 def _watch(samples: Any, channels: _Channels) -> None:
+    """Show the newest sample on a terminal; print a line for each sample for a program."""
+    if not sys.stdout.isatty():
+        echo(_heading(channels))
+        for sample in samples:
+            echo(_sample_line(sample, channels))
+        return
     from rich.console import Console
     from rich.live import Live
 
     with Live(console=Console(), refresh_per_second=10) as live:
         for sample in samples:
             live.update(f"{_heading(channels)}\n{_sample_line(sample, channels)}")
-
-
-def _watch_in_lines(samples: Any, channels: _Channels) -> None:
-    """Print a line for each sample, so that a program can read the samples."""
-    echo(_heading(channels))
-    for sample in samples:
-        echo(_sample_line(sample, channels))
 
 
 def _sample_line(sample: Any, channels: _Channels) -> str:
@@ -278,22 +274,18 @@ _VIEW_INTERVAL_S = 0.1
 _BLANK = "–"
 
 
-class _Lab(NamedTuple):
-    """Rig and page of a lab."""
-
-    rig: str
-    """Port of the rig, or "an emulated rig"."""
-    url: str
-    """URL of the dashboard; "" without a dashboard."""
-
-
 def lab(
     port: str | None = chosen(None, "Serial port of the rig.", "an emulated rig", metavar="DEVICE"),
     config: Path | None = chosen(
         None, "Configuration file, in place of the installed files.", metavar="TOML"
     ),
     rig: RigId = "1",
-    rig_file: RigFile = None,
+    rig_file: Path | None = chosen(
+        None,
+        "Description of the rig: a file, or a name of `armrig rigs`.",
+        "[rig] file, or the arm",
+        metavar="TOML",
+    ),
     page: bool = chosen(
         True,
         "Also serve the dashboard, and open it if there is a screen; not with --json.",
@@ -330,7 +322,7 @@ def lab(
         _page(rig) if page and not json else nullcontext("") as url,
     ):
         try:
-            _show(opened, daemon, log, _Lab(what, url), json=json)
+            _show(opened, daemon, log, what, url, json=json)
         except KeyboardInterrupt:
             inform("ending: the motor goes to 0 V")
             raise
@@ -349,7 +341,9 @@ def _page(rig: str) -> Iterator[str]:
         yield served.url
 
 
-def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, json: bool) -> None:
+def _show(
+    rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, url: str, *, json: bool
+) -> None:
     """Print a message when the rig is ready; on a terminal, show the newest sample live."""
     from armrig.cli.next_step import naming, next_line
     from armrig.rig.local_daemon import require_running
@@ -367,7 +361,7 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, js
                 status, asked_s = rig.status(), time.monotonic()
             sample = (newest() or [sample])[-1]
             how = f"{status.phase} {status.reason} {status.line}"
-            now = how if json else _sentence(status, lab, after)
+            now = how if json else _sentence(status, what, url, after)
             if now and now != told:
                 say(status if json else now)
                 told = now
@@ -377,13 +371,13 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, js
             time.sleep(_VIEW_INTERVAL_S)
 
 
-def _sentence(status: StatusReport, lab: _Lab, after: str) -> str:
+def _sentence(status: StatusReport, what: str, url: str, after: str) -> str:
     """Return a message: the rig is ready, or has a problem; "" if the rig is not yet ready."""
     if status.phase == "safe":
         alone = "; the arm is removed ([arm] removed)" if status.arm_removed else ""
-        page = f"in a browser: {lab.url}\n" if lab.url else ""
+        page = f"in a browser: {url}\n" if url else ""
         return (
-            f"rig ready, 0 V: {lab.rig}, rig {status.rig}; Ctrl-C ends the lab\n{page}"
+            f"rig ready, 0 V: {what}, rig {status.rig}; Ctrl-C ends the lab\n{page}"
             f"recordings go to {status.recordings}{alone}\n"
             f"in a second terminal:\n{after}"
         )

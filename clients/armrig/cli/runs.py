@@ -28,7 +28,6 @@ from armrig.cli.recorded_data import File
 from armrig.cli.results import check_output
 
 if TYPE_CHECKING:
-    from armrig.rig.playback import PublishedRun
     from armrig.rig.remote_recording import RemoteRecording
 
 collect = Commands(
@@ -560,7 +559,14 @@ def play(
     count = 0
     # Ctrl-C is a normal end.
     with staged(where, rig, run.channels) as stage, suppress(KeyboardInterrupt):
-        _announce(run, rig, where, speed, named=listen, json=json)
+        seconds = run.seconds / speed
+        facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
+        print_result(
+            facts | {"seconds": seconds},
+            f"{rig} at {where}: {len(run)} messages in {seconds:.3g} s; Ctrl-C ends it",
+            f"in a second terminal: armrig watch{naming(rig, listen)}",
+            json=json,
+        )
         while True:
             if wait:
                 stage.wait_for_listener()
@@ -572,15 +578,3 @@ def play(
     print_result({"rig": rig, "published": count}, f"published {count} messages", json=json)
     if not json:
         say_next("play", file=typed(file))
-
-
-def _announce(
-    run: PublishedRun, rig: str, where: str, speed: float, *, named: str | None, json: bool
-) -> None:
-    facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
-    print_result(
-        facts | {"seconds": run.seconds / speed},
-        f"{rig} at {where}: {len(run)} messages in {run.seconds / speed:.3g} s; Ctrl-C ends it",
-        f"in a second terminal: armrig watch{naming(rig, named)}",
-        json=json,
-    )

@@ -97,11 +97,11 @@ def _near(name: str, err: Any) -> list[str]:
         written = [p for p in err.ctx.command.params if "-o" in p.opts]
         return [f"-o {p.metavar or 'FILE'}" for p in written]
     letters = name.lstrip("-")
-    return [x for x in err.possibilities or () if _alike(letters, x.lstrip("-")) > _MIN_SIMILARITY]
-
-
-def _alike(a: str, b: str) -> float:
-    return SequenceMatcher(None, a, b).ratio()
+    return [
+        name
+        for name in err.possibilities or ()
+        if SequenceMatcher(None, letters, name.lstrip("-")).ratio() > _MIN_SIMILARITY
+    ]
 
 
 def _no_command(name: str, message: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
-from armrig_core.process.options import argument, chosen, noted, option
+from armrig_core.process.options import argument, chosen, noted
 from armrig_core.process.printable import printable
 
 import armrig
@@ -26,7 +26,7 @@ from armrig.cli.next_step import (
     say_next,
     typed,
 )
-from armrig.cli.options import CalibrationFile, Json, ModelOrders
+from armrig.cli.options import CalibrationFile, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     echo,
     estimating,
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 
     _Tests = tuple[OpenLoop | str, Delay | str, Linearity | str]
 
-ModelFile = Annotated[Path, option("--model JSON", "Model file written by identify --save.")]
 _HORIZONS = (1, 10)
 _ROUNDING = 1e-9  # relative difference of two errors
 

@@ -1,4 +1,4 @@
-"""Overview of a recording (handout, 3.1.4): missing samples, outliers, drift."""
+"""Contents of a recording, and its overview (handout, 3.1.4): missing samples, outliers, drift."""
 
 from __future__ import annotations
 
@@ -10,13 +10,23 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.recording_file.manifest import Recovered
 from armrig_core.rig.channels import Channel
 
 from armrig.data.columns import Vector
+from armrig.data.finding import Finding
 from armrig.data.treatment import Drift, drift, hampel
 from armrig.numerics.quantities import plural
+from armrig.recordings.daemon_reports import gap_lines
 from armrig.recordings.findings import second_moves
+from armrig.recordings.jitter import Spread, disturbances, sampling_statistics
 from armrig.recordings.recording import Recording
+from armrig.recordings.usability import (
+    calibration_date,
+    data_verdict,
+    doubts_of_calibration,
+    outcome_text,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +42,10 @@ _RATE_INTERVAL_S = 0.1
 One step of the converter changes this rate by 0.06 rad/s. Over an interval of 2 ms, one step would
 change the rate by 3 rad/s.
 """
+_MAX_GAPS, _MAX_NOTES = 3, 10  # lines without --verbose
+_MAX_TEXT = 1000  # characters
+_BY_DEVICE = "the device", "arrival of the samples at the host, which does not affect them"
+_BY_HOST = "the host", "lateness of the host's request for each sample"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -167,3 +181,107 @@ def _outliers(times: Vector) -> str:
         return "none"
     first = ", ".join(f"{t:g} s" for t in times[:5])
     return f"{times.size}, at {first}" + (" …" if times.size > 5 else "")
+
+
+def contents_facts(rec: Recording) -> dict[str, Any]:
+    """Return the contents of a recording, and how well it was sampled, as a dict for JSON."""
+    return {
+        "sha256": rec.sha256,
+        "manifest": rec.manifest,
+        "emulated": rec.manifest.emulated,
+        "outcome": rec.outcome,
+        "recovered": rec.recovered,
+        "samples": int(rec.samples.size),
+        "missing": rec.missing,
+        "invalid": rec.hidden,
+        "truncated": rec.truncated,
+        "damage": rec.damage,
+        "sampling": sampling_statistics(rec),
+        "causes": disturbances(rec),
+        "calibration": rec.calibration,
+        "remarks": [f.text for f in _calibration_doubts(rec)],
+        "verdict": data_verdict(rec).facts(),
+        "gaps": rec.gaps,
+        "events": rec.events,
+        "notes": rec.notes,
+    }
+
+
+def contents_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
+    """Yield the rows of a table of the contents, with the verdict on the data as the first row."""
+    manifest, timing = rec.manifest, sampling_statistics(rec)
+    details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
+    verdict = data_verdict(rec)
+    yield "verdict", verdict.summary
+    yield "recording", str(rec.path)
+    if verbose:
+        yield "sha256", rec.sha256
+    rig = f"rig {manifest.rig}{', emulated' if manifest.emulated else ''}"
+    yield "run", f"{manifest.run_id} of {rig}, {manifest.started}"
+    if manifest.owner:
+        yield "owner", _clipped(manifest.owner)
+    yield (
+        "experiment",
+        _clipped(f"{manifest.experiment}: {details}" if details else manifest.experiment),
+    )
+    yield "samples", _sample_count(rec)
+    yield "outcome", outcome_text(rec)
+    if rec.recovered is not None:
+        yield "recovered", _recovered(rec.recovered)
+    calibrated = rec.description.is_calibrated
+    yield "calibrated", calibration_date(rec.calibration) if calibrated else "by its description"
+    for remark in _calibration_doubts(rec):
+        yield "remark", remark.text
+    of_interval = "spread of the sampling interval, by the device's clock"
+    yield "jitter", _percentiles(timing.jitter, 0, of_interval)
+    if verbose:
+        pacer, late = _BY_DEVICE if manifest.pacing == "scheduled" else _BY_HOST
+        yield "paced by", pacer
+        yield "host's lateness", _percentiles(timing.lateness, 1, late)
+    if verbose and (found := disturbances(rec).texts()):
+        yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
+    notes = [_clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}") for note in rec.notes]
+    for name, texts, most in (("gap", gap_lines(rec.gaps), _MAX_GAPS), ("note", notes, _MAX_NOTES)):
+        shown = texts if verbose else texts[:most]
+        yield from ((name, text) for text in shown)
+        if more := len(texts) - len(shown):
+            yield name, f"{more} more; --verbose shows them"
+    if rec.truncated:
+        yield "damage", rec.damage
+    for finding in verdict.findings if verbose else ():
+        yield finding.about, finding.text
+
+
+def _calibration_doubts(rec: Recording) -> Iterator[Finding]:
+    """Yield the doubts about the calibration; the description of another rig has its scales."""
+    if rec.description.is_calibrated:
+        yield from doubts_of_calibration(rec.calibration, rec.manifest)
+
+
+def _clipped(text: str) -> str:
+    return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
+
+
+def _sample_count(rec: Recording) -> str:
+    """Return the numbers of samples as text; for a truncated file, also the time of its end."""
+    turns = rec.description.channels[0].turns
+    why = "an angle (dead band, and the sample after)" if turns else f"a valid {rec.first}"
+    text = f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without {why}"
+    if rec.truncated:
+        text += f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
+    return text
+
+
+def _recovered(how: Recovered) -> str:
+    cut_off = f", the last {how.cut_off_bytes} B were cut off" if how.cut_off_bytes else ""
+    cut_off += f"; {how.damage}" if how.damage else ""
+    when = how.when[:19].replace("T", " ")
+    return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were kept{cut_off}"
+
+
+def _percentiles(spread: Spread, decimals: int, meaning: str) -> str:
+    """Return the percentiles of a time, and the meaning of this time."""
+    if spread.n == 0:
+        return "too few samples"
+    p50, p99 = f"{spread.p50:.{decimals}f}", f"{spread.p99:.{decimals}f}"
+    return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs; {meaning}"

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from armrig.cli import rig as of_lab
-from armrig.cli.rig import _between_words, _Lab, _lines, _page, _sentence, _show
+from armrig.cli.rig import _between_words, _lines, _page, _sentence, _show
 from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
@@ -183,8 +183,8 @@ READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"
     ],
 )
 def test_a_lab_reports_a_ready_rig_or_the_reason(changes: dict[str, Any], lines: list[str]) -> None:
-    assert _sentence(status_report(**changes), _Lab("/dev/a", "U"), "N").splitlines() == lines
-    without_page = _sentence(status_report(**changes), _Lab("/dev/a", ""), "N").splitlines()
+    assert _sentence(status_report(**changes), "/dev/a", "U", "N").splitlines() == lines
+    without_page = _sentence(status_report(**changes), "/dev/a", "", "N").splitlines()
     assert without_page == [line for line in lines if "in a browser" not in line]
 
 
@@ -229,7 +229,7 @@ def test_a_lab_prints_each_change_once(
     monkeypatch.setattr("armrig.rig.local_daemon.require_running", lambda *_: None)
 
     with pytest.raises(KeyboardInterrupt):
-        _show(rig, SimpleNamespace(), Path("log"), _Lab("/dev/a", ""), json=as_json)  # type: ignore[arg-type]
+        _show(rig, SimpleNamespace(), Path("log"), "/dev/a", "", json=as_json)  # type: ignore[arg-type]
 
     said = capsys.readouterr().out.splitlines()
     if as_json:

@@ -20,7 +20,6 @@ from armrig.excitation.demonstration import Pace, experiments
 from armrig.lab.fleet_recorder import RigRecorded
 from armrig.report.batch.batch import Batch
 from armrig.report.batch.tasks import CHECKS
-from armrig_core.errors import InputError
 from armrig_daemon.config import load
 
 from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written
@@ -379,13 +378,10 @@ def test_an_error_of_the_system_names_the_file_and_what_to_do(
     assert capsys.readouterr().err.startswith(f"armrig: {said}")
 
 
-def test_a_firmware_of_the_size_of_the_flash_is_accepted() -> None:
-    from armrig.cli.administration import _check_size
-    from armrig.lab.avrdude import FLASH_BYTES
+def test_a_firmware_larger_than_the_flash_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("armrig.lab.avrdude.FLASH_BYTES", 100)
 
-    full: Any = SimpleNamespace(data=bytes(FLASH_BYTES), path="a.hex")
-    more: Any = SimpleNamespace(data=bytes(FLASH_BYTES + 1), path="a.hex")
-
-    _check_size(full)
-    with pytest.raises(InputError, match=rf"a\.hex: {FLASH_BYTES + 1} B, but an .* {FLASH_BYTES}"):
-        _check_size(more)
+    assert main(["flash", "--dry-run"]) == 1
+    assert "but an ATmega328P has room for 100" in capsys.readouterr().err

@@ -8,9 +8,10 @@ from typing import Any
 
 import armrig
 import pytest
-from armrig.cli import main, printing, recordings
+from armrig.cli import main, printing
 from armrig.cli.physics import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
+from armrig.recordings import overview
 from armrig_core.errors import OperationError
 from armrig_core.rig.arm import ArmParameters
 
@@ -112,12 +113,12 @@ def test_values_of_a_table_are_aligned(
 def test_a_long_text_is_cut_at_its_end_and_a_spread_has_its_figures() -> None:
     long = "ab" * 500
 
-    assert recordings._clipped(long) == long
-    assert recordings._clipped(f"{long}c") == f"{long}…; --json shows all of it"
+    assert overview._clipped(long) == long
+    assert overview._clipped(f"{long}c") == f"{long}…; --json shows all of it"
     spread: Any = SimpleNamespace(n=9, p50=1.26, p99=7.04, max=12.6)
-    assert recordings._percentiles(spread, 1, "of x") == "p50 1.3, p99 7.0, max 13 µs; of x"
+    assert overview._percentiles(spread, 1, "of x") == "p50 1.3, p99 7.0, max 13 µs; of x"
     spread.n = 0
-    assert recordings._percentiles(spread, 1, "of x") == "too few samples"
+    assert overview._percentiles(spread, 1, "of x") == "too few samples"
 
 
 @pytest.mark.parametrize(("name", "known"), [("dataset", "Dataset"), ("ARMAX", "armax")])

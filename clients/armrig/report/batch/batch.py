@@ -69,11 +69,6 @@ class Batch:
     done_before: int
     """Number of rows that were kept from earlier starts because their files have not changed."""
 
-    @property
-    def problems(self) -> list[Row]:
-        """Rows of the runs that have a problem instead of a result."""
-        return [row for row in self.rows if row["problem"]]
-
 
 def batch(
     folder: Path,
