@@ -87,7 +87,6 @@ AFTER: Mapping[str, str] = {
     "integrate": "armrig report --handout{files}{answers}{sinusoid} -o {report}",
     "report": "{opener} {file}",
     "report --questions": "armrig report --handout --questions {questions}",
-    "report --source": "armrig report --from {source} -o {report}",
 }
 """Next command after each command; names in braces are replaced by values."""
 REASONS = "reasons.toml"

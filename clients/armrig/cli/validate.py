@@ -440,12 +440,7 @@ def report(
     amplitude: Annotated[float, noted(physics.OF_AMPLITUDE, " (--handout)")] = physics.AMPLITUDE_V,
     omega: Annotated[float, noted(physics.OF_OMEGA, " (--handout)")] = physics.OMEGA,
     source: Path | None = chosen(
-        None,
-        "New folder for the Typst source and its figures; --from typesets this source.",
-        metavar="FOLDER",
-    ),
-    edited: Path | None = chosen(
-        None, "Folder with a source to typeset, in place of recordings.", names="--from FOLDER"
+        None, "New folder for the Typst source and its figures.", metavar="FOLDER"
     ),
     json: Json = False,
 ) -> None:
@@ -454,8 +449,7 @@ def report(
     Steps and staircases are not used for the models. Of the other recordings, the first is used for
     estimation and the second for validation. A single other recording is cut into halves.
 
-    A report covers complete runs. Here --from is not a start time: it names a folder that --source
-    wrote.
+    A report covers complete runs.
     """
     files, outputs = files or [], ",".join(signal or ())
     if questions is not None:
@@ -464,31 +458,25 @@ def report(
             _say_next_answers(questions)
         return
     of_handout = {"--answers": answers, "--set": given}
-    _check_options(files, outputs, handout, edited, source, of_handout)
+    _check_options(files, outputs, handout, of_handout)
     results.check_output(output, files, "-o", "a report is a PDF", ".pdf")
     if output.exists() and not force:
         raise InputError(f"-o {output}: exists; --force overwrites it, or give another name")
-    recordings: list[armrig.Recording] = []
-    if edited is not None:
-        _typeset_source(edited, output)
+    if handout:
+        problem: dict[str, Any] = {"amplitude": amplitude, "omega": omega, "orders": orders}
+        problem["cases"] = physics.cases(given) if given else None
+        recordings, typeset = _handout_report(files, calibration, answers, **problem)
     else:
-        if handout:
-            problem: dict[str, Any] = {"amplitude": amplitude, "omega": omega, "orders": orders}
-            problem["cases"] = physics.cases(given) if given else None
-            recordings, typeset = _handout_report(files, calibration, answers, **problem)
-        else:
-            of_study = recorded_data.names("--signal", outputs)
-            recordings, typeset = _study_report(files, calibration, orders, of_study)
-        with spinner("typesetting"):
-            typeset(output, source=source)
+        of_study = recorded_data.names("--signal", outputs)
+        recordings, typeset = _study_report(files, calibration, orders, of_study)
+    with spinner("typesetting"):
+        typeset(output, source=source)
     print_result(
         {"report": output, "recordings": [r.sha256 for r in recordings]}, str(output), json=json
     )
     if json:
         return
-    if source is not None:
-        say_next("report --source", source=quote(str(source)), report=free_name())
-    elif answers or edited or not all(r.description.arm for r in recordings):
+    if answers or not all(r.description.arm for r in recordings):
         say_next("report", opener=opener(), file=quote(str(output)))
     else:
         _say_next_answers(Path(REASONS))
@@ -509,16 +497,9 @@ def _check_options(
     files: Sequence[Path],
     outputs: str,
     handout: bool,
-    edited: Path | None,
-    source: Path | None,
     of_handout: dict[str, Any],
 ) -> None:
     """Refuse options that contradict each other."""
-    if edited and any([files, outputs, handout, source, *of_handout.values()]):
-        raise typer.BadParameter(
-            f"--from {edited}: give no recordings, and no option but -o and --force; the folder "
-            f"contains all data of the report, the answers in {edited}/data.json"
-        )
     for name in [name for name, value in of_handout.items() if value and not handout]:
         raise typer.BadParameter(f"{name} applies to the handout's report: add --handout")
     if outputs and handout:
@@ -526,7 +507,7 @@ def _check_options(
             f"--signal {outputs}: the handout's report models theta_1; leave out --handout or "
             "--signal"
         )
-    if not (files or handout or edited):
+    if not (files or handout):
         raise typer.BadParameter(
             "give recordings to report on, such as those of `armrig collect blackbox "
             "--validation`; --handout needs none"
@@ -545,22 +526,6 @@ def _write_questions(path: Path) -> None:
             f"--questions {path}: exists and may contain answers; give another name"
         ) from None
     echo(str(path))
-
-
-def _typeset_source(folder: Path, output: Path) -> None:
-    from armrig.report.document import check_length
-    from armrig.report.typesetting import compiled, page_limit
-
-    sources = sorted(folder.glob("*.typ"))
-    if len(sources) != 1:
-        raise InputError(
-            f"--from {folder}: has {len(sources)} files *.typ; give a folder that `armrig report "
-            "--source FOLDER` wrote"
-        )
-    with spinner("typesetting"):
-        pdf, places = compiled(sources[0])
-    check_length(places, page_limit(folder))
-    output.write_bytes(pdf)
 
 
 def _study_report(

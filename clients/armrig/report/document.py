@@ -23,7 +23,7 @@ from armrig.report.recording_facts import calibration_sentences, notes, run_name
 from armrig.report.sections import Contents, Cover, Section, Table
 from armrig.report.study import Study, best_first
 from armrig.report.study_sections import study_contents
-from armrig.report.typesetting import TEMPLATE, Places, recorded, source_folder, typeset
+from armrig.report.typesetting import Places, recorded, source_folder, typeset
 
 MOST_PAGES = 10
 """Number of pages that section 5 of the handout allows, including the cover."""
@@ -55,8 +55,7 @@ def report(
     Raises
     ------
     OperationError
-        The folder of the source already contains files; or the compiler refuses the document, which
-        is a fault of this module.
+        The folder of the source already contains files.
     OSError
         The PDF cannot be written.
     """
@@ -222,15 +221,8 @@ def check_length(places: Places, max_pages: int | None) -> None:
     A place is the name of a section and its begin: the number of the page, from 1, plus the share
     of this page above the section. The last entry is the end of the document.
     """
-    if max_pages is None:
-        return
-    if not places:
-        raise OperationError(
-            f"{TEMPLATE}: the #mark of each section is missing: keep the marks, because armrig "
-            "computes the lengths of the sections from the marks"
-        )
     pages = int(places[-1][1])
-    if pages <= max_pages:
+    if max_pages is None or pages <= max_pages:
         return
     lengths = {name: end - begin for (name, begin), (_, end) in pairwise(places)}
     longest = sorted(lengths, key=lambda name: -lengths[name])[:_MAX_NAMED_SECTIONS]

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from threading import Event, current_thread, main_thread
 from typing import Any
 
 import msgspec
@@ -258,63 +255,6 @@ def test_an_emulated_rig_is_named_on_the_cover(
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('#image("../secret.svg")', r"line 1: .* would escape the project root"),
-        ('#read("/etc/passwd")', r"line 1: .*file not found"),
-        ("\n#let", r"line 2: "),
-    ],
-)
-def test_a_source_reads_no_file_outside_its_folder(text: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "secret.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
-    folder = tmp_path / "source"
-    folder.mkdir()
-    (folder / TEMPLATE).write_text(text)
-
-    with pytest.raises(OperationError, match=rf"{TEMPLATE}, {message}"):
-        compiled(folder / TEMPLATE)
-
-
-def test_a_link_out_of_the_source_is_refused(tmp_path: Path) -> None:
-    """Typst would follow the link and put a file from elsewhere into the report."""
-    (tmp_path / "secret").write_text("12345")
-    folder = tmp_path / "source"
-    folder.mkdir()
-    (folder / TEMPLATE).write_text('#read("notes")')
-    (folder / "notes").symlink_to(tmp_path / "secret")
-
-    with pytest.raises(OperationError, match="notes: this link points out of the folder"):
-        compiled(folder / TEMPLATE)
-
-
-def test_a_link_inside_a_source_with_a_relative_path_is_followed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / TEMPLATE).write_text('#let size = json("link")')
-    (tmp_path / "size").write_text("1")
-    (tmp_path / "link").symlink_to("size")
-
-    assert compiled(Path(TEMPLATE))[0].startswith(b"%PDF-")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("Nothing", "the #mark of each section is missing"),
-        ("#metadata(3) <place>", "a #mark of the template is missing or changed"),
-        ('#metadata("abc") <place>', "a #mark of the template is missing or changed"),
-        ('#metadata(("2.1", float.nan)) <place>', "a #mark of the template is missing or changed"),
-    ],
-)
-def test_edited_section_marks_are_reported(text: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / TEMPLATE).write_text(text)
-
-    with pytest.raises(OperationError, match=message):
-        check_length(compiled(tmp_path / TEMPLATE)[1], MOST_PAGES)
-
-
 @pytest.mark.parametrize("text", ["K_m", "x_hat_1", "K__", "a_b_c.mcap"])
 def test_names_of_others_are_typeset_as_text(text: str, tmp_path: Path) -> None:
     others = (plain(f"$panic()$ <{text}>"), plain("<b>$"))
@@ -324,28 +264,6 @@ def test_names_of_others_are_typeset_as_text(text: str, tmp_path: Path) -> None:
     _, places = typeset(tmp_path, contents, datetime(2026, 1, 1, tzinfo=UTC))
 
     assert places
-
-
-def test_ctrl_c_ends_a_compiler_that_does_not_return(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Typst reacts to no signal, and a source may contain a loop."""
-    threads, is_over = [], Event()
-
-    def compile_for_ever(_: object) -> None:
-        threads.append(current_thread())
-        os.kill(os.getpid(), signal.SIGINT)
-        is_over.wait(30)
-
-    monkeypatch.setattr(
-        "typst.Compiler", lambda *_, **__: type("Deaf", (), {"compile": compile_for_ever})()
-    )
-
-    with pytest.raises(KeyboardInterrupt):
-        compiled(tmp_path / TEMPLATE)
-    is_over.set()
-
-    assert threads != [main_thread()]
 
 
 def test_a_folder_with_files_is_refused_for_a_source(without: HandoutStudy, tmp_path: Path) -> None:
