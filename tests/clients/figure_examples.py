@@ -24,10 +24,13 @@ from armrig.physics.integrators.accuracy import convergence, sinusoid
 from armrig.physics.systems import beside_the_handout, physical_model
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
+from armrig.report.answers import Answers
+from armrig.report.document import handout_contents
 from armrig.report.figures import drawn as figure_of_panels
 from armrig.report.figures import plot_velocity, write_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, study
+from armrig.report.study_sections import study_contents
 from armrig.validation.search_result import SearchResult
 from armrig_core.rig.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
@@ -131,7 +134,8 @@ def handout(e: Examples, folder: Path) -> None:
     whole = handout_study([e.step, e.first, e.second])
     data = chassis()
     grey, split = armrig.greybox(data), armrig.split_study(data, (1, 2, 4))
-    write_figures(replace(whole, alone=data, grey=grey, split=split), folder)
+    contents = handout_contents(replace(whole, alone=data, grey=grey, split=split), Answers())
+    write_figures(contents, whole.recordings, folder)
 
 
 def punctual(recording: Recording) -> Recording:
@@ -160,7 +164,9 @@ def ax() -> Axes:
 
 
 FIGURES: dict[str, Callable[[Examples], Any]] = {
-    "report": lambda e: saved(lambda to: write_figures(e.study, to)),
+    "report": lambda e: saved(
+        lambda to: write_figures(study_contents(e.study, ()), e.study.recordings, to)
+    ),
     "report, detail of alpha": lambda e: figure_of_panels(
         2.0, [partial(plot_velocity, study([e.first, e.second], outputs=("alpha",)))]
     ),

@@ -23,7 +23,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import plots
-from armrig.report import figures
+from armrig.report import identification_sections, study_sections
 from matplotlib.axes import Axes
 from matplotlib.collections import Collection
 from matplotlib.colors import to_hex, to_rgba
@@ -187,7 +187,7 @@ def _same(was: str, now: Listed) -> bool:
 
 
 def test_every_figure_has_an_example() -> None:
-    sources = map(inspect.getsource, (figure_examples, figures))
+    sources = map(inspect.getsource, (figure_examples, identification_sections, study_sections))
     drawn = set(re.findall(r"\bplot_\w+", "".join(sources)))
 
     assert {name for name in plots.__all__ if name.startswith("plot_")} <= drawn

@@ -205,7 +205,7 @@ def _written(
     """Draw the figures, typeset the contents, write the PDF, and return its path."""
     output = Path(output)
     with source_folder(source) as root:
-        drawn = write_figures(study, root)
+        drawn = write_figures(contents, study.recordings, root)
         pdf, places = typeset(root, contents, recorded(study.recordings))
         if figures is not None:
             for path in drawn:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import zip_longest
 from math import isfinite
 from typing import Any
 
+from armrig import plots
 from armrig.estimation.nonparametric.sampling_time import SamplingTime
 from armrig.models.equation import letters, typst_form
 from armrig.models.fit import Fit
@@ -97,6 +99,8 @@ def _sampling(study: HandoutStudy, found: SamplingTime) -> Section:
             "sampling",
             "(a) Rate of θ₁ after a step, divided by its final value, at the recommended "
             "instants; (b) frequency response and power of the output.",
+            2.6,
+            found.plot,
         ),
     )
 
@@ -125,6 +129,8 @@ def _hints(_: HandoutStudy, found: StructureHints) -> Section:
         figures=figure(
             "structure",
             "(a) Spectral analysis with slopes and resonances; (b) Hankel singular values.",
+            2.6,
+            found.plot,
         ),
     )
 
@@ -160,6 +166,8 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
             "residuals",
             f"Residuals of the {best.name} model on validation data: correlation "
             "with themselves (a) and with the input (b).",
+            1.85,
+            partial(plots.plot_residuals, best.model, black.validation),
         ),
     )
 
@@ -243,6 +251,7 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
     fitted = "Nothing in the physical model was fitted."
     compared = black.reference is not None
     difference = f"{deviations(black, black)} {fitted}" if compared else without_arm(black)
+    fits, names = [m.model for m in black.models], [m.name for m in black.models]
     return Section(
         paragraphs=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
@@ -258,6 +267,8 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
             "compare",
             f"(a) Measured and simulated angle{without_turns(black.validation)}; (b) data "
             "(dots) and models, minus the best model.",
+            2.95,
+            partial(plots.plot_compare, black.validation, *fits, labels=names),
         ),
     )
 
@@ -269,6 +280,7 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 
 def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:
+    assert study.alone is not None  # noqa: S101  # the data of the fit
     J, std = found.values["J_1"], found.std["J_1"]
     handout = study.parameters.J_1
     influence = found.influence.get("J_1", {})
@@ -285,7 +297,9 @@ def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:
         figures=figure(
             "greybox",
             "(a) Measured and simulated angle of the chassis alone"
-            f"{without_turns(study.alone) if study.alone else ''}; (b) the error.",
+            f"{without_turns(study.alone)}; (b) the error.",
+            2.1,
+            partial(plots.plot_greybox, found, study.alone),
         ),
     )
 
@@ -321,6 +335,8 @@ def _split(_: HandoutStudy, found: SplitStudy) -> Section:
             "split",
             "(a) Each estimate with ±2 σ; band: weighted mean of the parts ±2 σ. "
             f"(b) σ against N{crosses}.",
+            1.75,
+            found.plot,
         ),
     )
 
@@ -343,6 +359,8 @@ def _loop(_: HandoutStudy, found: OpenLoop) -> Section:
             "Coefficients of u in the regression of θ₁(t). The band contains 99 % of the "
             "estimates of a coefficient that is 0. Coefficients of past input, lags from 1 on, may "
             "be outside the band.",
+            1.6,
+            found.plot,
         ),
     )
 
@@ -366,5 +384,7 @@ def _delay(_: HandoutStudy, found: Delay) -> Section:
             "(a) Impulse response. The band contains 99.9 % of the estimates of a coefficient "
             "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not "
             "significantly worse than the best model (level 0.1 %).",
+            1.75,
+            found.plot,
         ),
     )

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from math import isfinite
 from typing import Any
 
 import numpy as np
 from armrig_core.rig.arm import ArmParameters, arm_matrices
+from armrig_core.telemetry.channels import CHANNELS
 from numpy.typing import NDArray
 
+from armrig import plots
 from armrig.numerics.quantities import NBSP, listed, minus, number, power
-from armrig.physics.integrators.accuracy import Sinusoid
+from armrig.physics.integrators.accuracy import Sinusoid, convergence
 from armrig.physics.integrators.methods import method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.step_response import Characteristics, characteristics, step_response
+from armrig.plots.captions import labelled
 from armrig.report.handout_study import METHODS, HandoutStudy
-from armrig.report.sections import Section, Table, figure
+from armrig.report.sections import Figure, Section, Table, figure
 
 
 def physical_sections(study: HandoutStudy) -> dict[str, Section]:
     """Return sections 2.1 to 2.3 by number."""
     p = study.parameters
-    step = _step(characteristics(p))
+    step = _step(characteristics(p), study.cases)
     return {"2.1": _model(p), "2.2": step, "2.3": _other_parameters(study.cases)}
 
 
@@ -46,7 +50,13 @@ def _model(p: ArmParameters) -> Section:
             "Left out are the inductance, friction ($b_1 = 0$), play and elasticity of the gear, "
             "bending of the arm and the springs' mass.",
         ),
-        figures=figure("rig", "Parts of the rig, and the quantities between them.", floats=False),
+        figures=figure(
+            "rig",
+            "Parts of the rig, and the quantities between them.",
+            1.85,
+            plots.plot_rig,
+            floats=False,
+        ),
     )
 
 
@@ -67,7 +77,7 @@ MAX_HIDDEN_CHANGE = 5e-4
 """Largest relative change that is not visible in a number with three digits."""
 
 
-def _step(found: Characteristics) -> Section:
+def _step(found: Characteristics, cases: dict[str, ArmParameters]) -> Section:
     w = max(found.poles, key=lambda z: z.imag)
     settled = float(step_response(found.parameters, np.linspace(0.0, 2.0, 2001))[-1])
     return Section(
@@ -88,6 +98,8 @@ def _step(found: Characteristics) -> Section:
             "step",
             "Speed of the chassis after a step of 1 V, with the handout's parameters and with "
             "two of them changed (2.3). Grey: steady speed and slope at 0.",
+            2.6,  # the slope at t = 0 is visible below the legend
+            partial(plots.plot_physical_step, cases, seconds=0.5),
         ),
     )
 
@@ -164,10 +176,32 @@ _METHOD_TEXTS = {
 
 def numerical_sections(study: HandoutStudy) -> dict[str, Section]:
     """Return sections 4.1 to 4.4 by number."""
-    return {number_: _integrator(study, number_, name) for number_, name in METHODS.items()}
+    problem, methods = study.problem, tuple(METHODS.values())
+    speed: dict[str, Any] = {"state": 2, "label": f"{labelled(CHANNELS[0].rate)} [rad/s]"}
+    figures = {
+        "4.1": figure(
+            "integrators",
+            "(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
+            "error against step, with the observed orders.",
+            2.4,
+            partial(plots.plot_stability_regions, problem.A, methods=methods),
+            partial(plots.plot_convergence, [convergence(problem, m) for m in methods]),
+        ),
+        "4.4": figure(
+            "solution",
+            "(a) The speed by each method at h = 20 ms; (b) the errors.",
+            2.1,
+            partial(plots.plot_solution, problem, 0.02, methods=methods, **speed),
+            floats=False,
+        ),
+    }
+    return {
+        number_: _integrator(study, name, figures.get(number_, ()))
+        for number_, name in METHODS.items()
+    }
 
 
-def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
+def _integrator(study: HandoutStudy, name: str, figures: tuple[Figure, ...]) -> Section:
     problem = study.problem
     limit = stability_limit(problem.A, name)
     (advice,) = (row for row in study.steps.rows if row.method == name)
@@ -185,20 +219,8 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
             _METHOD_TEXTS[name],
         ),
         tables=(_errors(problem, name, sorted(tried), limit),),
-        figures=_INTEGRATION_FIGURES.get(number_, ()),
+        figures=figures,
     )
-
-
-_INTEGRATION_FIGURES = {
-    "4.1": figure(
-        "integrators",
-        "(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
-        "error against step, with the observed orders.",
-    ),
-    "4.4": figure(
-        "solution", "(a) The speed by each method at h = 20 ms; (b) the errors.", floats=False
-    ),
-}
 
 
 def _errors(problem: Sinusoid, name: str, steps: Sequence[float], limit: float) -> Table:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from string import ascii_uppercase
+
+Draw = Callable[..., object]
+"""Function that draws into the axes `ax`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,19 +28,25 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """Figure in a file next to the template."""
+    """Figure, which is drawn into a file next to the template."""
 
     name: str
     """Name for references, and name of the file without ".svg"."""
     caption: str
     """Caption of the figure, with the quantities on its axes."""
+    height: float
+    """Height in inches."""
+    draws: tuple[Draw, ...] = field(repr=False)
+    """Function for each panel; a row has at most two panels."""
     floats: bool = True
     """True if the figure may move to the top or the foot of a page, so that no page is empty."""
 
 
-def figure(name: str, caption: str, *, floats: bool = True) -> tuple[Figure]:
+def figure(
+    name: str, caption: str, height: float, *draws: Draw, floats: bool = True
+) -> tuple[Figure]:
     """Return the figures of a section with one figure."""
-    return (Figure(name, caption, floats),)
+    return (Figure(name, caption, height, draws, floats),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from string import ascii_lowercase
+from typing import TYPE_CHECKING
 
+from armrig import plots
 from armrig.data.dataset import Dataset
+from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.models.characteristics import integrates
 from armrig.models.equation import typst_form
 from armrig.numerics.quantities import error, listed, percent
 from armrig.recordings.figures import varying_times
 from armrig.recordings.usability import different_calibrations, emulation
 from armrig.report import model_facts, recording_facts
-from armrig.report.figures import detail_s, suffix
+from armrig.report.figures import detail_s, plot_velocity
 from armrig.report.recording_facts import run_name, without_turns
-from armrig.report.sections import Contents, Figure, Section, Table, figure, numbered
-from armrig.report.study import OUTPUTS, STEP, Study, each_output, kind_of
+from armrig.report.sections import Contents, Draw, Figure, Section, Table, figure, numbered
+from armrig.report.study import OUTPUTS, STEP, AssessedFit, Study, each_output, kind_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
@@ -63,7 +71,7 @@ def results(study: Study) -> Section:
             "data.",
         ),
         tables=(table,),
-        figures=(first, *(Figure(f.name, f.caption) for f in others)),
+        figures=(first, *(replace(f, floats=True) for f in others)),
         points=tuple(model_facts.conclusions(study)),
     )
 
@@ -79,7 +87,8 @@ def data(study: Study) -> Section:
         of = OUTPUTS.get(steps[0].first, steps[0].first)
         caption = f"(a) {of[0].upper()}{of[1:]} after a step of the {_motor(study)}voltage; "
         caption += "(b) the voltage; "
-        step = figure("step", f"{caption}recording {run_name(steps[0])}.")
+        caption += f"recording {run_name(steps[0])}."
+        step = figure("step", caption, 2.0, partial(plots.plot_data, steps[0]))
     return Section(
         title="Data",
         paragraphs=(
@@ -202,6 +211,8 @@ def sampling(study: Study) -> Section:
         f"Histogram of {' and of '.join(map(texts.__getitem__, varying))} in the "
         f"estimation data (recording {run_name(recording)}). Both axes are logarithmic. Values "
         "below the clock's resolution are at the left edge.",
+        2.2,
+        *(partial(plots.plot_timing, recording, quantity=quantity) for quantity in varying),
     )
     shown = ("<timing> shows the distributions.",)
     return Section(title="Sampling time", paragraphs=shown, tables=(table,), figures=timing)
@@ -242,7 +253,7 @@ def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:
 
 
 def _references(study: Study, name: str, *before: str) -> str:
-    return listed([*before, *(f"<{name}{suffix(one, study)}>" for one in each_output(study))])
+    return listed([*before, *(f"<{name}{_suffix(one, study)}>" for one in each_output(study))])
 
 
 def _shows(study: Study, name: str) -> str:
@@ -252,13 +263,18 @@ def _shows(study: Study, name: str) -> str:
 def _figures(study: Study, name: str, *, floats: bool = True) -> tuple[Figure, ...]:
     """Return the figure `name` of each output."""
     return tuple(
-        Figure(f"{name}{suffix(one, study)}", _captions(one)[name], floats)
+        Figure(f"{name}{_suffix(one, study)}", *_drawings(one)[name], floats)
         for one in each_output(study)
     )
 
 
-def _captions(one: Study) -> dict[str, str]:
-    """Return the captions of the figures of one output, with the quantities on their axes."""
+def _suffix(one: Study, study: Study) -> str:
+    """Return the suffix in the names of an output's figures; "" for the first output."""
+    return "" if one is study else f"-{one.output}"
+
+
+def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
+    """Return the caption, the height and the panels of each figure of one output."""
     estimation, validation = (_run(data, one) for data in (one.estimation, one.validation))
     marks = ascii_lowercase[: 2 * len(one.estimated)]
     halves = ", the first and the second half of one recording" if one.halves else ""
@@ -269,24 +285,64 @@ def _captions(one: Study) -> dict[str, str]:
     drawn = [f"{angle}{turns}{without_turns(data)}" for data in (one.estimation, one.validation)]
     angles = f"(a, c) {drawn[0]}" if drawn[0] == drawn[1] else f"(a) {drawn[0]}; (c) {drawn[1]}"
     rate = "Rate" if all(integrates(m.model) for m in one.models) else "Response"
+    fits, names = [m.model for m in one.models], [m.name for m in one.models]
+    own = len(one.estimated)
     return {
-        "data": f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
-        f"recording {validation}){halves}: {angles}; (b, d) voltage that the device applied. "
-        f"Shaded: {'dead band or ' * one.of_arm}missing sample.",
-        "compare": f"(a) Measured and simulated {angle} of the validation data (recording "
-        f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model has a "
-        "much larger error, the scale is logarithmic beyond the dotted lines.",
-        "velocity": f"Detail of {detail_s(one.validation):.3g} s: {detail} (recording "
-        f"{validation}). The simulation of the models starts at the beginning of the data.",
-        "bode": f"Frequency response from voltage to {angle}, (a) magnitude and (b) phase, with "
-        "95 % bands. A band is linearised or, if a linearisation is poor, sampled from the "
-        "covariance of the parameters. Dots: spectral analysis of the estimation data with 95 % "
-        f"bars. Recording {estimation}.",
-        "step_poles": f"(a) {rate} of {the} after a step of 1 V, with 95 % bands; (b) poles "
-        "(×) and zeros (○) with 95 % regions: bars for real roots, ellipses for complex roots, "
-        "dotted if sampled. A square marks a pole and a zero that are not significantly different "
-        f"(1 %). Models from recording {estimation}.",
-        "residuals": f"Correlation of the residuals of {the} with themselves "
-        f"({', '.join(marks[::2])}) and with the input ({', '.join(marks[1::2])}) on recording "
-        f"{validation}. Grey: range of 99 % of the values if the hypothesis is true.",
+        "data": (
+            f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
+            f"recording {validation}){halves}: {angles}; (b, d) voltage that the device applied. "
+            f"Shaded: {'dead band or ' * one.of_arm}missing sample.",
+            2.4,
+            tuple(partial(plots.plot_data, data) for data in (one.estimation, one.validation)),
+        ),
+        "compare": (
+            f"(a) Measured and simulated {angle} of the validation data (recording "
+            f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model "
+            "has a much larger error, the scale is logarithmic beyond the dotted lines.",
+            3.0,
+            (partial(plots.plot_compare, one.validation, *fits[:own], labels=names[:own]),),
+        ),
+        "velocity": (
+            f"Detail of {detail_s(one.validation):.3g} s: {detail} (recording {validation}). The "
+            "simulation of the models starts at the beginning of the data.",
+            2.0,
+            (partial(plot_velocity, one),),
+        ),
+        "bode": (
+            f"Frequency response from voltage to {angle}, (a) magnitude and (b) phase, with 95 % "
+            "bands. A band is linearised or, if a linearisation is poor, sampled from the "
+            "covariance of the parameters. Dots: spectral analysis of the estimation data with "
+            f"95 % bars. Recording {estimation}.",
+            3.4,
+            (partial(_plot_bode, one),),
+        ),
+        "step_poles": (
+            f"(a) {rate} of {the} after a step of 1 V, with 95 % bands; (b) poles (×) and zeros "
+            "(○) with 95 % regions: bars for real roots, ellipses for complex roots, dotted if "
+            "sampled. A square marks a pole and a zero that are not significantly different "
+            f"(1 %). Models from recording {estimation}.",
+            2.7,
+            tuple(
+                partial(plot, *fits, labels=names)
+                for plot in (plots.plot_step, plots.plot_poles_zeros)
+            ),
+        ),
+        "residuals": (
+            f"Correlation of the residuals of {the} with themselves ({', '.join(marks[::2])}) and "
+            f"with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: range of "
+            "99 % of the values if the hypothesis is true.",
+            3.4 * -(-own // 2),
+            tuple(partial(_plot_residuals, m, one.validation) for m in one.estimated),
+        ),
     }
+
+
+def _plot_bode(one: Study, *, ax: Axes) -> None:
+    names = [*(m.name for m in one.models), "spectral analysis, 95 %"]
+    models = *(m.model for m in one.models), spectral_reference(one.estimation)
+    plots.plot_bode(*models, labels=names, ax=ax)
+
+
+def _plot_residuals(model: AssessedFit, data: Dataset, *, ax: Axes) -> None:
+    plots.plot_residuals(model.model, data, ax=ax)
+    ax.set_ylabel(f"{model.name}: {ax.get_ylabel()}")

@@ -6,19 +6,19 @@ import json
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import fields
 from datetime import UTC, datetime
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import matplotlib as mpl
 import typst
 from armrig_core.errors import OperationError
 
 from armrig.recordings.recording import Recording
-from armrig.report.sections import Contents
+from armrig.report.sections import Contents, Figure
 
 Places = list[tuple[str, float]]
 """Name and start of each section. A start of 2.3 is on page 2, below 30 % of the page."""
@@ -49,12 +49,18 @@ def typeset(root: Path, contents: Contents, made: datetime) -> tuple[bytes, Plac
     date of the document is `made`.
     """
     made_on = [made.year, made.month, made.day]  # without a date, typst uses the current time
-    values = asdict(contents) | {"version": version("armrig"), "made_on": made_on}
-    data = json.dumps(values, indent=1, ensure_ascii=False)
+    values = _values(contents) | {"version": version("armrig"), "made_on": made_on}
+    data = json.dumps(values, default=_values, indent=1, ensure_ascii=False)
     (root / _VALUES).write_text(data, encoding="utf-8")
     text = resources.files("armrig.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
     (root / TEMPLATE).write_text(text, encoding="utf-8")
     return compiled(root / TEMPLATE)
+
+
+def _values(part: Any) -> dict[str, Any]:
+    """Return the fields of a part of a report that the template reads."""
+    drawing = ("height", "draws") if isinstance(part, Figure) else ()
+    return {f.name: getattr(part, f.name) for f in fields(part) if f.name not in drawing}
 
 
 @contextmanager

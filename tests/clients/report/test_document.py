@@ -22,6 +22,7 @@ from armrig.report.document import report
 from armrig.report.figures import write_figures
 from armrig.report.model_facts import conclusions
 from armrig.report.recording_facts import role, treatment
+from armrig.report.sections import Contents
 from armrig.report.study import Study, assessed, study
 from armrig.report.study_sections import study_contents
 from armrig.report.typesetting import recorded as recorded_at
@@ -68,7 +69,7 @@ def drawn(of_three: Study) -> dict[str, figure.Figure]:
     with pytest.MonkeyPatch.context() as patch:
         keep = figures.__setitem__
         patch.setattr("armrig.report.figures.save", lambda of, path: keep(path.stem, of))
-        paths = write_figures(of_three, Path())
+        paths = write_figures(study_contents(of_three, ()), of_three.recordings, Path())
     assert [path.stem for path in paths] == list(figures)
     return figures
 
@@ -99,13 +100,13 @@ def test_every_figure_names_its_recording(done: Study, drawn: dict[str, figure.F
 def test_a_report_writes_a_copy_of_each_figure(
     done: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def write(_: Study, root: Path) -> tuple[Path, ...]:
+    def write(_: Contents, __: Any, root: Path) -> tuple[Path, ...]:
         for name in "abc":
             (root / f"{name}.svg").write_text(name)
         return tuple(sorted(root.glob("*.svg")))
 
     fakes: dict[str, Any] = {"document.write_figures": write}
-    fakes["typesetting.compiled"] = lambda _: (b"a report", [])
+    fakes["typesetting.compiled"] = lambda _: (b"a report", [("end", 1.0)])
     for name, fake in fakes.items():
         monkeypatch.setattr(f"armrig.report.{name}", fake)
 

@@ -20,6 +20,7 @@ from armrig.report.document import handout_report, report
 from armrig.report.figures import MIN_SIZE, STYLE, save, write_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, best_first, study
+from armrig.report.study_sections import study_contents
 from armrig.report.typesetting import TEMPLATE
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -194,7 +195,7 @@ def drawn_by(found: Study, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Ax
     monkeypatch.setattr(
         "armrig.report.figures.save", lambda of, path: panels.update({path.stem: of.axes})
     )
-    write_figures(found, Path())
+    write_figures(study_contents(found, ()), found.recordings, Path())
     return panels
 
 
