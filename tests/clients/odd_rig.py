@@ -12,8 +12,6 @@ from typing import Any
 import msgspec
 import numpy as np
 from armrig.dashboard.experiments import Experiment, previewed
-from armrig.dashboard.feed import LiveModel
-from armrig.excitation import telegraph
 from armrig.lab.doctor import examine
 from armrig.lab.host import Granted, Host
 from armrig_core.commands.commands import LastRun, StatusReport
@@ -197,19 +195,3 @@ def odd_report() -> Any:
 def odd_preview(status: StatusReport | None = None, **how: Any) -> None:
     """Print the page's preview of an experiment."""
     show(previewed(Experiment(**({"low": 0.5, "high": 3.0} | how)), status or odd_status()))
-
-
-def odd_live_models() -> None:
-    """Print the lines of live models at 20 ms: of a pole pair, of noise, of a rate that wraps."""
-    rng, n = np.random.default_rng(2), 900
-    u = telegraph(n, 0.1, low=0.5, high=4.0, seed=7)
-    rate = np.zeros(n)
-    for i in range(3, n):
-        rate[i] = 1.7 * rate[i - 1] - 0.85 * rate[i - 2] + 0.2 * u[i - 1] - 0.1 * u[i - 2]
-    noise = 0.01 * rng.standard_normal(n)
-    for driven in (rate + noise, 100 * noise, noise - rate):
-        model = LiveModel(0.02)
-        theta = np.degrees(np.cumsum(driven) * 0.02) % 360
-        found = np.column_stack([50 + np.arange(n), 0 * u, u, theta, 0 * u])
-        model.take(np.delete(found, [*range(100, 140), 500], axis=0))
-        print(*model.lines(), sep="\n")

@@ -162,10 +162,9 @@ def test_a_report_with_given_orders_fixes_no_integrator_of_a_rig_that_settles(
 
 
 def test_the_page_draws_the_signals_of_the_rig_that_answers() -> None:
-    """Rows of the rig that answered before are discarded, with the model of its rate."""
+    """Rows of the rig that answered before are discarded."""
     feed = Feed()
     feed.add_samples([sample(k) for k in range(3)])
-    feed.set_model(wanted=True)
     of_arm = rig_facts(feed)
     status = replace(FakeDaemon("there").status(), description=shipped("heater").text.decode())
 
@@ -179,9 +178,6 @@ def test_the_page_draws_the_signals_of_the_rig_that_answers() -> None:
     news = live_facts(feed.news(), status)
     assert [row[3:] for row in news["rows"]] == [[23.04, 23.04, 24.0, 24.0]]
     assert news["newest"] == {"u": news["rows"][0][1], "T1": 23.04, "T2": 24.0}
-    assert feed.model_lines() is None
-    with pytest.raises(InputError, match="T1 does not turn, so its rate has no model: record"):
-        feed.set_model(wanted=True)
 
 
 def test_the_page_previews_and_identifies_a_described_rig(

@@ -60,10 +60,6 @@ class _Noted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     text: str
 
 
-class _Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    wanted: bool
-
-
 class RigRoutes:
     """Routes of the live rig for one listening socket, which has its own token."""
 
@@ -108,7 +104,6 @@ class RigRoutes:
                     ("reset", lambda _: {"was_latched": self._driver.reset()}),
                     ("note", self._note),
                     ("preview", self._preview),
-                    ("model", self._model),
                 )
             ),
         ]
@@ -139,11 +134,6 @@ class RigRoutes:
         if self._feed.status is None:
             raise RigError(self._feed.trouble)
         return previewed(asked, self._feed.status)
-
-    def _model(self, body: bytes) -> Any:
-        asked = msgspec.json.decode(body, type=_Model)
-        self._feed.set_model(wanted=asked.wanted)
-        return {"wanted": asked.wanted}
 
     async def _run(self, request: Request) -> Response:
         asked_s = time.monotonic()  # read here: a start may wait for a thread, a stop does not

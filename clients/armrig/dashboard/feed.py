@@ -6,23 +6,19 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice, pairwise
-from math import atan2, hypot, inf, isfinite, radians, tau
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from armrig_core.commands.commands import StatusReport
-from armrig_core.errors import InputError
 from armrig_core.rig.description import shipped
 from armrig_core.rig.emulated import is_emulated
 from armrig_core.telemetry.telemetry import Sample
-from numpy.typing import NDArray
 
 from armrig.dashboard.bins import (
     ARM_SIGNALS,
-    TURN,
     Rows,
     Signal,
     binned,
@@ -31,7 +27,6 @@ from armrig.dashboard.bins import (
     signals,
     signals_of,
 )
-from armrig.estimation.recursive import rarx_start, rarx_step
 from armrig.recordings.daemon_reports import is_note
 from armrig.rig.telemetry_stream import MOST_TOLD, gaps_between
 
@@ -43,13 +38,9 @@ COARSE_S = 0.05
 _MOST_ROWS = 40_000  # five minutes of bins, and the additional rows at wraps
 LATE_US = (50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 """Upper edges of the histogram of lateness, in µs; a last bin contains all later samples."""
-_TS = 0.01  # before the daemon has reported its sampling time
 _MOST_STATES, _MOST_NOTES = 200, 100
 _BACK_NS = 1_000_000_000
 _LATE_S = 60  # length of the histogram, in s
-_NA, _NB = 3, 4  # the arm without its integrator: 3 poles; the sampled rate also has 3 zeros
-_REMEMBERED_S = 20.0
-_FRESH = rarx_start(na=_NA, nb=_NB)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +102,6 @@ class Feed:
         self.signals: tuple[Signal, ...] = ARM_SIGNALS
         """Signals of the rig, in the order of the values in a row."""
         self._emulated = False
-        self._model: LiveModel | None = None
         self.trouble = "looking for the rig's daemon"
         """Reason why no daemon is connected; "" if a daemon is connected."""
 
@@ -123,7 +113,6 @@ class Feed:
             with self._lock:
                 self.description, self.signals = described, signals_of(described)
                 self._forget_rows()
-                self._model = None
 
     def add_samples(self, samples: Sequence[Sample], *, live: bool = True) -> None:
         """Add samples in order; `live` is False for earlier samples, which the daemon has kept."""
@@ -139,12 +128,7 @@ class Feed:
                 return
             self._note_gaps(samples)
             found = signals(samples, self.signals)
-            Ts = self.status.Ts if self.status else _TS
             made = binned(self._tail, found, self.signals)
-            if self._model is not None and live:
-                if self._model.Ts != Ts:
-                    self._model = LiveModel(Ts, self.signals[1].label)
-                self._model.take(found)
             self._tail = needed_before(np.concatenate([self._tail, found]))
             self._newest = samples[-1]
             if live:
@@ -208,21 +192,6 @@ class Feed:
             found = is_emulated(uid=uid, port=status.line)
             self._emulated = found if uid else found or self._emulated
         return self._emulated
-
-    def set_model(self, *, wanted: bool) -> None:
-        """Start or stop a model from live samples; refuse a rig that does not turn."""
-        with self._lock:
-            if wanted and (first := self.signals[1]).kind != "turning":
-                way_out = "record an experiment, and press Identify"
-                raise InputError(f"{first.key} does not turn, so its rate has no model: {way_out}")
-            if wanted != (self._model is not None):
-                Ts = self.status.Ts if self.status else _TS
-                self._model = LiveModel(Ts, self.signals[1].label) if wanted else None
-
-    def model_lines(self) -> list[str] | None:
-        """Return lines of text about the live model; None without a live model."""
-        with self._lock:
-            return None if self._model is None else self._model.lines()
 
     def history(self) -> Rows:
         """Return the rows of the last five minutes; rows older than `FINE_S` are in wider bins."""
@@ -297,58 +266,3 @@ def _mark(before: str, phase: str) -> str:
     if phase == before:
         return ""
     return {"active": "start", "fault": "trip"}.get(phase, "end" if before == "active" else "")
-
-
-class LiveModel:
-    """Recursive ARX model of the rate, A(q) omega(t) = B(q) u(t) + e(t), with forgetting."""
-
-    def __init__(self, Ts: float, label: str = ARM_SIGNALS[1].label) -> None:
-        """Begin without a sample; Ts is the sampling time in s, and `label` names the angle."""
-        self.Ts, self._label = Ts, label
-        forgetting = max(0.5, 1.0 - Ts / _REMEMBERED_S)
-        self._state = rarx_start(na=_NA, nb=_NB, forgetting=forgetting)
-        self._k = -inf
-        self._theta = float("nan")
-
-    def take(self, found: NDArray[np.float64]) -> None:
-        """Update the model with samples (n, 5) in order, from `armrig.dashboard.bins.signals`.
-
-        After a missing sample, the regressors begin again at 0.
-        """
-        for k, _, u, theta, _ in found.tolist():
-            if k != self._k + 1:
-                self._state = replace(self._state, u=_FRESH.u, y=_FRESH.y)
-                self._theta = float("nan")
-            turned = theta - self._theta
-            if isfinite(turned):
-                turned -= TURN * round(turned / TURN)
-            # u acts after this sample, so it is a past input at the next sample.
-            self._state = rarx_step(self._state, u, radians(turned) / self.Ts)
-            self._k, self._theta = k, theta
-
-    def lines(self) -> list[str]:
-        """Return lines of text with the gain, the prediction error and the poles of the model."""
-        state = self._state
-        if not state.determined or not isfinite(state.noise_variance):
-            return ["the samples do not determine a model yet: play an input that switches"]
-        gain = state.B.sum() / state.A.sum()
-        error = state.noise_variance**0.5
-        return [
-            f"rate of {self._label}, ARX[{_NA} {_NB} 1], of the last {_REMEMBERED_S:g} s: "
-            f"gain {gain:.3g} rad/s per V, prediction error {error:.2g} rad/s",
-            *(_described(pole, self.Ts) for pole in np.roots(state.A) if pole.imag >= 0),
-        ]
-
-
-def _described(pole: complex, Ts: float) -> str:
-    """Return a text with a pole, and the pole's time constant or frequency in continuous time."""
-    decay, angle = -np.log(max(abs(pole), 1e-300)) / Ts, atan2(pole.imag, pole.real) / Ts
-    if abs(pole) >= 1:
-        return f"pole {pole:.3f}: unstable"
-    if not pole.imag:
-        if pole.real <= 0:
-            return f"pole {pole.real:.3f}: from noise, since a sampled rig has no such pole"
-        return f"pole {pole.real:.3f}: time constant {1 / decay:.3g} s"
-    omega = hypot(decay, angle)
-    where = f"poles {pole.real:.3f} ± {pole.imag:.3f}i"
-    return f"{where}: {omega / tau:.3g} Hz, damping {decay / omega:.2g}"

@@ -200,9 +200,8 @@ class Stream:
             viewer.offer(message)
 
     def _timing(self) -> bytes:
-        viewers = sum(map(len, self._audience))
-        facts = {"viewers": viewers, "model": self._feed.model_lines()}
-        return event("timing", msgspec.to_builtins(self._feed.timing()) | facts)
+        viewers = {"viewers": sum(map(len, self._audience))}
+        return event("timing", msgspec.to_builtins(self._feed.timing()) | viewers)
 
     def _send_changed(self) -> None:
         for name, value in (

@@ -149,15 +149,3 @@ def test_only_the_name_of_a_user_s_file_is_stored(file: str, stored: str) -> Non
 
     assert plan.details == {"input": "csv", "file": stored}
     assert plan.make(0, 0.01).tolist() == [1.0, 2.0]
-
-
-def test_a_live_model_starts_and_ends_on_request(driver: Any) -> None:
-    feed = Feed()
-    app = _app(driver, feed, may_command=True)
-
-    found = []
-    for wanted in (True, True, False):
-        answer = asked(app, "/api/model", json.dumps({"wanted": wanted}).encode())
-        found.append((json.loads(answer[1])["wanted"], feed.model_lines() is not None))
-
-    assert found == [(True, True), (True, True), (False, False)]

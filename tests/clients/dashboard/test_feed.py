@@ -14,9 +14,7 @@ from armrig.dashboard import feed as feed_module
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.stream import live_facts
 from armrig_core.telemetry.telemetry import Sample
-from msgspec.structs import replace
 
-from tests.clients.fake_daemon import FakeDaemon
 from tests.clients.made_recordings import event, gap, note, sample
 
 
@@ -110,13 +108,6 @@ def test_news_are_collected_under_one_lock(monkeypatch: pytest.MonkeyPatch) -> N
     assert all(held)
 
 
-def test_a_live_model_is_not_removed_while_its_lines_are_read() -> None:
-    feed = Feed()
-    feed._model = SimpleNamespace(lines=lambda: [str(feed._lock.locked())])  # type: ignore[assignment]
-
-    assert feed.model_lines() == ["True"]
-
-
 class _Watched(deque[Any]):
     """Rows that count how often they are read."""
 
@@ -187,32 +178,6 @@ def test_a_restarted_clock_clears_the_history() -> None:
     assert feed.news().newest == sample(2)
 
 
-def test_a_changed_sampling_time_restarts_the_live_model() -> None:
-    changed, fresh = Feed(), Feed()
-    rng = np.random.default_rng(1)
-    u, theta_1 = rng.choice([1.0, 4.0], 300), np.cumsum(rng.uniform(0.0, 0.1, 300))
-    first, second = (
-        [
-            sample(k, u_applied_v=u[k], value_0=theta_1[k], t_sched_ns=t_ns, t_host_ns=t_ns)
-            for k, t_ns in ((k, round(k * Ts * 1e9)) for k in part)
-        ]
-        for Ts, part in ((0.01, range(100)), (0.02, range(100, 300)))
-    )
-    for feed, Ts in ((changed, 0.01), (fresh, 0.02)):
-        feed.status = replace(FakeDaemon("there").status(), Ts=Ts)
-        feed.set_model(wanted=True)
-    changed.add_samples(first)
-    changed.status = fresh.status
-
-    for feed in (changed, fresh):
-        feed.add_samples(second)
-
-    lines = fresh.model_lines()
-    assert lines is not None
-    assert lines[0].startswith("rate of")
-    assert changed.model_lines() == lines
-
-
 def test_the_histogram_counts_live_samples_of_the_last_minute(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -227,29 +192,6 @@ def test_the_histogram_counts_live_samples_of_the_last_minute(
 
     assert sum(feed.timing().late) == 60
     assert feed.timing().late[1] == 0
-
-
-def test_a_live_model_is_not_estimated_from_the_history() -> None:
-    feed, rng = Feed(), np.random.default_rng(3)
-    rows = [
-        sample(k, u_applied_v=rng.choice([1.0, 4.0]), value_0=0.02 * k + rng.uniform(0, 0.1))
-        for k in range(400)
-    ]
-    feed.set_model(wanted=True)
-    feed.add_samples(rows[:200], live=False)
-    before = feed.model_lines()
-    feed.add_samples(rows[200:])
-    taught = feed.model_lines()
-    feed.set_model(wanted=True)  # a second page wants it, too
-    still = feed.model_lines()
-    feed.set_model(wanted=False)
-
-    assert before is not None
-    assert "play an input" in before[0]
-    assert taught is not None
-    assert taught[0].startswith("rate of")
-    assert still == taught
-    assert feed.model_lines() is None
 
 
 def test_start_end_and_trip_are_marked() -> None:

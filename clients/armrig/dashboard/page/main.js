@@ -80,7 +80,6 @@ function describe(found) {
   plots.describe(rig.signals);
   describeRig(rig);
   show("arm-card", Boolean(rig.arm));
-  byId("live-model").classList.toggle("other", rig.signals[1].kind !== "turning");
   if (hasCharts) stream.open();
 }
 

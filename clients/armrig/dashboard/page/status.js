@@ -135,20 +135,12 @@ export function showTiming(timing) {
   if (timing.last_gap) missing.push(`reason of the last gap: ${timing.last_gap}`);
   if (timing.unheard) missing.push(`${timing.unheard} samples did not reach the dashboard's server, but are in recordings`);
   setText("missing", missing.join("; "));
-  showModel(timing.model);
   byId("missing").className = timing.missing ? "warn-text" : "";
-}
-
-function showModel(lines) {
-  byId("model-wanted").setAttribute("aria-pressed", String(Boolean(lines)));
-  byId("model-lines").replaceChildren(...(lines || []).map((line) => make("li", { textContent: line })));
 }
 
 const micros = (us) => (us < 1000 ? `${us < 10 ? us.toFixed(1) : Math.round(us)} µs` : `${(us / 1000).toFixed(1)} ms`);
 
 export function setUpStatus() {
-  const wanted = byId("model-wanted");
-  wanted.addEventListener("click", () => attempt(() => askJson("model", { wanted: wanted.getAttribute("aria-pressed") !== "true" })));
   byId("reset").addEventListener("click", () =>
     attempt(async () => {
       const told = await askJson("reset", {});
