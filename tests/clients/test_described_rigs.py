@@ -173,8 +173,8 @@ def test_the_page_draws_the_signals_of_the_rig_that_answers() -> None:
 
     facts = msgspec.to_builtins(rig_facts(feed))
     assert [s["key"] for s in facts.pop("signals")] == ["u", "T1", "T2"]
-    assert facts == {"arm": "", "body": ""}
-    assert (of_arm["arm"], of_arm["body"]) == ("arm", "chassis")
+    assert facts == {"hash": shipped("heater").sha256, "arm": "", "body": ""}
+    assert (of_arm["hash"], of_arm["arm"], of_arm["body"]) == ("", "arm", "chassis")
     news = live_facts(feed.news(), status)
     assert [row[3:] for row in news["rows"]] == [[23.04, 23.04, 24.0, 24.0]]
     assert news["newest"] == {"u": news["rows"][0][1], "T1": 23.04, "T2": 24.0}

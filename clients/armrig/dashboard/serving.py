@@ -29,7 +29,7 @@ from armrig.dashboard.guard import Connections, Guard, Pass
 from armrig.dashboard.recording_routes import RecordingRoutes
 from armrig.dashboard.share import PORT as SHARED_PORT
 from armrig.dashboard.share import Certificate, certificate
-from armrig.dashboard.stream import Stream, Viewers
+from armrig.dashboard.stream import Stream
 from armrig.rig.client import Rig
 from armrig.rig.remote_source import RemoteSource
 from armrig.rig.session import RigError, open_session
@@ -105,14 +105,13 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     sys.setswitchinterval(_SWITCH_S)
     feed = Feed()
     driver = Driver(rig=settings.rig, connect=settings.connect)
-    audience: list[Viewers] = []
     recorded = RecordingRoutes(feed, settings.rig)
     listener = Listener(
         feed, rig=settings.rig, connect=settings.connect, found=driver.be_ready_to_stop
     )
     with ExitStack() as open_files:
         own = _Door(_listening(HOST, PORT, settings.port), names=(HOST, "localhost"))
-        stream = Stream(feed, driver, audience, may_command=True)
+        stream = Stream(feed, driver, may_command=True)
         live = RigRoutes(feed, driver, stream)
         threads = [own.served([*live.commanding(), *recorded.routes()], live, stream)]
         served = Served(url=own.url, browser_url=own.browser_url)
@@ -120,7 +119,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
             made = open_files.enter_context(certificate(settings.share))
             taken = _listening(settings.share, SHARED_PORT, settings.share_port)
             door = _Door(taken, names=(settings.share,), certificate=made)
-            stream = Stream(feed, driver, audience, may_command=False)
+            stream = Stream(feed, driver, may_command=False)
             threads.append(door.served([], RigRoutes(feed, driver, stream), stream))
             served = replace(served, shared_url=door.url, fingerprint=made.fingerprint)
         listener.start()

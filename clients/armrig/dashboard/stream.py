@@ -132,16 +132,13 @@ class Viewers:
 class Stream:
     """Stream of the feed's and the driver's state to all viewers of one listening socket."""
 
-    def __init__(
-        self, feed: Feed, driver: Driver, audience: list[Viewers], *, may_command: bool
-    ) -> None:
-        """Begin without viewers; add this socket's viewers to `audience`, shared by all sockets."""
-        self._feed, self._driver, self._audience = feed, driver, audience
+    def __init__(self, feed: Feed, driver: Driver, *, may_command: bool) -> None:
+        """Begin without viewers."""
+        self._feed, self._driver = feed, driver
         self.may_command = may_command
         """True if the viewers of this socket may command."""
         self._history = History(feed.history)
         self.viewers = Viewers()
-        audience.append(self.viewers)
         self._told: dict[str, bytes] = {}
         self._turn = asyncio.Lock()
         self._queued = 0  # new viewers that wait for their turn
@@ -158,7 +155,7 @@ class Stream:
             self.viewers.send(event("live", live_facts(news, self._feed.status)))
             self._send_changed()
             if due >= timing_due:
-                self.viewers.send(self._timing())
+                self.viewers.send(event("timing", self._feed.timing()))
                 timing_due = due + _TIMING_S
 
     async def messages(self, viewer: Viewer) -> AsyncIterator[bytes]:
@@ -176,8 +173,9 @@ class Stream:
         try:
             hello = {"may_command": self.may_command, "late_us": LATE_US}
             # The rig comes first: its signals are the columns of the rows.
-            for message in (event("hello", hello), *self._told.values(), self._timing()):
+            for message in (event("hello", hello), *self._told.values()):
                 yield message
+            yield event("timing", self._feed.timing())
             async for message in viewer.messages():
                 yield message
                 await asyncio.sleep(0)  # other viewers are served, and a lost viewer is noticed
@@ -198,10 +196,6 @@ class Stream:
     async def _offer_past(self, viewer: Viewer) -> None:
         for message in await self._history.messages():
             viewer.offer(message)
-
-    def _timing(self) -> bytes:
-        viewers = {"viewers": sum(map(len, self._audience))}
-        return event("timing", msgspec.to_builtins(self._feed.timing()) | viewers)
 
     def _send_changed(self) -> None:
         for name, value in (
@@ -263,10 +257,14 @@ def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
 
 
 def rig_facts(feed: Feed) -> dict[str, Any]:
-    """Return the signals of the rig for the page, and what only the arm has."""
+    """Return the signals of the rig for the page, and what only the arm has.
+
+    The hash is that of the description, or "" until a daemon has reported the description.
+    """
     described = feed.description
     body = described.channels[0].body if described.arm else ""
-    return {"signals": feed.signals, "arm": described.arm, "body": body}
+    known = described.sha256 if feed.status else ""
+    return {"hash": known, "signals": feed.signals, "arm": described.arm, "body": body}
 
 
 def status_facts(feed: Feed) -> dict[str, Any]:

@@ -119,7 +119,7 @@ Object.assign(globalThis, {
     }
   },
   TextDecoderStream: class {},
-  location: { hash: "#token=secret" },
+  location: { hash: "#token=secret", reload: () => say("the page is loaded again") },
   history: { replaceState: () => {} },
   innerWidth: 1280,
   innerHeight: 900,

@@ -50,7 +50,7 @@ def driver() -> Any:
 
 
 def _app(driver: Any, feed: Feed, *, may_command: bool) -> Starlette:
-    routes = RigRoutes(feed, driver, Stream(feed, driver, [], may_command=may_command))
+    routes = RigRoutes(feed, driver, Stream(feed, driver, may_command=may_command))
     return application([*routes.watching(Connections()), *routes.commanding()])
 
 

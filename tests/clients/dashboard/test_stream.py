@@ -52,7 +52,7 @@ def test_a_run_that_ends_between_two_updates_is_reported_as_ended() -> None:
     async def heard() -> list[bytes]:
         driver = Driver(rig="1", connect=None)
         driver.run = BEFORE
-        stream = Stream(Feed(), driver, [], may_command=True)
+        stream = Stream(Feed(), driver, may_command=True)
         filling = asyncio.create_task(stream.fill())
         await _until("live", stream.messages(Viewer(lambda: None)))
         driver.run = GOING
@@ -86,7 +86,7 @@ def test_the_advice_for_an_emulated_rig_names_no_cable(fault: Id) -> None:
 
 def test_a_viewer_that_leaves_frees_its_place() -> None:
     async def counts() -> list[int]:
-        stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
+        stream = Stream(Feed(), Driver(rig="1", connect=None), may_command=True)
         found = []
         for read in (1, 4):
             messages = stream.messages(Viewer(lambda: None))
@@ -105,7 +105,7 @@ def test_a_new_viewer_receives_the_whole_history_and_each_state_once() -> None:
         feed = Feed()
         feed.add_samples([sample(k) for k in range(1203)], live=False)
         feed.news()
-        stream = Stream(feed, Driver(rig="1", connect=None), [], may_command=True)
+        stream = Stream(feed, Driver(rig="1", connect=None), may_command=True)
         messages = stream.messages(Viewer(lambda: None))
         first = await _until("whole", messages)
         filling = asyncio.create_task(stream.fill())
@@ -126,23 +126,9 @@ def test_a_new_viewer_receives_the_whole_history_and_each_state_once() -> None:
     assert not [m for m in then if m.startswith((b"event: status", b"event: run"))]
 
 
-def test_the_viewers_of_all_ports_are_counted() -> None:
-    async def counted() -> list[int]:
-        driver, audience = Driver(rig="1", connect=None), list[Viewers]()
-        streams = [Stream(Feed(), driver, audience, may_command=c) for c in (True, False)]
-        found, open_streams = [], []
-        for stream in streams * 2:
-            open_streams.append(stream.messages(Viewer(lambda: None)))
-            messages = await _until("timing", open_streams[-1])
-            found.append(json.loads(messages[-1].partition(b"data: ")[2])["viewers"])
-        return found
-
-    assert asyncio.run(counted()) == [1, 2, 3, 4]
-
-
 def test_simultaneous_viewers_are_admitted_one_after_the_other() -> None:
     async def times_s() -> list[float]:
-        stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
+        stream = Stream(Feed(), Driver(rig="1", connect=None), may_command=True)
 
         async def let_in_s() -> float:
             await anext(stream.messages(Viewer(lambda: None)))
@@ -157,7 +143,7 @@ def test_simultaneous_viewers_are_admitted_one_after_the_other() -> None:
 
 def test_the_number_of_waiting_viewers_is_limited() -> None:
     async def tried() -> None:
-        stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
+        stream = Stream(Feed(), Driver(rig="1", connect=None), may_command=True)
         first = [
             asyncio.create_task(anext(stream.messages(Viewer(lambda: None))))  # type: ignore[arg-type]
             for _ in range(MOST_VIEWERS)
@@ -176,15 +162,13 @@ def test_the_number_of_waiting_viewers_is_limited() -> None:
 
 def test_visitors_do_not_take_the_places_of_operators() -> None:
     async def tried() -> None:
-        driver, audience = Driver(rig="1", connect=None), list[Viewers]()
-        visitors = Stream(Feed(), driver, audience, may_command=False)
+        driver = Driver(rig="1", connect=None)
+        visitors = Stream(Feed(), driver, may_command=False)
         for _ in range(MOST_VIEWERS):
             visitors.viewers.add(Viewer(lambda: None))
         with pytest.raises(TooManyViewersError, match="close one"):
             await anext(visitors.messages(Viewer(lambda: None)))
-        await anext(
-            Stream(Feed(), driver, audience, may_command=True).messages(Viewer(lambda: None))
-        )
+        await anext(Stream(Feed(), driver, may_command=True).messages(Viewer(lambda: None)))
 
     asyncio.run(tried())
 

@@ -73,7 +73,7 @@ function choose(name) {
   else attempt(listRecordings);
 }
 
-// Show another rig. If the page has shown a rig before, it asks for the rows of this one.
+// Show the rig. If the page has shown the default rig before, it asks for the rows of this one.
 function describe(found) {
   const hasCharts = Boolean(rig);
   rig = found;
@@ -126,7 +126,9 @@ function begin() {
         for (const part of document.querySelectorAll("[data-commands]")) part.hidden = !hello.may_command;
       },
       rig: (found) => {
-        if (JSON.stringify(found) !== JSON.stringify(rig)) describe(found);
+        if (rig && (!found.hash || found.hash === rig.hash)) return; // without a hash it is a default
+        if (rig?.hash) location.reload(); // the whole page shows one rig
+        else describe(found);
       },
       past: (rows) => plots.rows.add(rows),
       whole: () => {
