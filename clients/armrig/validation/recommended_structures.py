@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from operator import itemgetter
@@ -16,11 +16,11 @@ from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.order_selection import select_orders
 from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem
-from armrig.estimation.start_values import Path, steiglitz_mcbride
-from armrig.models.innovations import prepared, trend
+from armrig.estimation.start_values import start_values
+from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.criteria import mdl
-from armrig.numerics.polynomial import filtered, reduced
+from armrig.numerics.polynomial import filtered
 from armrig.numerics.whiteness import autoregression
 
 RECOMMENDED = 3
@@ -32,7 +32,6 @@ _ARX_ORDERS = range(1, 7)  # na and nb of the ARX models that propose values of 
 _MAX_LAGS = 6  # values of nk that are tried with each order
 _EXTRA_COEFFICIENTS = 2  # additional b's before lag nk, and after lag nk + nf - 1
 _MAX_STEPS = 30  # steps of one search
-_ADDED_ROOTS = (0.3, 0.8)  # roots that are added to F if a start value has fewer than nf roots
 _MAX_SAMPLES = 3000  # longer data are cut to the part in which u changes most
 
 
@@ -187,7 +186,7 @@ def recommended(
     record = _Record(parts=tuple(data.experiments()), latest=max(*nks, 1) + _EXTRA_COEFFICIENTS)
     record.require_samples()
     kinds = (False, True) if decide else (integrates,)
-    first = [m for i in kinds for n in _FIRST_ORDERS for m in _full(record, n, nks, i, {})]
+    first = [m for i in kinds for n in _FIRST_ORDERS for m in _full(record, n, nks, i)]
     if not first:
         raise InputError(
             "u excites no model of third order: record with a richer input (telegraph, PRBS)"
@@ -248,12 +247,9 @@ def _arx_lags(data: Dataset) -> list[int]:
 
 def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Fitted]:
     """Return structures with nb = nf of all orders, least description length first."""
-    scan: list[list[Fitted]] = []
-    known, least = dict[int, Vector](), [np.inf]
+    scan, least = list[list[Fitted]](), [np.inf]
     for nf in range(1, HIGHEST + 1):
-        models = _full(record, nf, nks, integrates, known)
-        if models:
-            known[nf] = min(models, key=lambda m: m.cost).f
+        models = _full(record, nf, nks, integrates)
         scan.append(models)
         least.append(min((m.bits for m in models), default=np.inf))
         if min(least[-2:]) > min(least[:-2], default=np.inf):
@@ -261,12 +257,10 @@ def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Fitte
     return _joined(scan)
 
 
-def _full(
-    record: _Record, nf: int, nks: list[int], integrates: bool, known: Mapping[int, Vector]
-) -> list[Fitted]:
+def _full(record: _Record, nf: int, nks: list[int], integrates: bool) -> list[Fitted]:
     """Return models with nb = nf at the likeliest lag, and at the two lags of least start cost."""
     structures = [Recommended(nb=nf, nf=nf, nk=k, integrator=integrates) for k in nks]
-    begun = [start for s in structures if (start := _start(record, s, known))]
+    begun = [start for s in structures if (start := _start(record, s))]
     likeliest = (*begun[:1], *sorted(begun[1:], key=itemgetter(0))[:2])
     return [model for start in likeliest if (model := _fitted(*start[1:]))]
 
@@ -274,17 +268,15 @@ def _full(
 def _refined(record: _Record, ranked: list[Fitted]) -> list[Fitted]:
     """Fit structures one by one, until all neighbours of the best three are fitted."""
     shortest = {m.structure.nf: m for m in reversed(ranked)}
-    known = {nf: m.f for nf, m in shortest.items()}
     found: dict[Recommended, Fitted | None] = {}
     coming = [m.structure for m in (*ranked[:RECOMMENDED], *shortest.values())]
     while coming:
-        starts = {s: _start(record, s, known) for s in dict.fromkeys(coming)}
+        starts = {s: _start(record, s) for s in dict.fromkeys(coming)}
         found |= {s: _fitted(*start[1:]) if start else None for s, start in starts.items()}
         fitted = _joined([[m for m in found.values() if m]])
         if not fitted:
             return ranked
         first = fitted[:RECOMMENDED]
-        known |= {m.structure.nf: m.f for m in reversed(first)}
         coming = [s for m in first for s in _neighbours(m.structure) if s not in found]
     return fitted
 
@@ -298,28 +290,17 @@ def _neighbours(s: Recommended) -> Iterator[Recommended]:
 
 
 def _start(
-    record: _Record, s: Recommended, known: Mapping[int, Vector]
+    record: _Record, s: Recommended
 ) -> tuple[float, Recommended, PolynomialProblem, Vector] | None:
-    """Return the start value f of least cost: of `_starts`, or of a model of another order."""
+    """Return the start value f of least cost; None if there is none."""
     if s.nk > record.latest:
         return None
     problem = record.problem(s)
-    starts = [F for F in _starts(problem) if F.size == problem.size + 1]
-    for more in range(-1, 3):
-        if (f := known.get(s.nf + more)) is not None:
-            starts.extend(_of_order(np.append(1.0, f), problem.size))
-    priced = ((problem.cost(F[1:]), s, problem, F[1:]) for F in starts)
-    return min(priced, key=itemgetter(0), default=None)
-
-
-def _of_order(F: Vector, nf: int) -> Iterator[Vector]:
-    """Yield variants of F with nf roots; roots are added or removed."""
-    if F.size - 1 <= nf:
-        for root in _ADDED_ROOTS if F.size - 1 < nf else (0.0,):
-            yield np.convolve(F, np.real(np.poly([root] * (nf + 1 - F.size))))
-        return
-    for lower in reduced(F):
-        yield from _of_order(lower, nf)
+    try:
+        priced = [(problem.cost(f), s, problem, f) for _, f in start_values(problem)]
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return min(priced, key=itemgetter(0))
 
 
 def _fitted(s: Recommended, problem: PolynomialProblem, f: Vector) -> Fitted | None:
@@ -332,16 +313,3 @@ def _fitted(s: Recommended, problem: PolynomialProblem, f: Vector) -> Fitted | N
     if past + s.nb + s.nf >= N:
         return None
     return Fitted(structure=s, problem=problem, f=end.theta, cost=end.cost, past=past, N=N)
-
-
-def _starts(problem: PolynomialProblem) -> list[Vector]:
-    """Return stable start values of F, from equation error and Steiglitz-McBride iterations."""
-    (n,) = problem.rows
-    parts = tuple((x.u, x.y) for (x,) in problem.experiments)
-    trends = tuple(trend(n, y.size) for _, y in parts)
-    path = Path(parts=parts, lags=(n.lags(0),), pulses=n.counts[0], trend=trends)
-    try:
-        (F,) = steiglitz_mcbride([path], np.ones(1), n.nf[0], iterations=1)
-        return [F, *steiglitz_mcbride([path], F, n.nf[0], iterations=3)]
-    except (ValueError, np.linalg.LinAlgError):
-        return []
