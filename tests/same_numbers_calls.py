@@ -132,7 +132,6 @@ NO_MEMBERS = {
     "Recording.dataset": "dataset calls it",
     "Recording.manifest": "what the table wrote",
     "Estimate.calibration": "calibration calls it",
-    "Candidate.estimated": "search estimates it",
     "SearchResult.chosen": "ranked has it",
     "Study.best": "estimated again",
     "Study.models": "estimated and reference again",

@@ -520,7 +520,7 @@ def _search_facts(found: armrig.SearchResult) -> dict[str, Any]:
             }
             for j, rms, excess, std in rows
         ],
-        "failed": {j.candidate.name: j.reason for j in found.failed},
+        "failed": {one.name: reason for one, reason in found.failed.items()},
         "reasons": found.explain().splitlines(),
     }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import groupby
 
@@ -24,10 +24,10 @@ from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
-from armrig.validation.data_advice import Tested, doubts, doubts_of_channels, tested
+from armrig.validation.data_advice import doubts, doubts_of_channels, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
-from armrig.validation.search_result import Candidate, Scored, SearchResult
+from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is decided
@@ -42,6 +42,7 @@ _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of
 _MIN_BATCHES = 7  # fewest batches for a standard error
 _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
 _BOTH_TRIED = "y may integrate, so structures were tried with and without a pole at 1"
+_Ranking = tuple[list[Scored], Vector, Vector, Vector, int]
 _OWN_DATA = (
     "u moves in one part of the data only, so Akaike's FPE ranked the models on the data that "
     "estimated them; other data for validation (--validate) decide better"
@@ -164,28 +165,42 @@ def search(
         validation = as_dataset(validation)
     folds = [(data, validation), *([(validation, data)] if halved else [])]
     judged = whole if halved else validation
-    plan = _planned(whole, data, validation, families, orders, nk, integrator, offset, horizon)
-    score = partial(_score, folds=folds, horizon=plan.horizon, own=own)
+    candidates, horizon, against, notes = _planned(
+        whole, data, validation, families, orders, nk, integrator, offset, horizon
+    )
+    score = partial(_score, folds=folds, horizon=horizon, own=own)
     runner = map if executor is None else executor.map
     tell = progress or (lambda done, total, name: None)
     scored: list[Scored] = []
+    ranking: _Ranking | None = None
+    failed: dict[Candidate, str] = {}
     stage = partial(_stage, highest=_ALWAYS_TRIED if rising else max(orders))
-    groups = [[*of] for _, of in groupby(sorted(plan.candidates, key=stage), stage)]
-    open_loop = not all(OFFERED[c.family].closed_loop for c in plan.candidates)
+    groups = [[*of] for _, of in groupby(sorted(candidates, key=stage), stage)]
+    open_loop = not all(OFFERED[c.family].closed_loop for c in candidates)
     if suggests := families is None and open_loop and isinstance(data, Dataset):
         groups.append([])  # process models, which the other models suggest
-    done, total = 0, len(plan.candidates) + suggests * _MAX_PROCESSES
+    done, total = 0, len(candidates) + suggests * _MAX_PROCESSES
     for group in groups:
-        needed = _needed(group, scored, judged) if group else _processes(scored, judged)
+        needed = group
+        if ranking is not None:
+            needed = _needed(group, ranking) if group else _processes(ranking[0][ranking[-1]])
         coming = iter(runner(score, needed))
         for k, candidate in enumerate(needed, start=done):
             tell(k, total, candidate.name)
-            scored.append(next(coming))
+            if isinstance(one := next(coming), str):
+                failed[candidate] = one
+            else:
+                scored.append(one)
         done += len(group) or _MAX_PROCESSES
+        ranking = _ranked(scored, judged) if scored else None
     tell(total, total, "")
-    ranked, rms, excess, excess_std = _ranked(scored, judged)
-    chosen = _chosen(ranked, excess, excess_std, judged)
-    tests = residuals(ranked[chosen].model, validation)
+    if ranking is None:
+        first, reason = next(iter(failed.items()))
+        raise InputError(
+            f"none of the structures could be estimated; the first, {first.name}: {reason}"
+        )
+    ranked, rms, excess, excess_std, chosen = ranking
+    tests = residuals(ranked[chosen].fit, validation)
     request = ranked[chosen].candidate.request_for(whole)
     if halved or request.replicates is not None:
         fit = structs.replace(request, replicates=None, starts=None).estimated(whole)
@@ -197,24 +212,14 @@ def search(
         excess=excess,
         excess_std=excess_std,
         chosen_index=chosen,
-        failed=tuple(j for j in scored if j.reason),
-        doubts=plan.doubts,
-        notes=(*([_OWN_DATA] if own else []), *plan.notes),
+        failed=failed,
+        doubts=tuple(against),
+        notes=(*([_OWN_DATA] if own else []), *notes),
         halved=halved,
         tests=tests,
-        horizon=plan.horizon,
+        horizon=horizon,
         unit="σ" if outputs.ny > 1 else outputs.units[0],
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Plan:
-    """Candidates of a search, and the findings that led to them."""
-
-    candidates: list[Candidate]
-    horizon: int | None
-    doubts: tuple[Finding, ...]
-    notes: tuple[str, ...]
 
 
 def _planned(
@@ -227,14 +232,17 @@ def _planned(
     integrator: bool | str | Sequence[str] | None,
     offset: bool | None,
     horizon: int | None,
-) -> _Plan:
-    """Test the data, and return the candidates."""
+) -> tuple[list[Candidate], int | None, list[Finding], list[str]]:
+    """Test the data, and return the candidates, the horizon, the doubts, and the notes."""
     notes: list[str] = []
     poles: tuple[bool | tuple[str, ...], ...]
     if isinstance(data, Dataset):
         (mark,) = (None,) if integrator is None else integrating_outputs(integrator, data)
         known = tested(data, mark)
-        decided, likely = known.integration, _likely_delays(known)
+        decided, late = known.integration, known.late
+        likely = [max(late.nk, 1)] if isinstance(late, Delay) else [1]
+        if isinstance(late, Delay) and late.interval[0] == 0:
+            likely = [0, *likely]
         both = integration(as_dataset(whole), mark).undecided
         poles = (False, True) if both else (decided.integrates,)
         if families is None:
@@ -283,23 +291,20 @@ def _planned(
         for named in _orders(family, n)
         for pole in (poles if "integrator" in OFFERED[family].takes else (False,))
     ]
-    return _Plan(candidates=candidates, horizon=horizon, doubts=tuple(against), notes=tuple(notes))
+    return candidates, horizon, against, notes
 
 
 def _offset(
     data: Dataset, validation: Dataset, offset: bool | None, families: Sequence[OfferedName]
 ) -> tuple[bool, list[str]]:
     """Decide whether the input offset is estimated; return the decision and a note."""
-    # A constant level that only the validation data have would distort the ranking.
-    found = level_without_input(data, _MIN_LEVEL_SIGMAS), ""
-    if not found[0]:
-        found = level_without_input(validation, _MIN_LEVEL_SIGMAS), "in the validation data "
-    level, where = found
-    if offset is False or not level:
-        return bool(offset), []
     able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
     remedy = f"{able} can estimate it (option offset)" if able else "remove the means (detrend)"
-    return True, [f"{where}{level.text}: {remedy}"]
+    # A constant level that only the validation data have would distort the ranking.
+    for part, where in ((data, ""), (validation, "in the validation data ")):
+        if offset is not False and (level := level_without_input(part, _MIN_LEVEL_SIGMAS)):
+            return True, [f"{where}{level.text}: {remedy}"]
+    return bool(offset), []
 
 
 def _stage(candidate: Candidate, highest: int) -> int:
@@ -309,21 +314,16 @@ def _stage(candidate: Candidate, highest: int) -> int:
     return int(not (candidate.named_by_pole and candidate.family == "n4sid"))
 
 
-def _needed(
-    candidates: list[Candidate], scored: list[Scored], judged: Dataset | Signals
-) -> list[Candidate]:
+def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     """Return the candidates of a stage that the earlier stages do not exclude.
 
     If each model with a pole at 1 is worse than the best model without by more than
     `_MIN_EXCESS_SIGMAS` standard errors, or the other way round, no such model is needed. A higher
     order is needed if the choice so far has the highest order.
     """
-    if all(s.reason for s in scored):
-        return candidates
-    ranked, _, excess, excess_std = _ranked(scored, judged)
-    highest = max(s.candidate.order for s in scored)
-    chosen = ranked[_chosen(ranked, excess, excess_std, judged)]
-    if candidates[0].order > highest > chosen.candidate.order:
+    ranked, _, excess, excess_std, chosen = ranking
+    highest = max(s.candidate.order for s in ranked)
+    if candidates[0].order > highest > ranked[chosen].candidate.order:
         return []
     best = ranked[0].candidate.integrator
     worse = np.array([s.candidate.integrator != best for s in ranked])
@@ -332,16 +332,12 @@ def _needed(
     return candidates
 
 
-def _processes(scored: list[Scored], judged: Dataset | Signals) -> list[Candidate]:
+def _processes(chosen: Scored) -> list[Candidate]:
     """Return the process models that the slow poles and the delay of the choice so far suggest.
 
     A process model with fewer poles has a dead time, which fast poles of the choice may imitate.
     """
-    if all(s.reason for s in scored):
-        return []
-    ranked, _, excess, excess_std = _ranked(scored, judged)
-    chosen = ranked[_chosen(ranked, excess, excess_std, judged)]
-    candidate, z = chosen.candidate, chosen.model.poles().values
+    candidate, z = chosen.candidate, chosen.fit.poles().values
     if candidate.integrator:
         z = np.delete(z, np.argmin(np.abs(z - 1)))
     z = z[(z.real > 0) | (z.imag != 0)]  # another pole has no logarithm
@@ -359,28 +355,6 @@ def _processes(scored: list[Scored], judged: Dataset | Signals) -> list[Candidat
     return found
 
 
-def _chosen(
-    ranked: list[Scored], excess: Vector, excess_std: Vector, judged: Dataset | Signals
-) -> int:
-    """Return the index of the choice, of the candidates within one standard error of the best.
-
-    Of these, it is the simplest that predicts one step ahead as well as the best predictor.
-    """
-    within = np.flatnonzero(excess <= excess_std)
-    _, ahead, ahead_std = _compared([ranked[i].ahead for i in within], judged)
-    # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
-    complexity = [ranked[i].parameters + 0.5 * (ranked[i].candidate.nk == 0) for i in within]
-    return int(within[simplest_as_good(ahead, ahead_std, complexity)])
-
-
-def _likely_delays(known: Tested) -> list[int]:
-    """Return the nk to try: the nk of `delay`, at least 1; also 0 if it is not ruled out."""
-    if not isinstance(known.late, Delay):
-        return [1]
-    nk = max(known.late.nk, 1)
-    return [0, nk] if known.late.interval[0] == 0 else [nk]
-
-
 def _orders(family: OfferedName, n: int) -> list[dict[str, int]]:
     """Return the orders to try with n poles; a separate noise model has order 1 or 2."""
     names = OFFERED[family].orders
@@ -394,33 +368,30 @@ def _score(
     horizon: int | None,
     *,
     own: bool = False,
-) -> Scored:
-    """Return the candidate with its first model, and the errors of each model on other data.
+) -> Scored | str:
+    """Return the candidate's first model and the errors of each model, or why none is usable.
 
     The errors are in the order of time: those of the second model precede. The FPE scales errors on
     the model's `own` data.
     """
-    fits, errors, ahead, reason = list[Fit](), list[Vector](), list[Vector](), ""
+    fits, errors, ahead = list[Fit](), list[Vector](), list[Vector]()
     try:
         with np.errstate(all="ignore"):
             for data, other in folds:
-                fit = candidate.estimated(data)
+                fit = candidate.request_for(data).estimated(data)
                 require_same_signals(fit, other)
                 fits.append(fit)
                 errors.insert(0, other.y - fit.predict(other, horizon=horizon))
                 ahead.insert(0, other.y - fit.predict(other, horizon=1))
-                reason = reason or _fault(fit, errors[0], other)
+                if reason := _fault(fit, errors[0], other):
+                    return reason
     except (ValueError, np.linalg.LinAlgError) as err:
-        none = np.zeros(0)
-        return Scored(candidate=candidate, fit=None, reason=str(err), error=none, ahead=none)
-    error = np.concatenate(errors)
-    scored = Scored(
-        candidate=candidate, fit=fits[0], reason=reason, error=error, ahead=np.concatenate(ahead)
+        return str(err)
+    error, d = np.concatenate(errors), free_parameters(fits[0])
+    scale = np.sqrt(fpe(1.0, d, int(np.isfinite(error).sum()))) if own else 1.0
+    return Scored(
+        candidate=candidate, fit=fits[0], error=scale * error, ahead=scale * np.concatenate(ahead)
     )
-    if not own:
-        return scored
-    scale = np.sqrt(fpe(1.0, scored.parameters, int(np.isfinite(error).sum())))
-    return replace(scored, error=scale * error, ahead=scale * scored.ahead)
 
 
 def _fault(fit: Fit, error: Vector, data: Dataset | Signals) -> str:
@@ -434,22 +405,21 @@ def _fault(fit: Fit, error: Vector, data: Dataset | Signals) -> str:
     return next((f.text for f in fit.findings if f.about == "unstable"), "")
 
 
-def _ranked(
-    scored: list[Scored], judged: Dataset | Signals
-) -> tuple[list[Scored], Vector, Vector, Vector]:
-    """Return the usable candidates, best first, and their rms, excess and its standard error."""
-    usable = [j for j in scored if not j.reason]
-    if not usable:
-        first = scored[0]
-        raise InputError(
-            "none of the structures could be estimated; the first, "
-            f"{first.candidate.name}: {first.reason}"
-        )
-    for one in usable:
-        one.error.flags.writeable = one.ahead.flags.writeable = False
-    loss, excess, excess_std = _compared([j.error for j in usable], judged)
+def _ranked(scored: list[Scored], judged: Dataset | Signals) -> _Ranking:
+    """Return the candidates, best first, their rms, excess and its standard error, and the choice.
+
+    Of the candidates within one standard error of the best, the choice is the simplest that
+    predicts one step ahead as well as the best predictor.
+    """
+    loss, excess, excess_std = _compared([j.error for j in scored], judged)
     order = np.argsort(loss, kind="stable")
-    return [usable[i] for i in order], np.sqrt(loss[order]), excess[order], excess_std[order]
+    ranked, excess, excess_std = [scored[i] for i in order], excess[order], excess_std[order]
+    within = np.flatnonzero(excess <= excess_std)
+    _, ahead, ahead_std = _compared([ranked[i].ahead for i in within], judged)
+    # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
+    complexity = [ranked[i].parameters + 0.5 * (ranked[i].candidate.nk == 0) for i in within]
+    chosen = int(within[simplest_as_good(ahead, ahead_std, complexity)])
+    return ranked, np.sqrt(loss[order]), excess, excess_std, chosen
 
 
 def _compared(errors: list[Vector], judged: Dataset | Signals) -> tuple[Vector, Vector, Vector]:

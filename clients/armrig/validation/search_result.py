@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, Signals, Vector
@@ -92,41 +91,28 @@ class Candidate:
             replicates=0 if "replicates" in row.takes and columns.ny > 1 else None,
         )
 
-    def estimated(self, data: Dataset | Signals) -> Fit:
-        """Return the model estimated from the data."""
-        return self.request_for(data).estimated(data)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scored:
-    """A candidate and its errors on data that did not estimate it."""
+    """A candidate with a usable model, and its errors on data that did not estimate it."""
 
     candidate: Candidate
     """Structure and orders."""
-    fit: Fit | None
-    """The model, estimated from the first half if the data were halved; None if this failed."""
-    reason: str
-    """Reason why there is no usable model, or ""."""
+    fit: Fit
+    """The model, estimated from the first half if the data were halved."""
     error: Vector
-    """y - ŷ on other data, (N,) or (N, ny), NaN where it is unknown; empty without a model. If the
-    data were halved, these are the errors on both halves."""
+    """y - ŷ on other data, (N,) or (N, ny), NaN where it is unknown. If the data were halved, these
+    are the errors on both halves."""
     ahead: Vector
     """The same errors one step ahead."""
 
     @property
-    def model(self) -> Fit:
-        """The model; each ranked candidate has a model."""
-        if self.fit is None:
-            raise InputError(self.reason)
-        return self.fit
-
-    @property
     def parameters(self) -> int:
-        """Number of free parameters, 0 without a model."""
-        return 0 if self.fit is None else _free(self.fit)
+        """Number of free parameters."""
+        return free_parameters(self.fit)
 
 
-def _free(fit: Fit) -> int:
+def free_parameters(fit: Fit) -> int:
     """Return the number of free parameters; the choice of the state coordinates does not count."""
     if (fit.ny, fit.nu) == (1, 1):
         return fit.parameters
@@ -163,8 +149,8 @@ class SearchResult:
     """Standard error of `excess`, computed from the means of batches of samples, (n,)."""
     chosen_index: int
     """Index of the chosen candidate."""
-    failed: tuple[Scored, ...]
-    """Candidates without a usable model."""
+    failed: dict[Candidate, str]
+    """Reason why a candidate has no usable model, for each such candidate."""
     doubts: tuple[Finding, ...]
     """Findings about problems of the data, such as poor excitation, wrong samples, feedback, or a
     constant part of y that u does not explain."""
@@ -189,7 +175,7 @@ class SearchResult:
     @property
     def fit(self) -> Fit:
         """The chosen model."""
-        return self.chosen.model
+        return self.chosen.fit
 
     @property
     def within(self) -> NDArray[np.bool_]:
@@ -308,7 +294,7 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
             "the least"
         )
     n = chosen.candidate.order
-    if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
+    if n == max(c.order for c in (*(j.candidate for j in found.ranked), *found.failed)):
         yield (
             f"order {n} is the highest that was tried, so a higher order may be better: search "
             f"with --max-order {2 * n} (in Python, orders=range(1, {2 * n + 1}))"
@@ -326,14 +312,11 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
         yield f"the tests of its residuals have no power: {found.tests.powerless}"
     rejected = (f for f in results(found.tests) if f.level == "unusable")
     yield from (f"tests of its residuals: {f.text}" for f in rejected)
-    for f in chosen.model.findings if warnings else ():
+    for f in chosen.fit.findings if warnings else ():
         if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.remedy == "order":
             yield f.text
     if found.failed:
-        first = found.failed[0]
-        yield (
-            f"without a usable model: {len(found.failed)}, such as "
-            f"{first.candidate.name}: {first.reason}"
-        )
+        first, reason = next(iter(found.failed.items()))
+        yield f"without a usable model: {len(found.failed)}, such as {first.name}: {reason}"
     if found.halved:
         yield "the chosen model was then estimated from all the data"

@@ -23,6 +23,7 @@ from armrig.validation.search_result import Candidate, Scored, SearchResult
 from armrig_core.errors import InputError
 
 from tests.clients.estimation.test_transfer_functions import data as delayed
+from tests.clients.models.made_fits import made
 from tests.clients.validation.plants import (
     SAMPLES,
     of_second_order,
@@ -34,6 +35,11 @@ from tests.sampling import sampled
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
+
+
+def tried(found: SearchResult) -> list[Candidate]:
+    """Return the candidates with and without a usable model."""
+    return [*(scored.candidate for scored in found.ranked), *found.failed]
 
 
 def _data(seed: int, C: list[float], D: list[float], N: int = 1500) -> Dataset:
@@ -122,7 +128,7 @@ def test_a_subspace_model_is_estimated_for_the_horizon_of_the_ranking() -> None:
 
 
 def _of(found: SearchResult, family: str) -> Fit:
-    return next(j.fit for j in found.ranked if j.candidate.family == family and j.fit)
+    return next(j.fit for j in found.ranked if j.candidate.family == family)
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +155,7 @@ def test_a_failed_candidate_is_reported_and_does_not_stop_the_search() -> None:
 
     found = search(data, families=("arx",), orders=(1, 2, 30))
 
-    assert [j.candidate.name for j in found.failed] == ["ARX[30 30 1]"]
+    assert [one.name for one in found.failed] == ["ARX[30 30 1]"]
     assert "without a usable model: 1, such as ARX[30 30 1]: na=30, nb=30" in found.explain()
     assert found.chosen.candidate.order == max(j.candidate.order for j in found.ranked)
     assert "the highest that was tried" not in found.explain()
@@ -162,7 +168,7 @@ def test_a_pole_outside_the_circle_is_never_chosen(family: OfferedName) -> None:
     found = search(estimation, validation, families=(family,), orders=(1, 2), integrator=False)
 
     assert found.ranked
-    assert all((abs(j.fit.poles().values) < 1).all() for j in found.ranked if j.fit is not None)
+    assert all((abs(j.fit.poles().values) < 1).all() for j in found.ranked)
     moved = "reflected into the circle" in found.explain()
     assert moved == any("reflected into the circle" in w for w in found.fit.warnings)
     assert moved or family in ("oe", "bj", "n4sid")  # those look inside the circle only
@@ -221,7 +227,7 @@ def test_an_optional_structure_is_searched_on_request() -> None:
     usual = search(data, orders=(2,), nk=1)
     asked = search(data, families=("ararx",), orders=(2,), nk=1)
 
-    assert "ararx" not in {j.candidate.family for j in (*usual.ranked, *usual.failed)}
+    assert "ararx" not in {one.family for one in tried(usual)}
     assert {j.candidate.name for j in asked.ranked} == {"ARARX[2 2 1 1]", "ARARX[2 2 2 1]"}
 
 
@@ -245,7 +251,7 @@ def test_unknown_families_and_impossible_orders_are_refused(
 def test_models_without_a_sample_in_common_are_not_compared() -> None:
     candidate = Candidate(family="arx", orders=(("na", 1), ("nb", 1)))
     scored = [
-        Scored(candidate=candidate, fit=None, reason="", error=np.array(error), ahead=np.ones(2))
+        Scored(candidate=candidate, fit=made(), error=np.array(error), ahead=np.ones(2))
         for error in ([0.1, np.nan], [np.nan, 0.1])
     ]
 
@@ -289,7 +295,7 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     data = of_second_order(switched(), nk=4)
     found = search(data, families=("oe",), orders=(1, 2, 3))
 
-    assert {j.fit.nk for j in found.ranked if j.fit is not None} == {4}
+    assert {j.fit.nk for j in found.ranked} == {4}
     assert found.chosen.candidate.order <= 3
     assert found.halved
     assert found.fit.estimated_from(data)
@@ -333,7 +339,7 @@ def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
 
 
 @pytest.mark.parametrize(
-    ("families", "tried"),
+    ("families", "expected"),
     [
         (("arx", "oe"), {"ARX[3 3 1]", "OE[3 3 1]", "OE[3 3 1], pole at 1"}),
         (("n4sid", "oe"), {"N4SID[3 1]", "N4SID[3 1], pole at 1", "OE[3 3 1], pole at 1"}),
@@ -341,7 +347,7 @@ def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
     ids=["all of them", "first the subspace models"],
 )
 def test_other_data_decide_on_an_integrator_that_the_test_leaves_open(
-    families: tuple[OfferedName, ...], tried: set[str], monkeypatch: pytest.MonkeyPatch
+    families: tuple[OfferedName, ...], expected: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = of_second_order(switched())
     data = Dataset(u=data.u, y=0.05 * np.cumsum(data.y), Ts=0.02)
@@ -354,8 +360,7 @@ def test_other_data_decide_on_an_integrator_that_the_test_leaves_open(
         data, families=families, orders=(3,), nk=1, progress=lambda *count: told.append(count)
     )
 
-    names = {j.candidate.name for j in (*found.ranked, *found.failed)}
-    assert names == tried
+    assert {one.name for one in tried(found)} == expected
     assert found.chosen.candidate.name.endswith(", pole at 1")
     assert told[-1] == (len(families) * 2 - ("arx" in families),) * 2 + ("",)
     assert {total for _, total, _ in told} == {told[-1][0]}
@@ -410,8 +415,8 @@ def test_the_search_finds_the_integrator_of_one_output() -> None:
 def test_every_family_of_a_search_has_all_orders_of_an_iterator() -> None:
     found: Any = armrig.search(two_outputs(0), families=["n4sid", "oe"], orders=iter((1, 2)))
 
-    tried = {(j.candidate.family, j.candidate.order) for j in (*found.ranked, *found.failed)}
-    assert tried == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
+    orders = {(one.family, one.order) for one in tried(found)}
+    assert orders == {("n4sid", 1), ("n4sid", 2), ("oe", 1), ("oe", 2)}
 
 
 def test_if_an_input_rests_in_one_part_the_models_are_ranked_on_their_own_data() -> None:
@@ -438,9 +443,6 @@ def test_theta_1_integrates_if_a_structure_can_have_a_fixed_pole() -> None:
     data = two_outputs(0, cross=0.0).replaced(step=None, outputs=("theta_1", "alpha"))
     cases: list[Any] = [None, ("ss",), ("ss", "oe")]
 
-    tried = [
-        {j.candidate.family for j in (*found.ranked, *found.failed)}
-        for found in (search(data, families=families, orders=(1,)) for families in cases)
-    ]
+    found = [search(data, families=families, orders=(1,)) for families in cases]
 
-    assert tried == [{"oe"}, {"ss"}, {"oe"}]
+    assert [{one.family for one in tried(one)} for one in found] == [{"oe"}, {"ss"}, {"oe"}]
