@@ -299,14 +299,6 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
             f"order {n} is the highest that was tried, so a higher order may be better: search "
             f"with --max-order {2 * n} (in Python, orders=range(1, {2 * n + 1}))"
         )
-    families = [j.candidate.family for j in found.ranked]
-    if "arx" in families and "oe" in families and not found.within[families.index("arx")]:
-        arx, oe = (found.rms[families.index(name)] for name in ("arx", "oe"))
-        if arx > 1.1 * oe > 0:
-            yield (
-                f"the best ARX model's error is {arx / oe:.3g} times the error of the best OE "
-                "model: noise on the output causes a bias of A in an ARX model"
-            )
     yield from found.notes
     if found.tests.powerless:
         yield f"the tests of its residuals have no power: {found.tests.powerless}"

@@ -83,9 +83,7 @@ def test_the_search_finds_the_integrator_of_the_arm_and_states_reasons(plant: Ha
 
     assert found.chosen.candidate.name == "OE[4 4 1]"
     assert found.fit.integrator
-    text = found.explain()
-    assert "noise on the output causes a bias of A" in text
-    assert "fewer parameters are not enough: OE[3 3 1]" in text
+    assert "fewer parameters are not enough: OE[3 3 1]" in found.explain()
 
 
 @pytest.mark.parametrize(("highest", "said"), [(2, True), (3, False)])

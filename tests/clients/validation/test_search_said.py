@@ -63,23 +63,6 @@ def result(**fields: Any) -> SearchResult:
 
 
 @pytest.mark.parametrize(
-    ("rms", "excess", "said"),
-    [
-        ([0.5, 0.56, 0.57, 0.9], 0.03, True),
-        ([0.5, 0.54, 0.57, 0.9], 0.03, False),
-        ([0.5, 0.56, 0.57, 0.9], 0.02, False),
-    ],
-)
-def test_arx_is_called_biased_if_it_is_clearly_worse(
-    rms: list[float], excess: float, said: bool
-) -> None:
-    found = result(rms=np.array(rms), excess=np.array([0.0, excess, 0.02, 0.56]))
-
-    expected = "the best ARX model's error is 1.12 times the error of the best OE model"
-    assert any(line.startswith(expected) for line in found.reasons) is said
-
-
-@pytest.mark.parametrize(
     ("family", "expected"), [("n4sid", ["moved", "choose"]), ("oe", ["short", "moved", "choose"])]
 )
 def test_findings_of_the_chosen_model_are_reasons(family: str, expected: list[str]) -> None:
