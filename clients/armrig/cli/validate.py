@@ -322,7 +322,7 @@ def check(
                 if isinstance(one, str):
                     say(f"{where}: not known: {one}")
                     continue
-                brief = one.brief() if number else one.line
+                brief = repr(one) if number else one.line
                 first, *more = (one.explain() if out.verbose else brief).splitlines()
                 verdict = first.removeprefix("open loop: ")
                 say_answer("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))

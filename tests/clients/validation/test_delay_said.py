@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
+import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.numerics.polynomial import Array, filtered
 from armrig.validation.feedback_and_delay.delay import (
-    _enough,
-    _quantisation,
+    _hidden_s,
     determined_lags,
 )
 from armrig.validation.feedback_and_delay.lag_tests import LagTests, _averaged, possible
@@ -91,23 +90,17 @@ def test_a_smooth_onset_averages_within_each_experiment() -> None:
     assert averaged.u.tolist() == [1.0, 2.0, 5.0, 10.0, 15.0, 10.0]
 
 
-def test_readings_are_those_of_the_largest_step() -> None:
-    """Steps of 0.5 in y; the response to the largest change of u, -4, passes one at lag 4."""
-    y = 0.5 * np.round(np.random.default_rng(1).uniform(0, 20, 80))
-    u = np.repeat([0.0, 1.0, -3.0, -3.0], 20)
+def test_quantisation_hides_an_angle_until_its_largest_response_passes_a_step() -> None:
+    """The response passes the step 0.5 at its third sample, 0.3 s after the change of u."""
+    rise = np.array([0.2, 0.4, 0.6, 1.8, 5.4])
     for output in ("theta_1", "alpha", "speed"):
-        data = Dataset(u=u, y=y, Ts=0.1, output=output)
-        g = np.array([9.0, 9.0, 0.05, 0.05, 0.05, 0.3, 0.9])
+        data = Dataset(u=np.zeros(9), y=np.zeros(9), Ts=0.1, output=output)
 
-        read = _quantisation(data, SimpleNamespace(g=g), 2)  # type: ignore[arg-type]
+        hidden = _hidden_s(data, rise, 0.5)
 
-        assert (read.quantum, read.largest_step) == (pytest.approx(0.5), 4.0)
-        b = 2 * 4 * 0.15 / (4 * 0.3**2) if 4 * 0.15 >= 0.5 else 0.0
-        assert read.acceleration == pytest.approx(b)
-        if output == "speed":
-            assert read.t_q is None
-        else:
-            assert read.t_q == pytest.approx(np.sqrt(2 * 0.5 / (b * 4)))
+        expected = None if output == "speed" else pytest.approx(0.3 * np.sqrt(0.5 / 0.6))
+        assert hidden == expected
+        assert _hidden_s(data, rise, 0.0) is None
 
 
 def test_missing_samples_are_not_enough_samples() -> None:
@@ -115,8 +108,7 @@ def test_missing_samples_are_not_enough_samples() -> None:
     data = Dataset(u=np.zeros(60), y=np.zeros(60), Ts=1.0, valid=valid)
 
     with pytest.raises(InputError, match="needs at least 50 samples, got 49: record longer"):
-        _enough(data)
-    assert _enough(Dataset(u=data.u, y=data.u, Ts=1.0, valid=np.arange(60) >= 10)) == 50
+        armrig.delay(data)
 
 
 def test_an_input_of_few_sines_determines_few_lags() -> None:

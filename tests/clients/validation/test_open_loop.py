@@ -225,7 +225,7 @@ def test_a_u_made_of_y_alone_is_reported_as_such() -> None:
         assert found.exact
         assert not found.may_be_direct_term
         assert "u(t) follows from y(t) exactly" in found.explain()
-        assert "show the controller, not the rig" in found.brief()
+        assert "show the controller, not the rig" in repr(found)
     assert not armrig.open_loop(under_feedback(1)).exact
 
 

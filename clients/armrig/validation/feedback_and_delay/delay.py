@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
@@ -12,15 +12,15 @@ from armrig_core.telemetry.channels import SECOND_ORDER_OUTPUTS
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, labels
+from armrig.data.dataset import Dataset, Vector, labels
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
-from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import in_blocks
 from armrig.validation.feedback_and_delay.by_channel import each_channel, without_other_inputs
-from armrig.validation.feedback_and_delay.delay_result import Delay, Quantisation
+from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.lag_tests import (
     MOST_COEFFICIENTS,
     MOST_LAGS,
@@ -116,7 +116,12 @@ def delay(
     >>> found.nk, found.delay, found.interval
     (1, 0, (1, 1))
     """
-    samples = _enough(data)
+    samples = data.N - data.missing
+    if samples < _MIN_SAMPLES:
+        raise InputError(
+            f"the test for a delay needs at least {_MIN_SAMPLES} samples, got {samples}: record "
+            "longer"
+        )
     decided = integration(data, integrator)
     longest = max(part.N for part in data.experiments())
     determined = determined_lags(data, min(MOST_COEFFICIENTS, samples // 3, longest // 2))
@@ -135,9 +140,10 @@ def delay(
         )
     first, shown = tests.first, tests.shown
     low, last, misfit = _onset(data, tests, progress, integrates=decided.integrates)
-    read = _quantisation(data, response, low)
+    step, largest_step = quantum(data), float(np.max(np.abs(np.diff(data.u)), initial=0.0))
+    t_q = _hidden_s(data, np.abs(np.cumsum(response.g[low:])) * largest_step, step)
     changes = int(np.count_nonzero(np.diff(data.u)))
-    low, remarks = _hidden_by_steps(low, last, changes, read.t_q, data.Ts)
+    low, remarks = _hidden_by_steps(low, last, changes, t_q, data.Ts)
     either = zero is not None and zero.rig and bool(zero.remark)
     return Delay(
         nk=1 if either and first else max(low, min(1, last)),
@@ -152,8 +158,11 @@ def delay(
         response=response,
         integrator=decided.integrates,
         na=tests.na,
+        quantum=step,
+        largest_step=largest_step,
+        t_q=t_q,
         remarks=(*decided.notes, *([zero.remark] if zero and zero.remark else []), *remarks),
-        **asdict(read),
+        **labels(data),
     )
 
 
@@ -194,17 +203,6 @@ def _lag_zero(data: Dataset) -> _LagZero:
     )
 
 
-def _enough(data: Dataset) -> int:
-    """Return the number of samples with a known y; raise InputError if they are too few."""
-    samples = data.N - data.missing
-    if samples < _MIN_SAMPLES:
-        raise InputError(
-            f"the test for a delay needs at least {_MIN_SAMPLES} samples, got {samples}: record "
-            "longer"
-        )
-    return samples
-
-
 def _onset(
     data: Dataset, tests: LagTests, progress: Progress | None, *, integrates: bool
 ) -> tuple[int, int, dict[int, float]]:
@@ -219,17 +217,15 @@ def _onset(
     return *possible(misfit), misfit
 
 
-def _quantisation(data: Dataset, response: ImpulseResponse, first: int) -> Quantisation:
-    """Return the quantisation, and the time for which quantisation hides the response."""
-    step, change = quantum(data), float(np.max(np.abs(np.diff(data.u)), initial=0.0))
-    rise = np.abs(np.cumsum(response.g[first:])) * change
+def _hidden_s(data: Dataset, rise: Vector, step: float) -> float | None:
+    """Return the time in s for which the quantisation `step` hides the largest step response."""
     beyond = np.flatnonzero(rise >= step)
     at = int(beyond[0]) if beyond.size else rise.size - 1
     # y = b |Δu| t²/2 at the first sample of the response above 1 LSB
-    b = 2 * float(rise[at]) / (change * ((at + 1) * data.Ts) ** 2)
-    hidden = sqrt(2 * step / (b * change)) if step * b * change > 0 else None
-    t_q = hidden if data.output in SECOND_ORDER_OUTPUTS else None
-    return Quantisation(quantum=step, largest_step=change, acceleration=b, t_q=t_q, **labels(data))
+    acceleration = 2 * float(rise[at]) / ((at + 1) * data.Ts) ** 2
+    if data.output not in SECOND_ORDER_OUTPUTS or not step * acceleration > 0:
+        return None
+    return sqrt(2 * step / acceleration)
 
 
 def _hidden_by_steps(

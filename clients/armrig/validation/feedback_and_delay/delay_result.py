@@ -12,23 +12,8 @@ from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.lag_tests import LEVEL, SURPRISING, Before
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Quantisation(OfDataset):
-    """Quantisation of y, and the time for which quantisation hides the response to u."""
-
-    quantum: float
-    """LSB, the quantisation step of y; 0 if none is found."""
-    largest_step: float
-    """Largest change |Δu| between two samples, in u's unit."""
-    acceleration: float
-    """b, the second derivative of y just after a unit step of u."""
-    t_q: float | None
-    """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
-    (b |Δu|)); None if y is not quantised."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Delay(Quantisation):
+class Delay(OfDataset):
     """The first lag at which u acts."""
 
     nk: int
@@ -59,6 +44,14 @@ class Delay(Quantisation):
     na: int
     """Order of A in the ARX model, by AIC. If too many samples are missing, the order is 0, and the
     coefficients of `response` were tested instead."""
+    quantum: float
+    """LSB, the quantisation step of y; 0 if none is found."""
+    largest_step: float
+    """Largest change |Δu| between two samples, in u's unit."""
+    t_q: float | None
+    """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
+    (b |Δu|)), with the second derivative b of y just after a unit step of u; None if y is not
+    quantised."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
 
@@ -114,10 +107,6 @@ class Delay(Quantisation):
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
-    def brief(self) -> str:
-        """Return the answer, a remedy if the answer is not unique, and the limits of the answer."""
-        return "\n".join([self._with_level(), *self._way_out(), *self._notes()])
-
     def _tests(self) -> Iterator[str]:
         least = min(self.p_values)
         for k, p in list(self.p_values.items())[-2:]:
@@ -153,12 +142,6 @@ class Delay(Quantisation):
             return f"{self.nk_range}: a direct term, or feedback, which looks the same"
         return first_lag(self.interval, self.Ts)
 
-    def _with_level(self) -> str:
-        return f"{self.answer} (level {100 * self.level:g} %)"
-
-    def _notes(self) -> list[str]:
-        return [f"  note: {r}" for r in self.remarks]
-
     def _way_out(self) -> Iterator[str]:
         """Yield a remedy if several nk are possible."""
         if self.told:
@@ -176,13 +159,9 @@ class Delay(Quantisation):
     plot = drawn_by("plot_delay", "impulse response and losses")
 
     def __repr__(self) -> str:
-        """Return the answer and the tests in a few lines."""
-        lines = [self._with_level(), *(f"  {line}" for line in self._tests())]
-        if self.t_q is not None:
-            lines.append(
-                f"  quantisation hides {self.output} for t_q = {1e3 * self.t_q:.2g} ms: no delay"
-            )
-        return "\n".join([*lines, *self._notes()])
+        """Return the answer, a remedy if the answer is not unique, and the limits of the answer."""
+        lines = [f"{self.answer} (level {100 * self.level:g} %)", *self._way_out()]
+        return "\n".join([*lines, *(f"  note: {r}" for r in self.remarks)])
 
 
 _ASSUMED = (

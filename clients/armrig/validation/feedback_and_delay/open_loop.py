@@ -78,11 +78,6 @@ class OpenLoop(OfDataset):
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
-    def brief(self) -> str:
-        """Return the answer, the remedy if there is feedback, and the limits of the answer."""
-        verdict, *notes = repr(self).splitlines()
-        return "\n".join([verdict, *(self._so() if self.feedback else []), *notes])
-
     def _found(self, s: Sims) -> str:
         if self.exact:
             return f"Finding: u(t) follows from {self.output}(t) exactly, in all samples."
@@ -111,12 +106,13 @@ class OpenLoop(OfDataset):
     plot = drawn_by("plot_open_loop", "the regression of y on u")
 
     def __repr__(self) -> str:
-        """Return the answer in a line, and the remarks."""
+        """Return the answer in a line, the remedy if there is feedback, and the remarks."""
         how = ""
         if self.sims is not None:
             how = f" (Sims' F-test of {self.output} on future u: p {p_relation(self.p_value)}, "
             how += f"level {100 * self.level:g} %)"
-        return "\n".join([f"{self.verdict}{how}", *(f"  note: {r}" for r in self.remarks)])
+        lines = [f"{self.verdict}{how}", *(self._so() if self.feedback else [])]
+        return "\n".join([*lines, *(f"  note: {r}" for r in self.remarks)])
 
 
 def require_level(level: float) -> None:
