@@ -940,7 +940,7 @@ def sampling_time() -> Variants:
 
 @variants
 def structure_hints() -> Variants:
-    yield "odd", armrig.structure_hints(holed(data()["odd"]), seed=3)
+    yield "odd", armrig.structure_hints(holed(data()["odd"]))
     yield "integrator", armrig.structure_hints(integrating(), integrator=True)
 
 

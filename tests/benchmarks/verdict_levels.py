@@ -72,8 +72,8 @@ def main() -> None:
             fit = estimated(kind, noise, data)
             own = armrig.residuals(fit, data)
             other = armrig.residuals(fit, drawn(kind, noise, N, rng))
-            p = [own.whiteness, own.missing_dynamics, own.feedback]
-            p += [other.whiteness, other.missing_dynamics, other.feedback, other.larger_errors]
+            p = [own.white.p_value, own.missing_dynamics, own.feedback]
+            p += [other.white.p_value, other.missing_dynamics, other.feedback, other.larger_errors]
             unclear = bool(other.powerless or other.blind), own.white.unclear, other.white.unclear
             found.append([*(value < LEVEL for value in p), *unclear])
         shares = " ".join(f"{100 * x:5.1f}" for x in np.mean(found, axis=0))

@@ -19,7 +19,7 @@ from msgspec.structs import asdict
 import armrig
 from armrig import plots
 from armrig.cli import model_structures, results
-from armrig.cli.next_step import after_identify, say_next, step_again, typed, validation_beside
+from armrig.cli.next_step import after_identify, paired, say_next, step_again, typed
 from armrig.cli.options import Detrend, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     estimating,
@@ -199,7 +199,7 @@ def hints(
         if any(d.remedy == "check" for of_channel in doubts.values() for d in of_channel):
             say_next("identify check", file=typed(file), given=given)
             return
-        validation = validation_beside(file) if from_recording(data) else ""
+        validation = paired(file, "validation") if from_recording(data) else ""
         validate = f" --validate {validation}" if validation else ""
         options = f"{_options([*known.values()], level=has_level(data))}{given}"
         say_next("hints", file=typed(file), options=options, validate=validate)

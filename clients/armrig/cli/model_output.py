@@ -66,7 +66,7 @@ def lags_outside(tests: ResidualTest) -> str:
     lags = [
         outside
         for p, outside in (
-            (tests.whiteness, np.abs(tests.autocorrelation[1:]) > tests.autocorrelation_band),
+            (tests.white.p_value, np.abs(tests.autocorrelation[1:]) > tests.autocorrelation_band),
             (tests.missing_dynamics, beyond[tests.cross_lags >= 0]),
             (tests.feedback, beyond[tests.cross_lags < 0]),
         )
@@ -103,8 +103,8 @@ def residual_facts(
         | {"on_estimation_data": rows[0].on_estimation_data}
         | error_facts(rows)
         | {
-            "p_white": tests.whiteness,
-            "whiteness_test": tests.whiteness_test,
+            "p_white": tests.white.p_value,
+            "whiteness_test": tests.white.test,
             "p_no_dynamics_missing": tests.missing_dynamics,
             "p_no_feedback": tests.feedback,
             "no_power": tests.powerless or tests.blind,

@@ -11,7 +11,7 @@ from itertools import chain, count
 from operator import attrgetter
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from armrig_core.errors import ArmrigError
 from armrig_core.process.printable import printable
@@ -177,20 +177,12 @@ def _estimation(own: Sequence[RecordingSummary], Ts: float | None = None) -> str
     return next((typed(first.path) for first in found), "")
 
 
-def validation_beside(path: Path) -> str:
-    """Return the name of the validation recording of an estimation recording; "" if none exists."""
-    return _other_of_pair(path, 0)
-
-
-def estimation_of(path: Path) -> str:
-    """Return the name of the estimation recording of a validation recording; "" if none exists."""
-    return _other_of_pair(path, 1)
-
-
-def _other_of_pair(path: Path, place: int) -> str:
+def paired(path: Path, wanted: Literal["estimation", "validation"]) -> str:
+    """Return the name of the wanted recording of the pair with `path`; "" if none exists."""
+    place = 1 if wanted == "validation" else 0
     pairs = _pairs(own_recordings())
-    found = (pair for pair in pairs if pair[place].path.absolute() == path.absolute())
-    return next((typed(pair[1 - place].path) for pair in found), "")
+    found = (pair for pair in pairs if pair[1 - place].path.absolute() == path.absolute())
+    return next((typed(pair[place].path) for pair in found), "")
 
 
 def step_again(recording: Recording) -> str:
@@ -295,7 +287,7 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     if found.validate is not None:
         validation = typed(found.validate)
     else:
-        validation = validation_beside(found.file) if signals.read else ""
+        validation = paired(found.file, "validation") if signals.read else ""
     output, input = (*signals.outputs, *columns.outputs)[0], (*signals.inputs, *columns.inputs)[0]
     channel = signals.of_channel(output, input, data)
     values: dict[str, str | float] = {
@@ -340,7 +332,7 @@ def after_validate(
 
     channel, recorded = signals, from_recording(data)
     if (fit.ny, fit.nu) == (1, 1):
-        estimation = estimation or (estimation_of(file) if recorded else "")
+        estimation = estimation or (paired(file, "estimation") if recorded else "")
         after = "validate" if estimation else "validate alone"
     else:
         channel = signals.of_channel(*tests.poorest_pair, data)

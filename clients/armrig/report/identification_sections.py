@@ -203,7 +203,7 @@ def _coefficients(black: Study) -> Table:
 def _validation(black: Study) -> Table:
     rows = []
     for m in black.estimated:
-        p = map(p_value, (m.tests.whiteness, m.tests.missing_dynamics))
+        p = map(p_value, (m.tests.white.p_value, m.tests.missing_dynamics))
         rows.append((m.name, error(m.comparison.rms_error, black.validation.unit), *p))
     return Table(
         caption="Simulation of the validation data, and tests of the residuals.",

@@ -169,14 +169,13 @@ def _advised(
         yield warning("residuals", f"{text}; {COLOURED}", "search")
     else:
         yield good("residuals", text)
-    apart, at_one = _by_distance_from_one(superfluous)
     if pairs and not superfluous:
         yield good("order", "each pole is needed in a channel")
     else:
-        yield _about_overlap(apart, structure)
-    yield from _about_pair_at_one(fit, at_one)
+        yield _about_overlap([p for p in superfluous if not _at_one(p)], structure)
+    yield from _about_pair_at_one(fit, [p for p in superfluous if _at_one(p)])
     yield from _about_negative_poles(fit)
-    if not _by_distance_from_one(pairs)[1]:
+    if not any(map(_at_one, pairs)):
         yield from _about_integrator(fit, structure)
     if not in_s:
         yield from _about_first_coefficient(fit)
@@ -186,14 +185,9 @@ def _advised(
         yield warning("structure", text, "structure")
 
 
-def _by_distance_from_one(pairs: list[_Pair]) -> tuple[list[_Pair], list[_Pair]]:
-    """Return the cancelling pairs far from 1, and the pairs near 1, which model a constant."""
-    at_one = [
-        p
-        for p in pairs
-        if abs(p[0] - 1) < _MAX_DISTANCE_FROM_ONE and abs(p[1] - 1) < _MAX_DISTANCE_FROM_ONE
-    ]
-    return [p for p in pairs if p not in at_one], at_one
+def _at_one(pair: _Pair) -> bool:
+    """Return whether a pole and a zero are near 1: they model a constant."""
+    return max(abs(pair[0] - 1), abs(pair[1] - 1)) < _MAX_DISTANCE_FROM_ONE
 
 
 def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:

@@ -116,13 +116,12 @@ class ComparisonTable:
         named = [(rows[0].name, rows[0].model) for rows in self.models]
         return tuple(findings_on_own_data(named, self.data))
 
-    def table(self, *, brief: bool = False) -> str:
+    def table(self) -> str:
         """Return a table of gain, resonances, bandwidth, step response and poles of the models.
 
-        A brief table contains no poles, and ranges from draws replace values. Each of several
-        outputs has a table.
+        Each of several outputs has a table.
         """
-        return self._of_each(lambda rows: table(rows, brief=brief))
+        return self._of_each(table)
 
     def explain(self, *, brief: bool = False) -> str:
         """Return the closest model and the significant differences from the reference, as text.

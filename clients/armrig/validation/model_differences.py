@@ -30,20 +30,20 @@ _NAMES = {
 }
 
 
-def table(rows: Sequence[Comparison], *, brief: bool) -> list[str]:
+def table(rows: Sequence[Comparison]) -> list[str]:
     """Return a table of the characteristics of all models, a column for each model.
 
     If the linearisation is poor, a 95 % range from draws of the parameters replaces the standard
-    deviation. In a brief table, which contains no poles, the range also replaces the value.
+    deviation.
     """
     figures = [row.characteristics for row in rows]
     unit = "rate, " if any(t.integrating for t in figures) else ""
     columns = [[f"{unit}±: one σ", *_NAMES.values()]]
-    most = 0 if brief else max(1, *(t.poles.size for t in figures))
-    columns[0] += ["poles [1/s]", *[""] * (most - 1)][:most]
+    most = max(1, *(t.poles.size for t in figures))
+    columns[0] += ["poles [1/s]", *[""] * (most - 1)]
     for row, t in zip(rows, figures, strict=True):
-        cells = [_cell(t, name, brief=brief) for name in SCALARS]
-        poles = [] if brief else [_pole(t, i) for i in range(t.poles.size)]
+        cells = [_cell(t, name) for name in SCALARS]
+        poles = [_pole(t, i) for i in range(t.poles.size)]
         columns.append([row.name, *cells, *poles, *[""] * (most - len(poles))])
     widths = [max(map(len, column)) for column in columns]
     lines = []
@@ -51,8 +51,7 @@ def table(rows: Sequence[Comparison], *, brief: bool) -> list[str]:
         first = f"{name:{widths[0]}}"
         rest = "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths[1:], strict=True))
         lines.append(f"  {first}  {rest}".rstrip())
-    notes = _notes({row.name: t for row, t in zip(rows, figures, strict=True)})
-    return lines + notes[: 1 if brief else None]
+    return lines + _notes({row.name: t for row, t in zip(rows, figures, strict=True)})
 
 
 def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
@@ -81,12 +80,11 @@ def _by_draws(t: ModelCharacteristics, name: str) -> bool:
     return t.ranges[name].method == "sampled" and bool(np.isfinite(t.ranges[name].low))
 
 
-def _cell(t: ModelCharacteristics, name: str, *, brief: bool) -> str:
+def _cell(t: ModelCharacteristics, name: str) -> str:
     value, known = getattr(t, name), t.ranges[name]
     if not _by_draws(t, name):
         return _figure(value, t.std[name])
-    text = minus(with_range(value, float(known.low), float(known.high)))
-    return (text.partition("(")[2].rstrip(")") if brief else text) + "*"
+    return minus(with_range(value, float(known.low), float(known.high))) + "*"
 
 
 def explanation(rows: Sequence[Comparison], *, brief: bool = False) -> list[str]:

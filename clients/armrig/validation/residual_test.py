@@ -142,16 +142,6 @@ class ResidualTest:
     """
 
     @property
-    def whiteness(self) -> float:
-        """Return the p value of the joint test of whiteness, `whiteness_test`."""
-        return self.white.p_value
-
-    @property
-    def whiteness_test(self) -> str:
-        """Return the name of the joint test of whiteness."""
-        return self.white.test
-
-    @property
     def rejects(self) -> bool:
         """True if a joint test rejects the model."""
         p = self.white.p_value, self.missing_dynamics, self.feedback, self.larger_errors

@@ -153,7 +153,6 @@ def structure_hints(
     data: Dataset,
     *,
     integrator: bool | None = None,
-    seed: int | np.random.Generator = 0,
 ) -> StructureHints:
     """Recommend at most three structures, with the reasons for them.
 
@@ -182,8 +181,6 @@ def structure_hints(
         the other inputs are part of the noise.
     integrator : bool, optional
         True if y integrates; by default the data decide.
-    seed : int or numpy.random.Generator, default 0
-        Seed or generator of the random draws that determine `threshold`.
 
     Returns
     -------
@@ -227,7 +224,7 @@ def structure_hints(
     believed = _believed(spectrum, needed=late is None)
     response = long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
-    values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
+    values, threshold = _hankel(response, max(nk, 1))
     order = int(np.count_nonzero(values > threshold)) + (integrates and best.shown)
     high = spectrum.omega[high_band(spectrum, believed)]
     fall = high_slope(spectrum, believed)
@@ -334,7 +331,7 @@ def _extremes(
     return found[0], found[1]
 
 
-def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
+def _hankel(response: ImpulseResponse, nk: int) -> tuple[Vector, float]:
     """Return the Hankel singular values from lag nk on, and their threshold, over the largest."""
     g, covariance = with_covariance(response)
     # The backward difference that yields the rate adds a pole at 0, which affects g(nk) alone.
@@ -342,7 +339,8 @@ def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tup
     m = (h.size + 1) // 2
     index = np.add.outer(np.arange(m), np.arange(h.size - m + 1))
     values = np.linalg.svd(h[index], compute_uv=False)
-    errors = rng.multivariate_normal(np.zeros(g.size), covariance, size=DRAWS, method="eigh")
+    draw = np.random.default_rng(0).multivariate_normal
+    errors = draw(np.zeros(g.size), covariance, size=DRAWS, method="eigh")
     norms = np.linalg.norm(errors[:, g.size - h.size :][:, index], ord=2, axis=(1, 2))
     return values / values[0], float(np.quantile(norms, 0.95)) / float(values[0])
 

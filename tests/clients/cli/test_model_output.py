@@ -55,7 +55,7 @@ def test_each_finding_is_reported_once(
 
 
 def _tests(**changes: Any) -> Any:
-    of: dict[str, Any] = {"white": _white(0.4), "whiteness": 0.4, "on_estimation_data": False}
+    of: dict[str, Any] = {"white": _white(0.4), "on_estimation_data": False}
     of |= {"missing_dynamics": 0.3, "feedback": 0.2, "e": np.array([1, np.nan])}
     of |= {"powerless": "", "blind": "", "larger": ""}
     of |= {"autocorrelation": np.array([1.0, 0.2, -0.2, 0.0]), "autocorrelation_band": 0.1}
@@ -104,7 +104,7 @@ def test_the_tests_of_each_pair_are_in_json_with_its_names() -> None:
     white = [_white(p) for p in (0.3, 0.2, 0.1)]
     tests = _pairs(
         **{"white_by_output": white[1:], "missing_dynamics": 0.4, "powerless": "", "blind": ""},
-        **{"error_ratio": 1.0, "larger_errors": 0.5, "whiteness": 0.3, "whiteness_test": "T"},
+        **{"error_ratio": 1.0, "larger_errors": 0.5, "white": _white(0.3)},
     )
     rows: Any = [
         SimpleNamespace(output=name, fit_percent=p, rms_error=1 - p, velocity_fit_percent=None,
@@ -133,7 +133,7 @@ def test_lag_0_of_the_input_counts_among_the_dynamics() -> None:
     for changes, said in (
         ({}, "4 of 8 lags are outside"),
         ({"missing_dynamics": 0.001}, "2 of 5 lags are outside"),
-        ({"whiteness": 0.001}, "2 of 5 lags are outside"),
+        ({"white": _white(0.001)}, "2 of 5 lags are outside"),
         ({"feedback": 0.001}, "4 of 6 lags are outside"),
         ({"autocorrelation_band": 0.2, "missing_dynamics": 0.001}, ""),
     ):

@@ -14,11 +14,10 @@ import typer
 from armrig.cli import app, main
 from armrig.cli.next_step import (
     AFTER,
-    estimation_of,
     free_name,
     naming,
     next_line,
-    validation_beside,
+    paired,
 )
 from armrig.excitation import telegraph
 from armrig.rig.collection import Collected
@@ -240,7 +239,7 @@ def test_a_pair_is_complete_and_has_one_sampling_time(
     [first, other] = (next(pair.glob(f"*{run_id}.mcap")) for run_id in ("0000000a", "0000000c"))
 
     names = ("@0000000a/validation", "@0000000a") if found else ("", "")
-    assert (validation_beside(first), estimation_of(other)) == names
+    assert (paired(first, "validation"), paired(other, "estimation")) == names
 
 
 def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:

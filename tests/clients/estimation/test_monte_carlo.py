@@ -93,7 +93,7 @@ def test_the_residual_tests_keep_their_level(
     """Level 5 % within three standard deviations, on estimation data and on fresh data."""
     tests = [residuals(estimate(seed), data(seed + ahead)) for seed in range(RUNS)]
 
-    p = np.array([[t.whiteness, t.missing_dynamics, t.feedback] for t in tests])
+    p = np.array([[t.white.p_value, t.missing_dynamics, t.feedback] for t in tests])
 
     alarms = (p < 0.05).mean(axis=0)
     assert (np.abs(alarms - 0.05) < 3 * np.sqrt(0.05 * 0.95 / RUNS)).all(), alarms
@@ -110,7 +110,7 @@ def test_few_lags_allow_for_the_parameters_too(ahead: int) -> None:
         e = filtered([1], A, np.random.default_rng(seed).standard_normal(N))
         f = filtered([1], A, np.random.default_rng(seed + ahead).standard_normal(N))
         weak = arx(Dataset(u=noisy.u, y=e, Ts=1), na=2, nb=1)
-        white = residuals(weak, Dataset(u=fresh.u, y=f, Ts=1), lags=3).whiteness
+        white = residuals(weak, Dataset(u=fresh.u, y=f, Ts=1), lags=3).white.p_value
         p.append([white, residuals(estimate_oe(seed), fresh, lags=4).missing_dynamics])
 
     np.testing.assert_allclose(np.mean(p, axis=0), 0.5, atol=0.08)

@@ -93,7 +93,7 @@ def test_a_random_walk_is_always_rejected_as_white(seed: int) -> None:
     assert fit.whiteness_test == ("Ljung-Box test" if seed == 1 else "portmanteau test")
     assert fit.trusted_covariance is fit.covariance_robust
     assert "coloured (p < 0.001" in repr(fit)
-    assert (tested.whiteness, tested.whiteness_test) == (fit.whiteness, fit.whiteness_test)
+    assert (tested.white.p_value, tested.white.test) == (fit.whiteness, fit.whiteness_test)
 
 
 @pytest.mark.exhaustive

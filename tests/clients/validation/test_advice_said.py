@@ -188,7 +188,8 @@ def test_a_pole_zero_pair_near_1_is_a_level_and_does_not_count_as_an_order(
 ) -> None:
     fit = made(B=(0, 1, -zero), F=(1, -pole), std=(0.1, 0.1, 0.1), structure="oe")
 
-    far, at_one = advice._by_distance_from_one(overlapping(fit))
+    pairs = overlapping(fit)
+    far, at_one = ([p for p in pairs if advice._at_one(p) == near] for near in (False, True))
 
     assert (len(far), len(at_one)) == (int(not near), int(near))
     levels = [*advice._about_pair_at_one(fit, at_one)]

@@ -93,7 +93,7 @@ def test_the_band_is_wider_if_residuals_and_input_are_both_coloured() -> None:
 
     assert tested.cross_band == pytest.approx(expected, rel=0.05)
     assert tested.autocorrelation_band == pytest.approx(2.58 / np.sqrt(N))
-    assert tested.whiteness < 1e-9
+    assert tested.white.p_value < 1e-9
     assert tested.autocorrelation[1] == pytest.approx(c, abs=0.05)
 
 

@@ -137,7 +137,7 @@ def test_the_whiteness_test_accounts_for_the_estimated_parameters(own: bool) -> 
         for asked in (True, False)
     }
     assert abs(p[True] - p[False]) > 1e-3
-    assert tested.whiteness == pytest.approx(p[own], rel=1e-9)
+    assert tested.white.p_value == pytest.approx(p[own], rel=1e-9)
 
 
 def test_a_constant_input_tests_neither_dynamics_nor_feedback() -> None:

@@ -298,7 +298,7 @@ def _validated(fit: Fit, data: Dataset, doubted: list[str]) -> Row:
     return _attributes(compare(data, fit)[0], "validate") | {
         "model_of": fit.source,
         "output": fit.output,
-        "p_white": tests.whiteness,
+        "p_white": tests.white.p_value,
         "p_no_dynamics_missing": tests.missing_dynamics,
         "p_no_feedback": tests.feedback,
         "doubts": doubted,

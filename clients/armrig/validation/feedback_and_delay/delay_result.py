@@ -50,8 +50,8 @@ class Delay(OfDataset):
     """Largest change |Δu| between two samples, in u's unit."""
     t_q: float | None
     """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
-    (b |Δu|)), with the second derivative b of y just after a unit step of u; None if y is not
-    quantised."""
+    (b |Δu|)); None if y is not quantised. b is the second derivative of y just after a unit step
+    of u."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
 

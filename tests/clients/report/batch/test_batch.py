@@ -150,7 +150,7 @@ def test_each_figure_of_a_row_is_that_of_its_model(folder: Path, identified: Pat
     tests = armrig.residuals(fit, other.dataset())
     names = ("fit_percent", "rms_error", "velocity_fit_percent", "on_estimation_data")
     assert {name: judged[name] for name in names} == {n: getattr(compared, n) for n in names}
-    assert judged["p_white"] == tests.whiteness
+    assert judged["p_white"] == tests.white.p_value
     assert judged["p_no_dynamics_missing"] == tests.missing_dynamics
     assert judged["p_no_feedback"] == tests.feedback
     assert judged["model_of"] == recording.sha256
