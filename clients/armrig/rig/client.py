@@ -443,9 +443,8 @@ class Rig:
 
         Raises
         ------
-        RefusedError
-            The daemon is too old for notes. If there are too many notes, the exception is a
-            `BusyError`.
+        BusyError
+            There are too many notes.
         NoReplyError
             The daemon does not answer.
         ValueError
@@ -461,16 +460,7 @@ class Rig:
         """
         commands.check_note(text)  # a network drops a long message without an answer
         request = commands.Note(text=text, owner=(owner or self._owner or this_user())[:80])
-        try:
-            return self._ask_again(request, commands.Done).done
-        except BusyError:
-            raise
-        except RefusedError as err:
-            if self._has_command(request.name):
-                raise
-            raise RefusedError(
-                f"the daemon of rig {self.rig} takes no notes: update armrig on its machine"
-            ) from err
+        return self._ask_again(request, commands.Done).done
 
     def reset(self) -> bool:
         """Clear a latched fault; the rig is then disarmed. Return True if there was a fault.
@@ -592,11 +582,6 @@ class Rig:
             raise RefusedError(f"rig {self.rig} is not armed by this client: call arm(owner) first")
         self._n += 1
         return {"lease": self._lease, "n": self._n}
-
-    def _has_command(self, name: str) -> bool:
-        """Return True if the daemon knows a command, and therefore publishes its schema."""
-        key = topics.schema_key(self.rig, f"cmd/{name}")
-        return any(reply.ok for reply in self._connected().get(key, timeout=REPLY_S))
 
     def _connected(self) -> zenoh.Session:
         if self._session is None:

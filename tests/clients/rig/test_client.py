@@ -127,16 +127,6 @@ def test_the_sender_of_a_note_or_a_stop_is_named(daemon: FakeDaemon, rig: Rig) -
     assert notes == [*zip("012", names, strict=True)]
 
 
-def test_a_daemon_too_old_for_notes_is_reported_in_a_line(daemon: FakeDaemon, rig: Rig) -> None:
-    daemon.refusals["note"] = "command 'note': allowed are arm, disarm"
-
-    with pytest.raises(RefusedError) as refused:
-        rig.note("the arm was touched")
-
-    told = "the daemon of rig 1 takes no notes: update armrig on its machine"
-    assert str(refused.value) == told
-
-
 def test_a_stop_without_a_name_is_sent_to_an_older_daemon(daemon: FakeDaemon, rig: Rig) -> None:
     carry_out = daemon._carry_out
 
