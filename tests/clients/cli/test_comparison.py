@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.validate import _same
 from armrig.data.dataset import Signals
 from armrig.validation.answer import closest
 from armrig.validation.comparison import Comparison, ComparisonTable
@@ -64,20 +62,6 @@ def test_saved_models_and_the_physics_are_compared_at_the_horizon_on_the_part(
         assert fit.theta.tolist() == armrig.load_fit(here / f"{name}.json").theta.tolist()
     for rig, p in zip(fits[2:], (ArmParameters(), ArmParameters(J_2=0.006)), strict=True):
         assert rig.F.tolist() == armrig.physical_model(p, data).F.tolist()
-
-
-def test_models_with_equal_polynomials_and_sampling_time_are_the_same() -> None:
-    of = {name: np.array([1.0, 0.5, -0.25]) for name in "ABCDF"} | {"Ts": 0.01}
-
-    def model(**changes: Any) -> Any:
-        return SimpleNamespace(**of | changes)
-
-    assert _same(model(), model())
-    assert not _same(model(), model(Ts=0.02))
-    for name in "ABCDF":
-        assert _same(model(), model(**{name: np.array([1.0, 0.5, -0.25 - 1e-8])}))
-        assert not _same(model(), model(**{name: np.array([1.0, 0.5, -0.25 - 1e-5])}))
-        assert not _same(model(), model(**{name: np.array([1.0, 0.5])}))
 
 
 def _table(horizon: int | None, **rms: list[float]) -> ComparisonTable:

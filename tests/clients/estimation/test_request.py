@@ -46,7 +46,7 @@ def test_options_of_a_request_are_parsed_to_the_same_request(
         asked.append(requested(*given))
         return asked[-1]
 
-    monkeypatch.setattr("armrig.cli.identify.requested", noted)
+    monkeypatch.setattr("armrig.cli.model_structures.requested", noted)
     monkeypatch.setattr("armrig.cli.recorded_data.SignalChoice.of", _ended)
 
     typed = shlex.split(options_of(request))
