@@ -40,7 +40,7 @@ def record_all(folder: Path) -> None:
 def main() -> None:
     """Draw all of them."""
     from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
-    from armrig.plots import plot_bode, plot_compare
+    from armrig.plots import plot_bode
 
     p = ArmParameters()
     cases = {
@@ -69,7 +69,7 @@ def main() -> None:
     draw(
         "handout-compare.svg",
         (11, 4.6),
-        lambda ax: plot_compare(validation, fit, physics, labels=names, ax=ax),
+        lambda ax: armrig.compare(validation, fit, physics, labels=names).plot(ax=ax),
         lambda ax: plot_bode(fit, physics, labels=names, ax=ax),
     )
     loop, late = armrig.open_loop(estimation), armrig.delay(estimation)

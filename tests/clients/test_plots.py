@@ -85,9 +85,9 @@ PLOTS: dict[str, Plot] = {
     "jitter": lambda s, r, ax: plots.plot_timing(r, ax=ax),
     "lateness": lambda s, r, ax: plots.plot_timing(r, quantity="lateness", ax=ax),
     "compare": lambda s, r, ax: plots.plot_compare(
-        s.validation, *(m.model for m in s.models), ax=ax
+        armrig.compare(s.validation, *_models(s)), ax=ax
     ),
-    "residuals": lambda s, r, ax: plots.plot_residuals(s.best.model, s.validation, ax=ax),
+    "residuals": lambda s, r, ax: plots.plot_residuals(s.best.tests, ax=ax),
     "bode": lambda s, r, ax: plots.plot_bode(*_models(s), ax=ax),
     "poles and zeros": lambda s, r, ax: plots.plot_poles_zeros(*_models(s), ax=ax),
     "step": lambda s, r, ax: plots.plot_step(*_models(s), ax=ax),
@@ -231,7 +231,7 @@ def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
     far = changed(done.best.model, B=np.append(0.0, 2.0 * done.best.model.B[1:]))
-    plots.plot_compare(done.validation, far, *models, ax=figure.add_subplot())
+    armrig.compare(done.validation, far, *models).plot(ax=figure.add_subplot())
     FigureCanvasAgg(figure)
     figure.draw_without_rendering()
 
@@ -250,9 +250,8 @@ def test_a_logarithmic_scale_is_named_and_its_numbers_do_not_overlap(done: Study
 
 def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.3, 2.8), layout="constrained")
-    plots.plot_compare(
-        done.validation, done.best.model, labels=["OE[4 4 1]"], ax=figure.add_subplot()
-    )
+    compared = armrig.compare(done.validation, done.best.model, labels=["OE[4 4 1]"])
+    compared.plot(ax=figure.add_subplot())
     FigureCanvasAgg(figure)
     figure.draw_without_rendering()
 

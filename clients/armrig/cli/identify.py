@@ -437,7 +437,7 @@ class Found:
             }
             return drawn | {name: partial(plot, fit) for name, plot in each.items()}
         shown = self.data if self.validation is None else self.validation.data
-        drawn["compare"] = partial(plots.plot_compare, shown, table=armrig.compare(shown, fit))
+        drawn["compare"] = armrig.compare(shown, fit).plot
         for i, j, channel in fit.channels():
             label = f"{fit.inputs[j]} to {fit.outputs[i]}"
             drawn[f"bode_{label.replace(' ', '_')}"] = partial(

@@ -17,7 +17,6 @@ from armrig_core.process.options import chosen, option
 from armrig_core.rig.calibration import ALPHA, THETA_1, ChannelName
 
 import armrig
-from armrig import plots
 from armrig.cli import recorded_data
 from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, spinner, tell
@@ -339,7 +338,6 @@ def simulate(
     labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):
         table = armrig.compare(data, *fits, labels=labels)
-    draw = partial(plots.plot_compare, data, *fits, labels=labels, table=table)
     where = f"on {typed(file)}" + (f"; {table.note}" if out.verbose else "")
     out.show(
         facts=lambda: {
@@ -347,7 +345,7 @@ def simulate(
             "models": [*map(model_output.row_facts, table.models)],
         },
         say=lambda: model_output.print_comparison(table, where, verbose=out.verbose),
-        figures=lambda: {"compare": draw},
+        figures=lambda: {"compare": table.plot},
         say_next=lambda: say_next("simulate F", file=typed(file), given=part.options(data)),
     )
 

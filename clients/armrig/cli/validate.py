@@ -74,7 +74,7 @@ def validate(
     from armrig.models.equation import input_and_output
     from armrig.plots.captions import signature
     from armrig.validation.answer import simulation, tests_sentence
-    from armrig.validation.figures import COLUMN_WIDTH, ROW_HEIGHT, plot_residual_test
+    from armrig.validation.figures import COLUMN_WIDTH, ROW_HEIGHT
     from armrig.validation.linearity import in_open_loop
 
     fit = armrig.load_fit(model)
@@ -113,8 +113,8 @@ def validate(
 
     def figures() -> dict[str, results.Draw]:
         return {
-            "compare": partial(plots.plot_compare, data, fit, table=simulated),
-            "residuals": partial(plot_residual_test, tests),
+            "compare": simulated.plot,
+            "residuals": tests.plot,
             **_responses(data, [fit], [fit.label]),
         }
 
@@ -227,7 +227,7 @@ def compare(
             say(text, dim=True)
 
     def figures() -> dict[str, results.Draw]:
-        drawn = {"compare": partial(plots.plot_compare, data, *fits, labels=names, table=table)}
+        drawn = {"compare": table.plot}
         step = partial(plots.plot_step, *fits, labels=names)
         return drawn | _responses(data, fits, names, step=step)
 

@@ -36,10 +36,10 @@ from armrig.plots.layout import VERMILION as VERMILION
 from armrig.plots.layout import finish as finish
 from armrig.plots.layout import letter as letter
 from armrig.recordings.figures import plot_timing as plot_timing
-from armrig.validation.comparison import plot_compare as plot_compare
 from armrig.validation.feedback_and_delay.figures import plot_delay as plot_delay
 from armrig.validation.feedback_and_delay.figures import plot_open_loop as plot_open_loop
+from armrig.validation.figures import plot_compare as plot_compare
 from armrig.validation.figures import plot_linearity as plot_linearity
+from armrig.validation.figures import plot_residuals as plot_residuals
 from armrig.validation.figures import plot_search as plot_search
 from armrig.validation.figures import plot_structure as plot_structure
-from armrig.validation.residuals import plot_residuals as plot_residuals

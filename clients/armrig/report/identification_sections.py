@@ -36,6 +36,7 @@ from armrig.report.model_facts import deviations, fixed_roots, without_arm
 from armrig.report.recording_facts import linearity_sentences, without_turns
 from armrig.report.sections import Section, Table, figure
 from armrig.report.study import Study
+from armrig.validation.comparison import compare
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 from armrig.validation.structure_hints import StructureHints
@@ -167,7 +168,7 @@ def _black_box(study: HandoutStudy, black: Study) -> Section:
             f"Residuals of the {best.name} model on validation data: correlation "
             "with themselves (a) and with the input (b).",
             1.85,
-            partial(plots.plot_residuals, best.model, black.validation),
+            best.tests.plot,
         ),
     )
 
@@ -268,7 +269,7 @@ def _comparison(_: HandoutStudy, black: Study) -> Section:
             f"(a) Measured and simulated angle{without_turns(black.validation)}; (b) data "
             "(dots) and models, minus the best model.",
             2.95,
-            partial(plots.plot_compare, black.validation, *fits, labels=names),
+            compare(black.validation, *fits, labels=names).plot,
         ),
     )
 

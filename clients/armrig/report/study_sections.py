@@ -22,6 +22,7 @@ from armrig.report.figures import detail_s, plot_velocity
 from armrig.report.recording_facts import run_name, without_turns
 from armrig.report.sections import Contents, Draw, Figure, Section, Table, figure, numbered
 from armrig.report.study import OUTPUTS, STEP, AssessedFit, Study, each_output, kind_of
+from armrig.validation.comparison import compare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -300,7 +301,7 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
             f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model "
             "has a much larger error, the scale is logarithmic beyond the dotted lines.",
             3.0,
-            (partial(plots.plot_compare, one.validation, *fits[:own], labels=names[:own]),),
+            (compare(one.validation, *fits[:own], labels=names[:own]).plot,),
         ),
         "velocity": (
             f"Detail of {detail_s(one.validation):.3g} s: {detail} (recording {validation}). The "
@@ -332,7 +333,7 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
             f"with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: range of "
             "99 % of the values if the hypothesis is true.",
             3.4 * -(-own // 2),
-            tuple(partial(_plot_residuals, m, one.validation) for m in one.estimated),
+            tuple(partial(_plot_residuals, m) for m in one.estimated),
         ),
     }
 
@@ -343,6 +344,6 @@ def _plot_bode(one: Study, *, ax: Axes) -> None:
     plots.plot_bode(*models, labels=names, ax=ax)
 
 
-def _plot_residuals(model: AssessedFit, data: Dataset, *, ax: Axes) -> None:
-    plots.plot_residuals(model.model, data, ax=ax)
+def _plot_residuals(model: AssessedFit, *, ax: Axes) -> None:
+    model.tests.plot(ax=ax)
     ax.set_ylabel(f"{model.name}: {ax.get_ylabel()}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
@@ -17,17 +16,12 @@ from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
-from armrig.models.equation import Labels
 from armrig.models.fit import Fit
 from armrig.models.prediction import findings_on_own_data
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
-from armrig.plots.layout import figure_of, html
+from armrig.plots.layout import drawn_by, html
 from armrig.validation.model_differences import explanation, table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Mask = NDArray[np.bool_]
 
@@ -137,11 +131,7 @@ class ComparisonTable:
         lines = [[f"{output}:", *text(self.of(output).rows)] for output in self.outputs]
         return "\n".join(line for of_output in lines for line in of_output)
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of data, models and errors: see `armrig.plots.plot_compare`."""
-        from armrig.validation.figures import plot_comparison
-
-        return figure_of(plot_comparison(self.data, self.rows, ax=ax))
+    plot = drawn_by("plot_compare", "data, models and errors")
 
     _repr_html_ = html
 
@@ -300,22 +290,3 @@ def _misfit(measured: Vector, modelled: Vector) -> tuple[float, float]:
         return float("nan"), float("nan")
     sse = float(np.sum((measured[both] - modelled[both]) ** 2))
     return fit_percent(measured[both], sse), sqrt(sse / np.count_nonzero(both))
-
-
-def plot_compare(
-    data: Dataset | Signals,
-    *models: Fit,
-    horizon: int | None = None,
-    labels: Labels = None,
-    table: ComparisonTable | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Show the measured outputs and the models' outputs, simulated unless a horizon is given.
-
-    See `armrig.validation.figures.plot_comparison`. If `table` is given, the comparison
-    is not computed again.
-    """
-    from armrig.validation.figures import plot_comparison
-
-    table = compare(data, *models, horizon=horizon, labels=labels) if table is None else table
-    return plot_comparison(data, table.rows, labels=labels, ax=ax)

@@ -9,7 +9,6 @@ import numpy as np
 
 from armrig.data.dataset import Signals
 from armrig.data.figures import without_ramp
-from armrig.models.equation import Labels
 from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.quantities import NBSP, error, minus, p_relation
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
 
     from armrig.data.dataset import Dataset
     from armrig.numerics.polynomial import Array
-    from armrig.validation.comparison import Comparison
+    from armrig.validation.comparison import Comparison, ComparisonTable
     from armrig.validation.linearity import Linearity
     from armrig.validation.residual_test import ResidualTest
     from armrig.validation.search_result import SearchResult
@@ -59,13 +58,7 @@ _MAX_NAMED = 3  # largest number of models in a figure whose legend names the di
 _MIN_DISTANCE_PT = 16.0  # least distance of two tick labels, before the layout lowers the panel
 
 
-def plot_comparison(
-    data: Dataset | Signals,
-    compared: Sequence[Comparison],
-    *,
-    labels: Labels = None,
-    ax: Axes | None = None,
-) -> Axes:
+def plot_compare(table: ComparisonTable, *, ax: Axes | None = None) -> Axes:
     """Plot the measured output and the models, and the differences from the best model.
 
     The lower panel shows the data and the other models, minus the best model. The best model has
@@ -75,13 +68,13 @@ def plot_comparison(
     removed: see `armrig.data.figures.without_ramp`. Several outputs have a panel each, which shows
     the data and the models.
     """
-    outputs = list(dict.fromkeys(row.output for row in compared))
-    if len(outputs) > 1:
-        return _plot_outputs(data, compared, outputs, labels, ax)
+    data, compared = table.data, table.rows
+    if len(table.outputs) > 1:
+        return _plot_outputs(table, ax)
     if isinstance(data, Signals):
-        data = data.dataset(outputs[0], data.inputs[0])
+        data = data.dataset(table.outputs[0], data.inputs[0])
     ax, below = panels(ax, 0.5)
-    names = labels or [row.name for row in compared]
+    names = [row.name for row in compared]
     best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
     reference = compared[best].y
     ramp, label, notes = without_ramp(data)
@@ -116,22 +109,16 @@ def plot_comparison(
     return sign(ax, data.source, above=legend(ax, *notes))
 
 
-def _plot_outputs(
-    data: Dataset | Signals,
-    compared: Sequence[Comparison],
-    outputs: Sequence[str],
-    labels: Labels,
-    ax: Axes | None,
-) -> Axes:
+def _plot_outputs(table: ComparisonTable, ax: Axes | None) -> Axes:
     """Plot each measured output and the outputs of all models against time."""
+    data, outputs = table.data, table.outputs
     shown = rows(ax or high_axes(len(outputs)), len(outputs))
     for i, (panel, output) in enumerate(zip(shown, outputs, strict=True)):
-        of_output = [row for row in compared if row.output == output]
-        names = labels or [row.name for row in of_output]
+        of_output = table.of(output).rows
         y = data.y[:, data.outputs.index(output)] if isinstance(data, Signals) else data.y
         panel.plot(data.t, y, color=MISSING, lw=4.5, label="measured")
-        for row, name, pen in zip(of_output, names, pens(len(of_output)), strict=True):
-            panel.plot(data.t, row.y, label=None if i else name, **pen)
+        for row, pen in zip(of_output, pens(len(of_output)), strict=True):
+            panel.plot(data.t, row.y, label=None if i else row.name, **pen)
         panel.set_ylabel(named(output, of_output[0].unit))
         fits = ", ".join(f"{row.fit_percent:.1f} %" for row in of_output)
         panel.annotate(
@@ -181,7 +168,7 @@ def _range(x: Array) -> tuple[float, float]:
     return (float(np.nanmin(x)), float(np.nanmax(x))) if x.size else (0.0, 1.0)
 
 
-def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
+def plot_residuals(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     """Show the autocorrelation of the residuals, and their correlation with the inputs.
 
     If the residuals are white, the value at each lag is inside the upper band with a probability of

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +13,7 @@ from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
-from armrig.plots.layout import figure_of, html
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from armrig.plots.layout import drawn_by, html
 
 _DYNAMICS = "dynamics missing", "the orders or the delay"
 _HYPOTHESES = {
@@ -216,11 +211,7 @@ class ResidualTest:
             feedback=float(self.feedback_by_pair[i, j]),
         )
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the correlations: see `armrig.plots.plot_residuals`."""
-        from armrig.validation.figures import plot_residual_test
-
-        return figure_of(plot_residual_test(self, ax=ax))
+    plot = drawn_by("plot_residuals", "the correlations")
 
     _repr_html_ = html
 

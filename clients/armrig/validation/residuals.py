@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
@@ -33,9 +33,6 @@ from armrig.validation.projection import (
     sum_of_products,
 )
 from armrig.validation.residual_test import MAX_ALLOWANCE, ResidualTest
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _MIN_SUM_VARIANCE = 1e-4
 """Least variance of a tested combination of the sums, as a share of the largest.
@@ -378,19 +375,3 @@ def _noise_parameters(fit: Fit) -> list[int]:
         - int(integrates and all(f.size == 1 for f in F))
         for A, C, D, F, integrates in rows
     ]
-
-
-def plot_residuals(
-    fit: Fit,
-    data: Dataset | Signals,
-    *,
-    lags: int | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Show how a model's residuals correlate with each other and with the inputs.
-
-    See `armrig.validation.figures.plot_residual_test`.
-    """
-    from armrig.validation.figures import plot_residual_test
-
-    return plot_residual_test(residuals(fit, data, lags), ax=ax)

@@ -14,7 +14,6 @@ from armrig.models.fit import Fit
 from armrig.numerics.confidence_regions import Band
 from armrig.numerics.polynomial import Array
 from armrig.validation.comparison import Comparison, ComparisonTable, _misfit, compare
-from armrig.validation.figures import plot_comparison
 from armrig.validation.model_differences import explanation
 from armrig_core.errors import InputError
 from matplotlib.figure import Figure
@@ -204,7 +203,9 @@ def test_a_scale_is_logarithmic_beyond_three_times_the_least_error_if_one_is_8_t
     y = data().y
     rows = (compared("a", y + 0.1, 0.1), compared("b", y + largest, largest))
 
-    ax = plot_comparison(data(), rows, ax=Figure().add_subplot())
+    table = ComparisonTable(rows=rows, horizon=None, note="", data=data())
+    ax = Figure().add_subplot()
+    table.plot(ax=ax)
 
     below = ax.figure.axes[1]
     assert below.get_yscale() == ("symlog" if limit else "linear")
