@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import fcntl
 import os
 import re
@@ -13,9 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from selectors import EVENT_READ, DefaultSelector
-from tempfile import TemporaryFile
-from time import monotonic
+from threading import Timer
+from typing import IO, cast
 
 import serial
 from armrig_core.errors import OperationError
@@ -161,50 +159,35 @@ def write(call: Sequence[str], moved: Moved) -> None:
 
 def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
     """Run avrdude; return its output and messages. `after` is the end of an error's message."""
-    with TemporaryFile() as printed:
-        avrdude = subprocess.Popen(
-            call, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE
-        )
+    pipe, said = subprocess.PIPE, ""
+    with subprocess.Popen(
+        call, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True, errors="replace"
+    ) as avrdude:
+        ends = Timer(_TIMEOUT_S, avrdude.kill)
+        ends.start()
         try:
-            said = _read(avrdude, moved)
-            code = avrdude.wait(timeout=_TIMEOUT_S)
-        except subprocess.TimeoutExpired as err:
-            raise OperationError(f"avrdude did not end within {_TIMEOUT_S:.0f} s; {after}") from err
+            shown, output = cast("IO[str]", avrdude.stderr), cast("IO[str]", avrdude.stdout)
+            while character := shown.read(1):  # a bar grows within its line
+                said += character
+                if character in "#\n":
+                    moved(*progress(said))
+            printed = output.read()  # a word, which has waited in its pipe
+            avrdude.wait()
         except KeyboardInterrupt as err:
             raise KeyboardInterrupt(f"interrupted; {after}") from err
         finally:
+            is_late = not ends.is_alive()
+            ends.cancel()
             avrdude.kill()
-            avrdude.wait()
-            if avrdude.stderr is not None:
-                avrdude.stderr.close()
-        if code:
-            raise OperationError(reason(said, after))
-        printed.seek(0)
-        return printed.read(4096).decode("ascii", "replace"), said
+    if is_late:
+        raise OperationError(f"avrdude did not end within {_TIMEOUT_S:.0f} s; {after}")
+    if avrdude.returncode:
+        raise OperationError(reason(said, after))
+    return printed, said
 
 
 def _ignore(done: int, total: int, name: str) -> None:
     """Ignore the progress."""
-
-
-def _read(avrdude: subprocess.Popen[bytes], moved: Moved) -> str:
-    """Wait for the end of avrdude, and return all its messages."""
-    until_s = monotonic() + _TIMEOUT_S
-    decoder = codecs.getincrementaldecoder("utf-8")("replace")
-    said = ""
-    if avrdude.stderr is None:
-        return said
-    with DefaultSelector() as selector:
-        selector.register(avrdude.stderr, EVENT_READ)
-        while True:
-            left_s = until_s - monotonic()
-            if left_s <= 0 or not selector.select(left_s):
-                raise subprocess.TimeoutExpired(avrdude.args, _TIMEOUT_S)
-            piece = avrdude.stderr.read1(4096)  # type: ignore[attr-defined]
-            if not piece:
-                return said
-            said += decoder.decode(piece)
-            moved(*progress(said))
 
 
 def progress(said: str) -> tuple[int, int, str]:

@@ -1,14 +1,12 @@
 """Properties of this host, from the kernel's files, and rights that the kernel grants.
 
-The kernel grants or refuses SCHED_FIFO and mlockall only on request. If this module is run as a
-program with a priority as its argument, the module requests both rights. It prints 1 for each
-granted right and 0 for each refused right, such as `1 0`.
+The kernel grants or refuses SCHED_FIFO and mlockall only on request.
 """
 
 from __future__ import annotations
 
-import ctypes
 import grp
+import json
 import os
 import re
 import shutil
@@ -19,9 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import platformdirs
-from armrig_core.process.bounded import CONFIGURATION_LIMIT
-from armrig_core.process.toml_file import read_toml
+from armrig_core.recording_file.recording_directory import (
+    directory_of,
+    installed,
+    recording_directory,
+)
 
 if TYPE_CHECKING:
     from armrig_core.commands.commands import StatusReport
@@ -29,28 +29,20 @@ if TYPE_CHECKING:
 Level = Literal["good", "note", "bad"]
 PRIORITY = 80
 """Default SCHED_FIFO priority of the daemon's loop."""
-_MCL_CURRENT_AND_FUTURE = 3  # <sys/mman.h>
+
+
+_REQUEST = f"""
+import json
+from armrig_core.process.realtime import prepare
+print(json.dumps(prepare({PRIORITY}, None)))
+"""
 
 
 def granted() -> tuple[bool, bool]:
-    """Return whether SCHED_FIFO and mlockall are granted; a child process requests both rights."""
-    program = [sys.executable, "-m", "armrig.lab.host", str(PRIORITY)]
-    printed = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
-    return printed[0] == "1", printed[1] == "1"
-
-
-def set_fifo(priority: int) -> bool:
-    """Request SCHED_FIFO with a priority above 0; return True if it was granted."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:
-        return False
-    return True
-
-
-def lock_memory() -> bool:
-    """Request to lock all memory; return True if the lock was granted."""
-    return bool(ctypes.CDLL(None).mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
+    """Return whether SCHED_FIFO and mlockall are granted to a child process, as to the loop."""
+    program = [sys.executable, "-c", _REQUEST]
+    found = json.loads(subprocess.run(program, capture_output=True, check=True).stdout)
+    return found["fifo"] == PRIORITY, found["mlockall"]
 
 
 def text(path: Path) -> str:
@@ -120,8 +112,10 @@ class Granted:
 def probe(recordings: Path | None = None) -> Granted:
     """Determine this user's rights by a trial; `recordings` is by default the configured folder."""
     fifo, memory_lock = granted()
-    user = Path(platformdirs.user_config_dir("armrig"))
-    directory = recordings or recordings_directory(Path("/"), user)
+    directory = recordings or directory_of("")
+    if recordings is None:
+        with suppress(ValueError):  # the daemon reports the error
+            directory = recording_directory(installed(), os.environ)
     # If this user may not enter the folder, the disk of the nearest accessible parent is examined.
     there = next(path for path in (directory, *directory.parents) if os.access(path, os.F_OK))
     names = set()
@@ -137,18 +131,6 @@ def probe(recordings: Path | None = None) -> Granted:
         recordings=directory,
         free_bytes=shutil.disk_usage(there).free,
     )
-
-
-def recordings_directory(root: Path, user: Path) -> Path:
-    """Return the configured folder of recordings; without a configuration, the default folder."""
-    chosen = ""
-    for path in (root / "etc/armrig/armrig.toml", user / "armrig.toml"):
-        with suppress(OSError, ValueError, AttributeError):  # the daemon reports the error
-            tables = read_toml(path, CONFIGURATION_LIMIT)
-            chosen = tables.get("recording", {}).get("directory", "") or chosen
-    if chosen:
-        return Path(chosen).expanduser().absolute()
-    return Path(platformdirs.user_data_dir("armrig")) / "recordings"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,7 +162,3 @@ class Host:
     """Status of this machine's daemon; if None, the rights of this user are examined instead."""
     silent: str = ""
     """Reason why this machine's service does not answer; if it is not "", no right is examined."""
-
-
-if __name__ == "__main__":
-    print(int(set_fifo(int(sys.argv[1]))), int(lock_memory()))

@@ -11,11 +11,11 @@ import sys
 import time
 import tty
 from array import array
-from contextlib import suppress
 
 import zenoh
-from armrig.lab.host import PRIORITY, lock_memory, set_fifo
+from armrig.lab.host import PRIORITY
 from armrig.rig.session import open_session
+from armrig_core.process.realtime import prepare
 from armrig_core.process.waiting import TERMINAL_BYTES, Waiter, sleep_until
 from armrig_core.telemetry.telemetry import Sample as Telemetry
 from armrig_core.telemetry.telemetry import decode_sample, encode_sample
@@ -41,17 +41,17 @@ _PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 
 def be_punctual(priority: int, *, lock: bool = False) -> bool:
     """Request from the kernel what the daemon requests; return whether SCHED_FIFO was granted."""
-    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    fifo = set_fifo(priority)
     if lock:
-        lock_memory()
-        with suppress(OSError):  # the processors leave deep idle states until the process ends
-            fd = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
-            os.write(fd, (0).to_bytes(4, "little"))
+        return prepare(priority, None)["fifo"] == priority
+    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     gc.collect()
     gc.freeze()
     gc.disable()
-    return fifo
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        return False
+    return True
 
 
 def echo() -> None:

@@ -17,7 +17,7 @@ from armrig.cli import main
 from armrig.cli.printing import folded
 from armrig.lab import doctor
 from armrig.lab.doctor import examine, is_well
-from armrig.lab.host import Granted, Host, HostCheck, preemption, probe, recordings_directory
+from armrig.lab.host import Granted, Host, HostCheck, preemption, probe
 from armrig_core.commands.commands import StatusReport
 from msgspec.structs import replace
 
@@ -179,31 +179,6 @@ def test_the_preemption_model_is_read_from_the_first_available_source(
         (tmp_path / name).write_text(content)
 
     assert preemption(tmp_path) == model
-
-
-def test_the_folder_of_recordings_is_that_of_the_user_s_configuration(tmp_path: Path) -> None:
-    user = tmp_path / "user"
-    for directory, content in (
-        (tmp_path / "etc/armrig", '[recording]\ndirectory = "/srv/rig"\n'),
-        (user, "no toml"),
-    ):
-        directory.mkdir(parents=True)
-        (directory / "armrig.toml").write_text(content)
-
-    assert recordings_directory(tmp_path, user) == Path("/srv/rig")
-
-    (user / "armrig.toml").write_text('[recording]\ndirectory = "/home/a"\n')
-    assert recordings_directory(tmp_path, user) == Path("/home/a")
-
-    (user / "armrig.toml").write_text('[recording]\ndirectory = "~/rig"\n')
-    assert recordings_directory(tmp_path, user) == Path.home() / "rig"
-
-    (user / "armrig.toml").write_text('[recording]\ndirectory = "/b"\n', encoding="utf-8-sig")
-    assert recordings_directory(tmp_path, user) == Path("/b")
-
-    (user / "armrig.toml").unlink()
-    os.mkfifo(user / "armrig.toml")  # nobody writes to it
-    assert recordings_directory(tmp_path, user) == Path("/srv/rig")
 
 
 def test_the_free_space_is_that_of_the_nearest_folder_that_exists(
