@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core.access import client_settings as settings_module
 from armrig_core.access.client_settings import ClientSettings, client_settings
+from armrig_core.process import toml_file
 
 
 def _file(path: Path, text: str) -> Path:
@@ -58,6 +58,6 @@ def test_an_unreadable_file_of_the_daemon_is_skipped(monkeypatch: pytest.MonkeyP
     def refuse(path: Path, most: int) -> str:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(settings_module, "read_toml", refuse)
+    monkeypatch.setattr(toml_file, "read_text", refuse)
 
     assert client_settings([Path("/etc/armrig/1.toml")], {}) == ClientSettings()

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from armrig_core.errors import FileError
-from armrig_core.process.bounded import CONFIGURATION_LIMIT
+from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.process.printable import printable
-from armrig_core.process.toml_file import read_toml
+from armrig_core.process.toml_file import toml_tables
 
 MAX_STUDENTS: Final = 2
 """Largest number of students: the handout's cover has this number of lines for names."""
@@ -48,7 +48,7 @@ def read_answers(path: Path) -> Answers:
         The file cannot be read, a key is unknown, or a value is too long or is not a text.
     """
     try:
-        tables = read_toml(path, CONFIGURATION_LIMIT)
+        tables = toml_tables(read_text(path, CONFIGURATION_LIMIT))
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file; `armrig report --handout --questions {path}` "
         raise FileError(f"{msg}writes it") from err

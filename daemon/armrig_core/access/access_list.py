@@ -11,7 +11,8 @@ from msgspec import Meta
 
 from armrig_core.access.credential import RIG_PREFIX, check_name
 from armrig_core.errors import FileError, InputError
-from armrig_core.process.toml_file import read_toml
+from armrig_core.process.bounded import read_text
+from armrig_core.process.toml_file import toml_tables
 
 LIMIT = 1 << 20
 """Longest access list, in B."""
@@ -73,7 +74,7 @@ def read_access_list(path: Path) -> AccessList:
     not allowed.
     """
     try:
-        return msgspec.convert(read_toml(path, LIMIT), AccessList)
+        return msgspec.convert(toml_tables(read_text(path, LIMIT)), AccessList)
     except FileNotFoundError as err:
         raise FileError(f"{path}: there is no such file; `armrig pki ca` writes one") from err
     except OSError as err:

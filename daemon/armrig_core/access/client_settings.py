@@ -50,12 +50,10 @@ def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> Client
 def _table(path: Path) -> Any:
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)
-    except PermissionError:
-        return {}
-    except OSError as err:
-        raise InputError(f"{path}: {err.strerror}") from err
     except FileError as err:
-        raise InputError(f"{path}: {err}") from err
+        if isinstance(err.__cause__, PermissionError):
+            return {}
+        raise
     return _anchored(tables.get("client", {}), path.absolute().parent)
 
 

@@ -25,10 +25,15 @@ Table = dict[str, Any]
 def read_toml(path: Path, most: int) -> dict[str, Any]:
     """Return the tables of a TOML file; the file may have at most `most` bytes.
 
-    Raises FileError if the file is not TOML, is not encoded as UTF-8, or is nested too deeply.
-    Raises OSError if the file cannot be read, or is too long.
+    Raises FileError, which names the file, if the file cannot be read, is too long, is not encoded
+    as UTF-8, is not TOML, or is nested too deeply.
     """
-    return toml_tables(read_text(path, most))
+    try:
+        return toml_tables(read_text(path, most))
+    except OSError as err:
+        raise FileError(f"{path}: {err.strerror}") from err
+    except FileError as err:
+        raise FileError(f"{path}: {err}") from err
 
 
 def toml_tables(text: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import platformdirs
 
-from armrig_core.errors import FileError, InputError
+from armrig_core.errors import InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT
 from armrig_core.process.toml_file import read_toml
 
@@ -81,12 +81,7 @@ def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> P
 
 def _named_in(path: Path, otherwise: str) -> str:
     """Return the directory that a configuration file names; `otherwise` if it names none."""
-    try:
-        table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
-    except OSError as err:
-        raise InputError(f"{path}: {err.strerror}") from err
-    except FileError as err:
-        raise InputError(f"{path}: {err}") from err
+    table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
     given = table.get("directory", otherwise) if isinstance(table, dict) else None
     if not isinstance(given, str):
         raise InputError(f"{path}: [recording] directory must be the path of a directory")

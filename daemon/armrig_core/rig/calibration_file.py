@@ -54,12 +54,7 @@ def tables_of(path: Path) -> dict[str, Any]:
     Raises FileError if the file cannot be read or is not TOML, or the samples next to it are not
     the samples from which the calibration was estimated.
     """
-    try:
-        tables = read_toml(path, _TOML_LIMIT)
-    except OSError as err:
-        raise FileError(f"{path}: {err.strerror}") from err
-    except FileError as err:
-        raise FileError(f"{path}: {err}") from err
+    tables = read_toml(path, _TOML_LIMIT)
     made = tables.get("made")
     if isinstance(made, dict):
         if made.get("raw_sha256"):

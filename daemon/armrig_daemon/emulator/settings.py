@@ -139,16 +139,14 @@ def load(path: Path) -> tuple[EmulatorSettings, Path | None]:
     Raises InputError if the file cannot be read, is not TOML, or contains a key or value that is
     not allowed.
     """
+    tables = read_toml(path, CONFIGURATION_LIMIT)
+    rig = tables.get("rig")
+    file = rig.get("file") if isinstance(rig, dict) else None
     try:
-        tables = read_toml(path, CONFIGURATION_LIMIT)
-        rig = tables.get("rig")
-        file = rig.get("file") if isinstance(rig, dict) else None
         settings = convert({"emulator": tables.get("emulator", {})}, _File).emulator
-        return settings, path.parent / str(file) if file else None
-    except OSError as err:
-        raise InputError(f"{path}: {err.strerror}") from err
     except ValueError as err:
         raise InputError(f"{path}: {err}") from err
+    return settings, path.parent / str(file) if file else None
 
 
 def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> Path:
