@@ -52,11 +52,6 @@ class Rehearsal(msgspec.Struct, frozen=True, kw_only=True, repr_omit_defaults=Tr
         """True if the model has an arm that the input deflects."""
         return self.alpha_rad > 0
 
-    @property
-    def deflection_deg(self) -> float:
-        """Largest deflection of the arm, in either direction, in degrees."""
-        return degrees(self.alpha_rad)
-
 
 def rehearsal_sentence(rehearsal: Rehearsal) -> str:
     """Return the result as a line for a person."""
