@@ -10,8 +10,9 @@ from collections import deque
 from collections.abc import Callable
 
 from armrig_daemon.decisions.state import Event, LinkUp, Ordered, Received, Rules
-from armrig_daemon.emulator.device import Device, TimedDevice
+from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uno import AnyDevice
 from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Orders, Record, take_records
 
@@ -21,7 +22,7 @@ Line = Callable[[bytes], bytes]
 """Function that returns the bytes that a line delivers for the sent bytes."""
 
 
-SwitchOn = Callable[[EmulatorSettings, int], TimedDevice]
+SwitchOn = Callable[[EmulatorSettings, int], AnyDevice]
 """Function that creates a device that is switched on at a given time, in ns."""
 
 

@@ -42,9 +42,9 @@ class Watching:
         self._waiting: list[bytes] = []
         self._is_opened = False
         super().__init__(settings, 0, self._changed)
-        self._really_latch = self._board.latch
+        self._really_latch = self.board.latch
         # The board is the device's own; its latch is where a code becomes a voltage.
-        self._board.latch = self._latch
+        self.board.latch = self._latch
 
     # -- the process that emulates it ------------------------------------------------------------
 
@@ -149,7 +149,7 @@ class Watching:
         checks.latch(now_ns, code, k, seq, scheduled=scheduled)
         self._really_latch(now_ns, code, cause)
         if code:
-            checks.latch_done(now_ns, code, k, self._board.code, scheduled=scheduled)
+            checks.latch_done(now_ns, code, k, self.board.code, scheduled=scheduled)
 
 
 def build() -> None:

@@ -6,7 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from armrig_daemon.emulator.device import TimedDevice
+    from armrig_daemon.emulator.uno import AnyDevice
 
 _NS_PER_MS = 1_000_000
 
@@ -30,7 +30,7 @@ class Line(Protocol):
 class VirtualLine:
     """A line to a device in virtual time; the line adds no delays."""
 
-    def __init__(self, device: TimedDevice, *, resets: bool = True) -> None:
+    def __init__(self, device: AnyDevice, *, resets: bool = True) -> None:
         """Start at power-on; if `resets` is True, the opening of the port resets the device."""
         self.device = device
         self._resets = resets

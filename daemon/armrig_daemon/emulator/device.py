@@ -6,8 +6,6 @@ at its own time and in order. A late caller therefore gets the same bytes with t
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from armrig_core.rig.description import Description
 from armrig_protocol import frame
@@ -32,26 +30,6 @@ _BOOT = State.BOOT
 POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
 
 
-class TimedDevice(Protocol):
-    """A device whose time is an argument; the opening of its port may reset it."""
-
-    @property
-    def board(self) -> Board:
-        """Return the pins and the arm."""
-
-    def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to the device."""
-
-    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Advance to a time; return the sent frames, each with the time of its last byte."""
-
-    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Advance to `limit_ns` or, if earlier, to a sent frame; return the time and the frames."""
-
-    def reset(self, now_ns: int) -> None:
-        """Reset the processor; bytes on the wires are lost."""
-
-
 class Device:
     """An emulated rig: bytes in, bytes out, and a moving arm or another rig."""
 
@@ -70,7 +48,8 @@ class Device:
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
         )
-        self._board = Board(settings, now_ns, noise, witness, description)
+        self.board = Board(settings, now_ns, noise, witness, description)
+        """The pins and the rig."""
         self._baud = settings.baud if settings.model_baud else 0
         self._shortest_ns = max(0, wire_ns(frame.wire_length(Ack), self._baud) - LEAD_NS)
         self._sample_ns = wire_ns(frame.wire_length(Sample), self._baud)
@@ -96,11 +75,6 @@ class Device:
     def cause(self) -> Cause:
         """Cause of the last transition."""
         return self._fw.cause
-
-    @property
-    def board(self) -> Board:
-        """The pins and the rig."""
-        return self._board
 
     def reset(self, now_ns: int) -> None:
         """Reset the processor, as opening an Uno's port does; bytes on the wires are lost."""
@@ -168,14 +142,14 @@ class Device:
         while self._boot_id == 0 or not (self._boot_id ^ last) & U16:
             self._boot_id = int(self._rng.integers(1, U32, endpoint=True))
         self._fw = Firmware(
-            board=self._board,
+            board=self.board,
             hardware=self._hardware,
             rng=self._rng,
             clock=clock.started(self._settings, now_ns),
             boot_id=self._boot_id,
             mcusr=mcusr,
         )
-        self._board.release(now_ns, State.BOOT, self._fw.cause)
+        self.board.release(now_ns, State.BOOT, self._fw.cause)
         self._rx = Reception(now_ns, self._baud)
         self._tx = Transmission(now_ns, self._baud)
         self._converter = Converter(self._fw)

@@ -13,56 +13,34 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from time import monotonic_ns
-from typing import Protocol, TextIO
+from typing import TextIO
 
 from armrig_core.access.emulator_socket import socket_path
 from armrig_core.errors import OperationError
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.waiting import Waiter
-from armrig_protocol.messages import Cause, State
 
 from armrig_daemon.emulator.board import Change, Witness
-from armrig_daemon.emulator.device import Device, TimedDevice
+from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 from armrig_daemon.emulator.host_time import HostTime, StallReports
 from armrig_daemon.emulator.line import READ_BYTES, Line, Terminal
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
+from armrig_daemon.emulator.uno import AnyDevice
 
 PRIORITY = 20  # lower than the loop's, so that the device does not delay the daemon
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
 
 
-class RealTimeDevice(TimedDevice, Protocol):
-    """A device in real time: the emulated device or the firmware's binary."""
-
-    @property
-    def state(self) -> State:
-        """Return the state of the firmware."""
-
-    @property
-    def cause(self) -> Cause:
-        """Return the cause of the last transition."""
-
-    @property
-    def violations(self) -> Sequence[Violated]:
-        """Return the violations at the simulated pins so far."""
-
-    def rx_backlog_ns(self, now_ns: int) -> int:
-        """Return the time for which the sent bytes still occupy the wire to the device, in ns."""
-
-    def visible_ns(self) -> int:
-        """Return a time before which `advance` need not be called."""
-
-
-SwitchOn = Callable[[EmulatorSettings, int, Witness], RealTimeDevice]
+SwitchOn = Callable[[EmulatorSettings, int, Witness], AnyDevice]
 """Function that creates a device, switched on at a time in ns."""
 
 
@@ -131,7 +109,7 @@ def emulate(
 
 def _run(
     line: Line,
-    device: RealTimeDevice,
+    device: AnyDevice,
     time: HostTime,
     settings: EmulatorSettings,
     wake: int,

@@ -1,6 +1,6 @@
 """The firmware's binary on a simulated Uno, with the arm at its pins.
 
-`Uno` has the interface of `device`: time is an argument, in integer nanoseconds, and never
+`Uno` has the interface of `Device`: time is an argument, in integer nanoseconds, and never
 decreases. Like a real board, the simulated board has only its line and its pins, so the voltage is
 measured at the PWM pin.
 """
@@ -21,6 +21,7 @@ from armrig_protocol.messages import Cause, Event, State
 from msgspec.structs import replace
 
 from armrig_daemon.emulator.board import Board, Witness
+from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty, Harness, Left, Violated
 from armrig_daemon.emulator.layout import ARM, Layout
 from armrig_daemon.emulator.pin import Pins
@@ -213,3 +214,7 @@ class Uno:
         self._is_second = follows and not self._is_second
         self._held_at = cycle
         return self._is_second
+
+
+AnyDevice = Device | Uno
+"""A device whose time is an argument: the emulated device, or the firmware's binary."""

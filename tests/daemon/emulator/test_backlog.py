@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_daemon.emulator.backlog import CAPACITY_BYTES, Backlog
+from armrig_daemon.emulator.line import CAPACITY_BYTES, Backlog
 from hypothesis import given
 from hypothesis import strategies as st
 
