@@ -191,7 +191,9 @@ def odd_questions() -> None:
     bucket = admission.Bucket(at_s=50.0)
     for now_s in (50.0, 50.1, 50.102, 3650.0):
         taken = 0
-        while (after := admission.take(bucket, now_s)) is not None:
+        while (
+            after := admission.take(bucket, now_s, admission.PER_S, admission.BURST)
+        ) is not None:
             bucket, taken = after, taken + 1
         print(now_s, taken)
     print(admission.too_many("status"))

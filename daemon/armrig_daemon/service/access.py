@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from armrig_core.access import access_control
 from armrig_core.access.access_list import read_access_list
@@ -33,21 +33,13 @@ class Network:
     """True for a router: the daemon connects to the router, and the router identifies clients."""
 
 
-class Networks(NamedTuple):
-    """Network endpoints that a configuration opens; an endpoint that is not configured is None."""
-
-    own: Network | None
-    """Endpoint at which the daemon itself listens."""
-    router: Network | None
-
-
-def networks_of(config: Config) -> Networks:
-    """Return the network endpoints that a configuration opens.
+def networks_of(config: Config) -> tuple[Network | None, Network | None]:
+    """Return the endpoint at which the daemon listens on a network, and its router.
 
     Raises InputError if a key of `[access]` is missing or contradicts another key, or a file cannot
     be used.
     """
-    return Networks(network_of(config), router_of(config))
+    return network_of(config), router_of(config)
 
 
 def router_of(config: Config) -> Network | None:

@@ -51,13 +51,8 @@ class Bucket(NamedTuple):
     """Time at which `tokens` was computed, on the monotonic clock."""
 
 
-def take(bucket: Bucket, now_s: float) -> Bucket | None:
-    """Return the bucket after another query; None if the query exceeds the limit."""
-    return take_at(PER_S, BURST, bucket, now_s)
-
-
-def take_at(per_s: float, burst: float, bucket: Bucket, now_s: float) -> Bucket | None:
-    """Return the bucket after another query; None beyond the limits `per_s` and `burst`."""
+def take(bucket: Bucket, now_s: float, per_s: float, burst: float) -> Bucket | None:
+    """Return the bucket after another query; None if the query exceeds the limits."""
     tokens = min(burst, bucket.tokens + per_s * (now_s - bucket.at_s))
     return Bucket(tokens - 1, now_s) if tokens >= 1 else None
 

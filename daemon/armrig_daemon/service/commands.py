@@ -27,7 +27,7 @@ from armrig_daemon.decisions import orders
 from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
-from armrig_daemon.service.admission import Bucket, take_at
+from armrig_daemon.service.admission import Bucket, take
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.host.child import LoopChild
@@ -243,7 +243,7 @@ class Commands:
 
     def _take_note(self, command: Command, request: commands.Note) -> None:
         """Publish and record a note, which never reaches the loop and cannot affect the motor."""
-        left = take_at(_NOTES_PER_S, _MAX_NOTES, self._notes, time.monotonic())
+        left = take(self._notes, time.monotonic(), _NOTES_PER_S, _MAX_NOTES)
         if left is None:
             text = f"too many notes, at most {_NOTES_PER_S:g} a second are accepted: try again"
             raise CommandRefusedError(

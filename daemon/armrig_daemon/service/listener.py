@@ -227,7 +227,8 @@ class Listener:
     def _is_too_many(self, name: str) -> bool:
         """Count a query, in the thread of its queryable; return whether it exceeds the limit."""
         kind = name if name in _COUNTED else ""  # all unknown names are of one kind
-        left = admission.take(self._buckets.get(kind, admission.Bucket()), time.monotonic())
+        bucket = self._buckets.get(kind, admission.Bucket())
+        left = admission.take(bucket, time.monotonic(), admission.PER_S, admission.BURST)
         if left is not None:
             self._buckets[kind] = left
         return left is None

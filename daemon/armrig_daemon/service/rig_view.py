@@ -14,7 +14,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config
-from armrig_daemon.pipe import Host, State, Timing
+from armrig_daemon.pipe import State, Timing
 from armrig_daemon.service import readings
 from armrig_daemon.service.calibration import taken
 from armrig_daemon.service.host import pressure
@@ -30,9 +30,12 @@ class RigView:
         self, config: Config, endpoint: str, directory: Path, description: Description | None = None
     ) -> None:
         """Create the view before the first report; default: the description of the arm."""
-        self._description = description or shipped("arm")
-        self._state = _UNKNOWN
-        self._host: dict[str, Any] = {}
+        self.description = description or shipped("arm")
+        """Description of the rig."""
+        self.state = _UNKNOWN
+        """Newest state that the loop has reported."""
+        self.host: dict[str, Any] = {}
+        """Requests of the loop that the kernel granted, and requests that the kernel refused."""
         self._config = config
         self._calibration = config.calibration_sentence
         made = config.calibration.made
@@ -40,49 +43,26 @@ class RigView:
         self._endpoint = endpoint
         self._directory = directory
         self._note_channels()
-        self._turns_per_volt_s = config.arm.turns_per_volt_s if self._description.arm else 0.0
+        self._turns_per_volt_s = config.arm.turns_per_volt_s if self.description.arm else 0.0
         self._readings = readings.Readings()
         self._timing: Timing | None = None
         self._pressure = pressure.Pressure()
 
     @property
-    def state(self) -> State:
-        """Newest state that the loop has reported."""
-        return self._state
-
-    @property
-    def host(self) -> dict[str, Any]:
-        """Requests of the loop that the kernel granted, and requests that the kernel refused."""
-        return self._host
-
-    @property
-    def description(self) -> Description:
-        """Description of the rig."""
-        return self._description
-
-    @property
     def is_known(self) -> bool:
         """True once the loop has reported a state."""
-        return self._state is not _UNKNOWN
+        return self.state is not _UNKNOWN
 
     @property
     def line(self) -> str:
         """Port, and the reason why no device answers; empty if a device answers."""
-        line = self._state.line
+        line = self.state.line
         return f"{self._config.device.port}: {line}" if line else ""
 
     @property
     def start_rad(self) -> float | None:
         """Angle of the turning shaft, in rad; None if it is not known."""
         return readings.start_rad(self._readings)
-
-    def note_state(self, state: State) -> None:
-        """Store the state that the loop reports."""
-        self._state = state
-
-    def note_host(self, host: Host) -> None:
-        """Store the properties that the kernel granted to the loop."""
-        self._host = host.granted
 
     def note_calibration(self, calibration: Calibration) -> None:
         """Store a new calibration that the loop has accepted."""
@@ -93,7 +73,7 @@ class RigView:
 
     def _note_channels(self) -> None:
         """Store the channels that are read, and which of them is of a turning shaft."""
-        self._channels = self._config.channels(self._description)
+        self._channels = self._config.channels(self.description)
         self._turning = next((n for n, channel in enumerate(self._channels) if channel.turns), 0)
 
     def note_sample(self, sample: Sample) -> None:
@@ -115,7 +95,7 @@ class RigView:
 
     def status(self, last_run: LastRun | None) -> StatusReport:
         """Return the status of the daemon and the rig."""
-        config, state = self._config, self._state
+        config, state = self._config, self.state
         return StatusReport(
             rig=config.rig.id,
             version=_VERSION,
@@ -131,7 +111,7 @@ class RigView:
             endpoint=self._endpoint,
             device=state.device,
             line=self.line,
-            host=self._host,
+            host=self.host,
             last_run=last_run,
             recordings=str(self._directory),
             calibration=self._calibration,
@@ -139,5 +119,5 @@ class RigView:
             calibration_file=self._calibration_file,
             arm_removed=config.arm.removed,
             owner_checked=state.owner_checked,
-            description=self._description.text.decode() if config.rig.file else UNSET,
+            description=self.description.text.decode() if config.rig.file else UNSET,
         )

@@ -279,7 +279,7 @@ class Service:
                     self._commands.answer(record)
                 case Host():
                     self._notifier.ready()
-                    self._rig.note_host(record)
+                    self._rig.host = record.granted
                     for what in record.granted["refused"]:
                         self._say("warning", f"not granted: {what}; timing is less exact")
                 case Trace():
@@ -305,7 +305,7 @@ class Service:
 
     def _publish(self, record: Gap | Log | Timing | Clock | State) -> Outgoing:
         if isinstance(record, State):
-            self._rig.note_state(record)
+            self._rig.state = record
             self._notifier.status(state_sentence(record, self._rig.line))
         if isinstance(record, Log) and record.level != "debug":
             print_line(record.level, log_line(record), self._about(record))

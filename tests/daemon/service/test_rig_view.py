@@ -9,7 +9,7 @@ import pytest
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import ArmSettings, Config
-from armrig_daemon.pipe import Distribution, Host, State, Timing
+from armrig_daemon.pipe import Distribution, State, Timing
 from armrig_daemon.service.rig_view import RigView
 from armrig_protocol.messages import Flag
 from msgspec.structs import replace
@@ -32,9 +32,9 @@ def test_a_status_contains_the_newest_report_of_the_loop(rig: RigView) -> None:
     assert not rig.is_known
     assert (status.phase, status.owner, status.host, status.Ts) == ("init", "", {}, 0.01)
 
-    rig.note_state(State(t_host_ns=1, phase="safe", reason="", owner="", ts_us=0, device={}))
-    rig.note_host(Host(granted={"fifo": 80}))
-    rig.note_state(HELD)
+    rig.state = State(t_host_ns=1, phase="safe", reason="", owner="", ts_us=0, device={})
+    rig.host = {"fifo": 80}
+    rig.state = HELD
     status = rig.status(None)
 
     assert rig.is_known
@@ -85,7 +85,7 @@ def test_a_status_contains_the_configured_values(tmp_path: Path, is_measured: bo
     rig = RigView(replace(CONFIG, calibration=measured), "unixsock-stream/s", tmp_path)
 
     before = rig.status(None)
-    rig.note_state(replace(HELD, owner_checked="user ada", fault="late", motor="m", remedy="r"))
+    rig.state = replace(HELD, owner_checked="user ada", fault="late", motor="m", remedy="r")
     rig.note_calibration(replace(TURNS_ON, made=replace(made, date="2026-12-01", file="")))
     after = rig.status(None)
 
@@ -105,7 +105,7 @@ def test_a_status_reports_a_removed_arm_and_a_silent_port(tmp_path: Path) -> Non
     rig = RigView(Config(arm=ArmSettings(removed=True)), "unixsock-stream/s", tmp_path)
     assert (rig.line, rig.status(None).arm_removed) == ("", True)
 
-    rig.note_state(replace(HELD, line="no answer; check the cable"))
+    rig.state = replace(HELD, line="no answer; check the cable")
 
     assert rig.line == rig.status(None).line == "/dev/armrig: no answer; check the cable"
     assert not RigView(CONFIG, "unixsock-stream/s", tmp_path).status(None).arm_removed
