@@ -73,7 +73,7 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> type[_Rig]:
     """Give the rig that commands open."""
     made = type("Opened", (_Rig,), {"asked": [], "report": {}})
     monkeypatch.setattr("armrig.Rig", made)
-    monkeypatch.setattr("armrig.cli.next_step._goes_on", lambda line: line)
+    monkeypatch.setattr("armrig.cli.next_step._goes_on", lambda line, _: line)
     return made
 
 
