@@ -139,15 +139,11 @@ def examine_fit_of(
 
     The findings of several signals are those on the excitation and feedback of each channel.
     """
-    if (fit.ny, fit.nu) == (1, 1):
-        one = data.signals().dataset()
-        yield from compared_with(one, fit, tested(one, fit.integrator or integrator))
-    else:
+    if (fit.ny, fit.nu) != (1, 1):
         yield from doubts_of_channels(data.signals())
-
-
-def compared_with(data: Dataset, fit: Fit, known: Tested) -> Iterator[Finding]:
-    """Yield the findings on excitation, integrator, feedback and delay of tested data."""
+        return
+    data = data.signals().dataset()
+    known = tested(data, fit.integrator or integrator)
     free = isinstance(fit.form, TransferFunction) and fit.form.delay_estimated
     in_s, fit = fit.Ts == 0, fit.to_discrete() if fit.Ts == 0 else fit
     order, needed = excitation_order(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.data.columns import index_of
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation, plural
@@ -37,36 +36,6 @@ MAX_ALLOWANCE = 10.0
 the test has no power."""
 _MIN_VALUES = 30
 """Least number of independent values from which the tests of the input find missing dynamics."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class PairTest:
-    """Correlation of the residuals of one output with one input."""
-
-    output: str
-    """Name of the output."""
-    input: str
-    """Name of the input."""
-    lags: NDArray[np.int_]
-    """Lags -L … L; at a positive lag the input precedes the residual."""
-    correlation: Array
-    """Correlation of e_i(t) with u_j(t - lag) at `lags`."""
-    std: Array
-    """Standard deviations of `correlation`, with the effect of the estimated parameters."""
-    missing_dynamics: float
-    """p value of the hypothesis that past and present input are uncorrelated with the residuals."""
-    feedback: float
-    """p value of the hypothesis that future input is uncorrelated with the residuals."""
-
-    def __repr__(self) -> str:
-        """Return the results of both tests."""
-        return "\n".join(
-            [
-                f"{self.input} to {self.output}",
-                f"  {_result('dynamics', self.missing_dynamics).text}",
-                f"  {_result('feedback', self.feedback).text}",
-            ]
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -188,27 +157,6 @@ class ResidualTest:
             f"its errors one step ahead are {self.error_ratio:.2g} times as large as on the "
             f"estimation data (p {p_relation(self.larger_errors)}): more noise, or the model does "
             "not hold for these data"
-        )
-
-    def __getitem__(self, channel: tuple[str, str]) -> PairTest:
-        """Return the tests of one output and input: tests["y", "u"].
-
-        Raises
-        ------
-        ValueError
-            There is no such output or input.
-        """
-        output, input = channel if isinstance(channel, tuple) else (channel, None)
-        i, j = index_of("output", output, self.outputs), index_of("input", input, self.inputs)
-        shape = len(self.outputs), len(self.inputs)
-        return PairTest(
-            output=self.outputs[i],
-            input=self.inputs[j],
-            lags=self.cross_lags,
-            correlation=self.cross_correlation.reshape(*shape, -1)[i, j],
-            std=self.cross_std.reshape(*shape, -1)[i, j],
-            missing_dynamics=float(self.missing_dynamics_by_pair[i, j]),
-            feedback=float(self.feedback_by_pair[i, j]),
         )
 
     plot = drawn_by("plot_residuals", "the correlations")
