@@ -99,11 +99,6 @@ def flash(
     baud: int = chosen(_BAUD, "Speed of the firmware's serial line, in bit/s ([device] baud)."),
     dry_run: bool = chosen(False, "Show the plan only, without opening the port."),
     yes: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
-    fuse: str | None = chosen(
-        None,
-        "Read only the brown-out fuse, with this ISP programmer, such as usbasp.",
-        metavar="PROGRAMMER",
-    ),
     json: Json = False,
 ) -> None:
     """Write the firmware to an Uno, and check what the board runs.
@@ -114,10 +109,6 @@ def flash(
     from armrig_core.rig.firmware_image import read_image, shipped_image
 
     from armrig.lab import avrdude
-
-    if fuse is not None:
-        _say_fuse(fuse, port, json=json)
-        return
 
     show: Callable[[str], object] = (lambda _: None) if json else say
     if image is not None and file is not None:
@@ -157,23 +148,6 @@ def flash(
         print_json(facts)
     elif not dry_run:
         say_next("flash", port=quote(board.port))
-
-
-def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
-    """Print the brown-out level, and how to correct it."""
-    from armrig.lab import avrdude
-
-    value = avrdude.fuse(avrdude.find(), programmer, port)
-    level = avrdude.BROWN_OUT.get(value & 7, "reserved")
-    lines = [f"brown-out  {level} (extended fuse 0x{value:02x})"]
-    if value & 7 != avrdude.WANTED_FUSE & 7:
-        at = "" if port is None else f" -P {quote(port)}"
-        lines.append(
-            "16 MHz needs at least 3.8 V, so the level must be 4.3 V; set it with "
-            f"avrdude -p {avrdude.CHIP.lower()} -c {quote(programmer)}{at} "
-            f"-U efuse:w:0x{avrdude.WANTED_FUSE:02x}:m"
-        )
-    print_result({"efuse": f"{value:02x}", "brown_out": level}, *lines, json=json)
 
 
 def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str, Any], str]:

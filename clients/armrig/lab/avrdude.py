@@ -30,10 +30,6 @@ OLD_LOADER_BAUD = 57_600
 """Baud rate of ATmegaBOOT, the boot loader of older boards and of some copies of the Uno."""
 OPTIBOOT_MAJOR = 4
 """Least major version of an Uno's Optiboot; ATmegaBOOT reports version 1.16."""
-BROWN_OUT = {4: "4.3 V", 5: "2.7 V", 6: "1.8 V", 7: "none"}
-"""Brown-out voltage for each value of the extended fuse's last 3 bits (data sheet, table 28-5)."""
-WANTED_FUSE = 0xFC
-"""Extended fuse for a brown-out at 4.3 V; 16 MHz need at least 3.8 V (data sheet, figure 29-1)."""
 _TIMEOUT_S = 90.0  # three attempts to connect take 17 s; writing all of an Uno's flash takes 10 s
 _BLOCKS = 50  # length of avrdude's full progress bar
 _BAR = re.compile(r"(Reading|Writing|Verifying) +\| (#*)")
@@ -99,7 +95,7 @@ def loader(program: str, port: str) -> str:
     Raises OperationError if the boot loader does not answer, or is not Optiboot.
     """
     try:
-        said = _run(_question(program, port, LOADER_BAUD), _ignore, _UNTOUCHED)[1]
+        said = _run(_question(program, port, LOADER_BAUD), _ignore, _UNTOUCHED)
     except OperationError as silent:
         try:
             _run(_question(program, port, OLD_LOADER_BAUD), _ignore, _UNTOUCHED)
@@ -116,26 +112,6 @@ def _question(program: str, port: str, baud: int) -> list[str]:
     """Return the command line that reads a boot loader's version and writes nothing."""
     chosen = ("-p", CHIP.lower(), "-c", "arduino", "-P", port, "-b", str(baud))
     return [program, *chosen, "-x", "attempts=3", "-v"]
-
-
-def fuse(program: str, programmer: str, port: str | None) -> int:
-    """Read the extended fuse with an ISP programmer; an Uno's boot loader cannot read it.
-
-    Raises OperationError if the fuse cannot be read.
-    """
-    at = [] if port is None else ["-P", port]
-    call = [program, "-p", CHIP.lower(), "-c", programmer, *at, "-U", "efuse:r:-:h"]
-    try:
-        out = _run(call, _ignore, _UNTOUCHED)[0].split()
-    except OperationError as err:
-        msg = f"avrdude cannot read with {programmer}: plug the programmer in, and connect it to "
-        way_out = "the board's ISP pins; --port names its port if it has one"
-        raise OperationError(msg + way_out) from err
-    value = int(out[-1], 16) if out and re.fullmatch("0x[0-9a-f]{1,2}", out[-1]) else 0
-    if not value:
-        msg = f"avrdude got no extended fuse through the programmer {programmer} (a boot loader "
-        raise OperationError(msg + "always answers 0): use an ISP programmer, such as usbasp")
-    return value
 
 
 def command(program: str, *, port: str, image: Path) -> list[str]:
@@ -157,21 +133,20 @@ def write(call: Sequence[str], moved: Moved) -> None:
     _run(call, moved, _INCOMPLETE)
 
 
-def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
-    """Run avrdude; return its output and messages. `after` is the end of an error's message."""
-    pipe, said = subprocess.PIPE, ""
+def _run(call: Sequence[str], moved: Moved, after: str) -> str:
+    """Run avrdude, and return its messages. `after` is the end of an error's message."""
+    none, said = subprocess.DEVNULL, ""
     with subprocess.Popen(
-        call, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True, errors="replace"
+        call, stdin=none, stdout=none, stderr=subprocess.PIPE, text=True, errors="replace"
     ) as avrdude:
         ends = Timer(_TIMEOUT_S, avrdude.kill)
         ends.start()
         try:
-            shown, output = cast("IO[str]", avrdude.stderr), cast("IO[str]", avrdude.stdout)
+            shown = cast("IO[str]", avrdude.stderr)
             while character := shown.read(1):  # a bar grows within its line
                 said += character
                 if character in "#\n":
                     moved(*progress(said))
-            printed = output.read()  # a word, which has waited in its pipe
             avrdude.wait()
         except KeyboardInterrupt as err:
             raise KeyboardInterrupt(f"interrupted; {after}") from err
@@ -183,7 +158,7 @@ def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
         raise OperationError(f"avrdude did not end within {_TIMEOUT_S:.0f} s; {after}")
     if avrdude.returncode:
         raise OperationError(reason(said, after))
-    return printed, said
+    return said
 
 
 def _ignore(done: int, total: int, name: str) -> None:

@@ -69,14 +69,6 @@ def _records(data: bytes) -> Iterator[str]:
         yield f":{record.hex()}{-sum(record) & 0xFF:02x}\n"
 
 
-def _avrdude(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> None:
-    """Put a script in the place of avrdude."""
-    program = folder / "avrdude"
-    program.write_text(f"#!/bin/sh\n{script}\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
-
-
 @pytest.fixture
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait longer for the program's answer: a simulated board may be slower than a real one."""
@@ -133,8 +125,6 @@ ANOTHER_CHIP = {"signature": bytes((0x1E, 0x95, 0x14))}
         ({"stuck_bit": True}, ["--yes"], "the board's memory differs from the written", True),
         ({"version": (1, 16)}, ["--yes"], OLD, False),
         ({}, [], "--yes agrees", False),
-        # Optiboot answers 0 to requests that it does not implement.
-        ({}, ["--fuse", "arduino"], "use an ISP programmer", False),
         *sampled([({"version": (1, 16), "speed": termios.B57600}, ["--yes"], OLD, False)], 0),
     ],
 )
@@ -150,39 +140,6 @@ def test_a_board_that_is_refused_is_reported_in_one_line(
     assert says in " ".join(said.err.split())
     assert "read back" not in said.out
     assert (set(uno.flash) != {0xFF}) == is_written
-
-
-@pytest.mark.parametrize(
-    ("efuse", "level", "is_set"),
-    [(0xFD, "2.7 V", False), (0xFC, "4.3 V", True), (0x05, "2.7 V", False), (0xFF, "none", False)],
-)
-def test_the_brown_out_fuse_is_reported(
-    efuse: int,
-    level: str,
-    is_set: bool,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: Said,
-) -> None:
-    _avrdude(monkeypatch, tmp_path, f'echo "$@" >{tmp_path}/given\necho {efuse:#x}')
-
-    assert main(["flash", "--fuse", "usbasp"]) == 0
-
-    said = capsys.readouterr().out
-    assert (tmp_path / "given").read_text() == "-p atmega328p -c usbasp -U efuse:r:-:h\n"
-    assert f"brown-out  {level} (extended fuse {efuse:#04x})" in said
-    assert ("avrdude -p atmega328p -c usbasp -U efuse:w:0xfc:m" in " ".join(said.split())) != is_set
-
-
-def test_a_missing_programmer_is_not_reported_as_a_missing_boot_loader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
-) -> None:
-    said = "echo 'unable to open programmer usbasp on port usb' >&2\nexit 1"
-    _avrdude(monkeypatch, tmp_path, said)
-
-    assert main(["flash", "--fuse", "usbasp"]) == 1
-
-    assert "avrdude cannot read with usbasp: plug the programmer in" in capsys.readouterr().err
 
 
 def test_a_dry_run_prints_all_steps_and_sends_no_byte(capsys: Said) -> None:
