@@ -209,11 +209,9 @@ def test_the_samples_of_an_older_recording_are_numbered_from_the_first_voltage(
     assert check_input(rec, U).level == "good"
 
 
-@pytest.mark.parametrize("block", [7, 64, 1 << 20])
-def test_an_attached_input_is_read_block_by_block(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int
+def test_an_attached_input_is_a_list_of_as_many_voltages_as_the_run_has_samples(
+    tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(verification, "_BLOCK_BYTES", block)
     about = manifest(k_first=0, samples=6)
 
     def read(u: Sequence[Any]) -> list[float]:
@@ -227,6 +225,8 @@ def test_an_attached_input_is_read_block_by_block(
     assert read([]) == []
     with pytest.raises(DamageError, match="is longer than the 6 samples of the run"):
         read(U[:7].tolist())
+    with pytest.raises(DamageError, match="is longer than the 6 samples of the run"):
+        read(U[:200].tolist())
     with pytest.raises(DamageError, match="is not a list of voltages"):
         read([1.0, "one"])
 

@@ -9,7 +9,8 @@ import hashlib
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from io import BytesIO
+from itertools import islice, pairwise
 from pathlib import Path
 
 import msgspec
@@ -37,8 +38,8 @@ _CODE_V = U_MAX_V / CODE_FULL_SCALE
 MAX_DRIFT_PPM = 6_000.0
 """Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
 _MAX_JUMP_SIGMAS = 6.0
-_BLOCK_BYTES = 1 << 20
 _TIMES_BYTES = 8 + 8  # B; two times precede the name in an attachment
+_MAX_HEAD_BYTES = 1 << 10  # B; times, name, media type, and the heading of the voltages
 _MAX_LINE_BYTES = 64  # B; the text of a voltage has at most 24 B
 
 
@@ -311,50 +312,30 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
 
 
 def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
-    """Read the attachment at `place` block by block, and return its voltages, (n,) in V.
+    """Read the attachment at `place`, and return its voltages, (n,) in V.
 
     Raises DamageError if the attachment is not a list of voltages, its checksum is wrong, or it
     contains more than `most` voltages.
     """
-    parts: list[NDArray[np.float64]] = []
-    found = 0
     with regular_file(path) as file:
         file.seek(place.at)
-        head, size = _head(file.read(min(place.length, _TIMES_BYTES + 2 * 128)))
-        if head + size + 4 != place.length:
-            raise DamageError("the attached input does not have the form of an input")
-        file.seek(place.at)
-        crc, rest = zlib.crc32(file.read(head)), b""
-        while size > 0:
-            block = file.read(min(size, _BLOCK_BYTES))
-            size = size - len(block) if block else 0
-            crc = zlib.crc32(block, crc)
-            lines = (rest + block).split(b"\n")
-            rest = lines.pop() if size else b""
-            parts.append(_voltages(lines, first=not parts))
-            found += parts[-1].size
-            if found > most or len(rest) > _MAX_LINE_BYTES:
-                raise DamageError(
-                    f"the attached input is longer than the {most} samples of the run"
-                )
-        expected = int.from_bytes(file.read(4), "little")
-    if expected and expected != crc:
-        raise DamageError("the checksum of the attached input is wrong")
-    return np.concatenate(parts) if parts else np.zeros(0)
-
-
-def _head(begin: bytes) -> tuple[int, int]:
-    """Return the place and the length of the data in an attachment, both in B."""
+        content = file.read(min(place.length, _MAX_HEAD_BYTES + most * _MAX_LINE_BYTES))
     at = _TIMES_BYTES
     for _ in range(2):  # name and media type
-        at += 4 + int.from_bytes(begin[at : at + 4], "little")
-    return at + 8, int.from_bytes(begin[at : at + 8], "little")
-
-
-def _voltages(lines: list[bytes], *, first: bool) -> NDArray[np.float64]:
-    if first:
-        del lines[:1]
+        at += 4 + int.from_bytes(content[at : at + 4], "little")
+    if at + 8 + int.from_bytes(content[at : at + 8], "little") + 4 != place.length:
+        raise DamageError("the attached input does not have the form of an input")
+    too_long = DamageError(f"the attached input is longer than the {most} samples of the run")
+    if len(content) < place.length:
+        raise too_long
+    expected = int.from_bytes(content[-4:], "little")
+    if expected and expected != zlib.crc32(content[:-4]):
+        raise DamageError("the checksum of the attached input is wrong")
+    lines = islice(BytesIO(content[at + 8 : -4]), 1, None)  # without the heading
     try:
-        return np.array([float(line) for line in lines if line], np.float64)
+        u = np.fromiter((float(line) for line in lines if line.strip()), np.float64)
     except ValueError as err:
         raise DamageError(f"the attached input is not a list of voltages ({err})") from err
+    if u.size > most:
+        raise too_long
+    return u
