@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from armrig.data.dataset import Dataset
-from armrig.physics.grey_box.sampled_model import Model, Physics, linear_parts
+from armrig.physics.grey_box.physical_models import Model, Physics
 from armrig.physics.systems import ArmParameters, chassis
 from armrig_daemon.emulator import plant
 from numpy.typing import NDArray
@@ -18,8 +18,7 @@ Ts = 2e-3
 
 def angle(u: Vector, p: ArmParameters, model: Model = chassis, output: str = "theta_1") -> Vector:
     """Return an output without friction but b_1."""
-    sampled = Physics(model=model, fixed=p, output=output).sampled({}, (), Ts)
-    return linear_parts(sampled, u)[0]
+    return Physics(model=model, fixed=p, outputs=(output,)).simulate({}, u, Ts)
 
 
 def rubbing(u: Vector, p: ArmParameters, coulomb_nm: float) -> Vector:

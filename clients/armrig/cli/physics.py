@@ -107,7 +107,7 @@ def _values(given: list[str] | None) -> dict[str, float]:
         except ValueError:
             value = None
         if name in names and value is None and _WITH_UNIT.match(number):
-            from armrig.physics.grey_box.sampled_model import UNITS
+            from armrig.physics.grey_box.physical_models import UNITS
 
             unit = f", in {UNITS[name]}" if UNITS[name] else ""
             msg = f"--set {text}: give the number alone{unit}, such as "
@@ -247,7 +247,7 @@ def _grey_facts(fit: armrig.GreyFit) -> dict[str, Any]:
             "value": fit.values[name],
             "std": fit.std[name],
             "std_robust": fit.std_robust[name],
-            "unit": fit.physics.units.get(name, ""),
+            "unit": fit.physics.parameters[name].unit,
         }
         for name in fit.names
     }

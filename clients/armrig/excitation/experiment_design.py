@@ -14,7 +14,7 @@ from armrig.data.dataset import Dataset, Vector
 from armrig.models.fit import Fit
 from armrig.models.structure import free_columns, transient_count
 from armrig.numerics.checks import column, require_numbers
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import RANK_TOLERANCE, orthonormal
 from armrig.numerics.polynomial import (
     Array,
     by_denominator,
@@ -113,14 +113,20 @@ def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
 
 
 def inverted(
-    Psi: Array, variance: float, names: tuple[str, ...], theta: Vector, planned: Dataset, to: Array
+    Psi: Array,
+    variance: float,
+    names: tuple[str, ...],
+    theta: Vector,
+    planned: Dataset,
+    to: Array,
+    error: float = RANK_TOLERANCE,
 ) -> PredictedStd:
     """Return the Cramér-Rao bound from Psi; Psi^T Psi is `variance` times the information.
 
     The matrix `to` contains the derivatives of the reported parameters with respect to the
-    parameters of Psi.
+    parameters of Psi. `error` is the relative error of Psi.
     """
-    basis = orthonormal(Psi)
+    basis = orthonormal(Psi, error)
     if basis.rank < Psi.shape[1]:
         raise InputError(
             f"the planned input determines only {basis.rank} of {Psi.shape[1]} parameters; "

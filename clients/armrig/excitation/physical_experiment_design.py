@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Literal
 
 import numpy as np
@@ -14,11 +15,9 @@ from numpy.typing import ArrayLike
 from armrig.data.dataset import Dataset, Vector
 from armrig.excitation.experiment_design import PredictedStd, inverted, planned_data
 from armrig.numerics.checks import require_numbers
-from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import number
-from armrig.physics.grey_box.fit import scales
-from armrig.physics.grey_box.response import sensitivity
-from armrig.physics.grey_box.sampled_model import Model, Physics, linear_parts
+from armrig.physics.grey_box.physical_models import Model, Physics
+from armrig.physics.grey_box.shooting import DERIVATIVE_ERROR, Shooting
 from armrig.physics.systems import arm, chassis
 
 _MAX_DESIGN_SAMPLES = 20_000  # limit for the predicted deviations: these take a second to compute
@@ -93,18 +92,19 @@ def predicted_parameter_std(
             f"noise_variance={noise_variance!r} must be > 0, in the squared unit of the output"
         )
     planned = planned_data(u, Ts)
-    physics = Physics(model=model, fixed=p, output=output)
+    physics = Physics(model=model, fixed=p, outputs=(output,))
     physics.check()
-    sampled = physics.sampled({}, free, Ts)
     theta = {name: float(getattr(p, name)) for name in free}
-    rows = []
-    for part in planned.experiments():
-        Psi = sensitivity(sampled, part.u, np.zeros(sampled.Gamma.size), 0.0)[part.valid]
-        if initial == "estimate":
-            Psi = orthonormal(linear_parts(sampled, part.u)[1][part.valid]).without(Psi)
-        rows.append(Psi / scales(free, theta))
     values = np.array([*theta.values()])
-    return inverted(np.vstack(rows), noise_variance, (*theta,), values, planned, np.eye(len(theta)))
+    parts = tuple(planned.signals().experiments())
+    problem = Shooting.of(physics, (*theta,), asdict(p), parts).changed(std=np.ones(1))
+    z = problem.from_rest(problem.coordinates.of(values.tolist()))
+    Psi, slopes, _ = problem.at(z)
+    if initial == "zero":
+        Psi = problem.linearise(z)[1][:, : values.size]
+    one = np.eye(values.size)
+    Psi = Psi / slopes
+    return inverted(Psi, noise_variance, (*theta,), values, planned, one, DERIVATIVE_ERROR)
 
 
 def arm_deviations(u: Vector, Ts: float, *, alone: bool) -> list[str]:

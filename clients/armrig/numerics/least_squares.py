@@ -67,13 +67,13 @@ def column_norms(M: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->j", M, M)))
 
 
-def orthonormal(M: Array) -> Basis:
+def orthonormal(M: Array, tolerance: float = RANK_TOLERANCE) -> Basis:
     """Return a basis of the columns of M (N, d), by QR with the columns scaled and pivoted.
 
     Scaling makes the rank independent of units. The method is QR, because the normal equations
-    square the condition number of M.
+    square the condition number of M. `tolerance` is the relative error of M.
     """
-    Q, R, kept, scale = _decomposed(M)
+    Q, R, kept, scale = _decomposed(M, tolerance)
     return Basis(Q=Q, R=R, kept=kept, scale=scale, d=M.shape[1])
 
 
@@ -93,7 +93,9 @@ def without_span(M: Array, Y: Array) -> Array:
     return np.asarray(Y - Q @ (Q.T @ Y))
 
 
-def _decomposed(M: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
+def _decomposed(
+    M: Array, tolerance: float = RANK_TOLERANCE
+) -> tuple[Array, Array, NDArray[np.int_], Array]:
     """Return Q and R of the independent columns, their indices and their scales."""
     scale = column_norms(M)
     used = np.flatnonzero(scale > 1e-100)  # the square of a smaller number underflows
@@ -104,7 +106,7 @@ def _decomposed(M: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
     # The quotient is a new array in Fortran order, which LAPACK can overwrite without a copy.
     Q, R, order = _pivoted_qr(np.divide(whole, scale[used], order="F"))
     diagonal = np.abs(np.diag(R))
-    r = int(np.count_nonzero(diagonal > RANK_TOLERANCE * diagonal[0]))
+    r = int(np.count_nonzero(diagonal > tolerance * diagonal[0]))
     kept = used[order[:r]]
     return Q[:, :r], R[:r, :r], kept, scale[kept]
 

@@ -60,6 +60,7 @@ def levenberg_marquardt(
     known: float = np.nan,
     target: float = np.inf,
     walls: Walls | None = None,
+    error: float = 0.0,
 ) -> Optimum:
     """Return the local minimum of |e(theta)|² that a descent from an admissible `theta` reaches.
 
@@ -76,6 +77,9 @@ def levenberg_marquardt(
     predicted decrease is small, the search stops to save time. The search also stops if the
     gradient is so small that a cost below `target` is out of reach.
 
+    `error` is the relative error of J. The search does not move along directions in which the
+    relative singular value of the scaled J is at most `error`.
+
     If theta touches a wall, a step across this wall is replaced by a step along the wall. Without
     walls the search stops at the boundary of the admissible set.
 
@@ -90,7 +94,7 @@ def levenberg_marquardt(
     if theta.size == 0 or cost == 0:
         return Optimum(theta=theta, cost=cost, iterations=0, converged=True)
     damping, growth = 1e-6, 2.0
-    whole, scale = _compressed(e, J)
+    whole, scale = _compressed(e, J, error)
     normals = _normals(walls, theta, scale)
     change = np.inf
     iterations = 0
@@ -120,14 +124,14 @@ def levenberg_marquardt(
             theta, cost = theta + step, trial_cost
             if cost == 0:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-            whole, scale = _compressed(trial_e, trial_J)
+            whole, scale = _compressed(trial_e, trial_J, error)
             normals = _normals(walls, theta, scale)
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3) if ratio < 1 else 1 / 10
             growth = 2.0
         elif promised <= _MIN_DECREASE * cost:
             # The change of the cost is now rounding, but the gradient still shows progress. If the
             # search stopped here, theta would be off by about sqrt(1e-13 N) standard deviations.
-            ends = _compressed(trial_e, trial_J)
+            ends = _compressed(trial_e, trial_J, error)
             falls = np.linalg.norm(ends[0][2]) < _GRADIENT_FALL * np.linalg.norm(z)
             if z is not whole[2] or not falls:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
@@ -183,7 +187,7 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
         Vt, z = along @ free, (U.T @ Z) * (s > 0)
 
 
-def _compressed(e: Array, J: Jacobian) -> tuple[_Linear, Array]:
+def _compressed(e: Array, J: Jacobian, error: float) -> tuple[_Linear, Array]:
     """Return (s, V^T, U^T Q^T e) and the scale (n,), with J / scale = Q R and R = U s V^T."""
     J = J() if callable(J) else J
     scale = column_norms(J)
@@ -195,4 +199,4 @@ def _compressed(e: Array, J: Jacobian) -> tuple[_Linear, Array]:
     whole[:, n] = e
     packed, *_ = dgeqrf(whole, overwrite_a=True)
     U, s, Vt = np.linalg.svd(np.triu(packed[:n, :n]), full_matrices=False)
-    return (s, Vt, (U.T @ packed[:n, n]) * (s > 0)), scale
+    return (s, Vt, (U.T @ packed[:n, n]) * (s > error * s[0])), scale

@@ -36,6 +36,8 @@ CAUSES = {
     "overshoot": "the spring returns its energy; J_2/J_1 and the motor's damping set the amount",
 }
 """Causes of a characteristic of the arm, by the name of the characteristic."""
+SPEED = f"{THETA_1}_rate"
+"""State that is the speed of the motor."""
 HANDOUT = "handout"
 """Name of the handout's parameters in tables and figures."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import armrig
@@ -12,9 +12,7 @@ from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.physics.grey_box.estimate import minimised, worse_with_friction
-from armrig.physics.grey_box.fit import below_zero
-from armrig.physics.grey_box.least_squares_problem import GreyBox, by_experiment
-from armrig.physics.grey_box.sampled_model import Friction, Physics, free_names
+from armrig.physics.grey_box.physical_models import Friction, Physics, free_names
 from armrig.physics.systems import ArmParameters, arm, chassis
 from armrig_core.errors import InputError
 
@@ -304,9 +302,9 @@ def test_figures_of_a_fit_are_those_of_its_values_and_deviations(make: Make) -> 
     assert "J_1 = 2 ± 3 kg m² (one standard deviation)." in said
     assert "b_1 = -0.5 ± 0.2 Nms/rad (one standard deviation, 40 %)." in said
     assert "If a fixed parameter is 1 % larger, J_1 changes: N -0.50 %, R_m +2.00 %." in said
-    [told] = below_zero(other.values, other.std)
+    [told] = other.physics.doubts(other.values, other.std, 0.0)
     assert told == "b_1 = -0.5 is below 0, by 2.5 standard deviations: take it as 0"
-    assert below_zero(other.values, {"J_1": 3.0, "b_1": np.inf}) == []
+    assert not [*other.physics.doubts(other.values, {"J_1": 3.0, "b_1": np.inf}, 0.0)]
 
 
 # Several outputs.
@@ -405,21 +403,11 @@ def test_fixed_parameters_carry_their_uncertainty_into_both_forms() -> None:
         assert robust == pytest.approx(added, rel=1e-6)
 
 
-def test_the_final_weights_of_the_outputs_do_not_depend_on_the_first() -> None:
+def test_the_final_weights_of_the_outputs_are_the_deviations_of_their_residuals() -> None:
     _, signals = simulated_arm(np.random.default_rng([3, 9]), 200, 2e-3)
-    physics = tuple(
-        Physics(model=armrig.arm, fixed=ArmParameters(), output=name) for name in signals.outputs
-    )
-    found = []
-    for first in ((1e3, 1.0), (1.0, 1e3)):
-        begun = GreyBox(
-            physics=physics, names=ARM_PARAMETERS, experiments=(signals,), std=np.array(first)
-        )
-        start = begun.coordinates({name: getattr(ArmParameters(), name) for name in ARM_PARAMETERS})
+    physics = Physics(model=armrig.arm, fixed=ArmParameters(), outputs=signals.outputs)
 
-        problem, best = minimised(begun, start)
+    problem, best, _ = minimised(physics, ARM_PARAMETERS, asdict(physics.fixed), (signals,))
 
-        (e,) = by_experiment(problem.at(best.theta).e, problem.experiments, problem.std)
-        np.testing.assert_allclose(problem.std, np.sqrt(np.mean(e**2, axis=0)), rtol=1e-3)
-        found.append(best.theta)
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
+    e = problem.residuals(best.theta)
+    np.testing.assert_allclose(problem.std, np.sqrt(np.mean(e**2, axis=0)), rtol=1e-3)

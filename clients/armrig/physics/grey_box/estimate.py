@@ -2,46 +2,53 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.arm import ArmParameters, require_parameters
 from armrig_core.rig.calibration import THETA_1
 from armrig_core.rig.equations import Ode
+from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.data.argument import takes_signals
 from armrig.data.columns import Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.criteria import fit_percent
-from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
-from armrig.physics.grey_box.equations_estimate import estimated
-from armrig.physics.grey_box.fit import GreyFit, below_zero, logarithmic, scales
-from armrig.physics.grey_box.inference import MAX_LOG_FACTOR, Held, grey_fit, require_samples
-from armrig.physics.grey_box.least_squares_problem import (
-    GreyBox,
-    GreyBoxWithFriction,
-    bipolar,
-    by_experiment,
-)
-from armrig.physics.grey_box.sampled_model import (
+from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
+from armrig.numerics.whiteness import default_lags, joined, ljung_box
+from armrig.physics.grey_box.fit import GreyFit
+from armrig.physics.grey_box.inference import MAX_SOLVER_SHARE, grey_fit, require_samples
+from armrig.physics.grey_box.physical_models import (
     COULOMB,
     NAMES,
+    Equations,
     Friction,
     Model,
+    PhysicalModel,
     Physics,
-    checked_fixed_std,
+    bipolar,
     free_names,
-    require_output,
 )
-from armrig.physics.systems import arm, chassis
+from armrig.physics.grey_box.shooting import Shooting
+from armrig.physics.systems import SPEED, arm, chassis
 
-SPEED_STATE = "theta_1_rate"
+WINDOW = 2000
+"""Samples with which the search begins in a longer experiment."""
 _MIN_LOG_RATIO = 10.0  # least N ln(ratio of two costs) of a significant difference
 _MIN_COST = 1e-300
+_MIN_START_V = 0.01  # least start value of the friction in a search
 _MAX_ROUNDS = 8  # largest number of estimates of the outputs' noise
 _SETTLED = 1e-4  # relative change of the noise's standard deviations at which the rounds end
+_MIN_P = 1e-6  # p value of the test of whiteness above which no other start is tried
+_EXACT_SHARE = 1e-5  # largest residual of data without noise, as a share of the deviation
+_MAX_DRAWS = 8
+_NEAR_MISFIT = 1.0  # largest difference from the lowest misfit at which more steps may help
+_TRIAL_STEPS = 30  # of the search from each start
+_DRAWN = 1.4  # largest change of a coordinate in a drawn start; e^1.4 is 4
 
 
 @takes_signals
@@ -129,44 +136,17 @@ def greybox(
         held = {} if fixed is None else fixed
         if isinstance(held, ArmParameters):
             raise InputTypeError("fixed: give a mapping of names to values for own equations")
-        return estimated(data, model, held, output if output in data.outputs else None)
+        return _equations(data, model, held, data.output(output) if output in data.outputs else 0)
     require_parameters(ArmParameters() if fixed is None else fixed, "fixed")
     p = fixed if isinstance(fixed, ArmParameters) else ArmParameters()
     names = free_names(free, friction)
-    given = checked_fixed_std(fixed_std or {}, names)
-    _require_channels(data, names, output)
-    labels = (output,) if data.ny == 1 else data.outputs
-    model = model or (chassis if data.ny == 1 else arm)
-    physics = tuple(Physics(model=model, fixed=p, output=label) for label in labels)
-    for one in physics:
-        one.check()
-    if data.ny == 1:
-        require_output(data.outputs[0], output)
-    experiments = tuple(data.experiments())
-    require_samples(data, names, unknown=len(physics[0].labels()[1]) + 1)
-    spread = np.nanstd(data.y, axis=0) if data.ny > 1 else np.ones(1)
-    plain = GreyBox(
-        physics=physics,
-        names=tuple(x for x in names if x != COULOMB),
-        experiments=experiments,
-        std=spread,
-    )
-    eta = plain.coordinates({name: getattr(p, name) for name in plain.names})
-    plain, best = minimised(plain, eta)
-    if COULOMB not in names:
-        return _fit(data, plain, best, eta, names, given, labels.index(output))
-    states = physics[0].labels()[1]
-    if SPEED_STATE not in states:
-        raise InputError(f"Coulomb friction needs a state {SPEED_STATE!r}, the model has {states}")
-    problem = GreyBoxWithFriction(plain=plain, speed=states.index(SPEED_STATE))
-    start = problem.start(best.theta)
-    without, best = best, searched(problem, start)
-    worse = worse_with_friction(data, without.cost, best.cost)
-    return _fit(data, problem, best, start, names, given, 0, worse)
-
-
-def _require_channels(data: Signals, names: Sequence[str], output: str) -> None:
-    """Refuse signals that do not fit the rig, and Coulomb friction of several outputs."""
+    for name, std in (fixed_std or {}).items():
+        if name not in NAMES or name in names:
+            msg = f"fixed_std={name!r} is not a fixed parameter; the fixed parameters are "
+            msg += ", ".join(x for x in NAMES if x not in names)
+            raise InputError(msg)
+        if not (np.isfinite(std) and std >= 0):
+            raise InputError(f"fixed_std[{name!r}]={std!r} must be finite and >= 0")
     if data.nu != 1:
         raise InputError(
             f"the inputs are {', '.join(data.inputs)}; the rig has one, u: choose it with "
@@ -179,80 +159,157 @@ def _require_channels(data: Signals, names: Sequence[str], output: str) -> None:
             'friction: Coulomb friction is estimated from one output; give friction="viscous", or '
             'signals.dataset("theta_1")'
         )
-
-
-def minimised(problem: GreyBox, start: Vector) -> tuple[GreyBox, Optimum]:
-    """Return the problem with the estimated noise of several outputs, and its minimum."""
-    best = searched(problem, start)
-    for _ in range(_MAX_ROUNDS if problem.std.size > 1 else 0):
-        e = np.vstack(by_experiment(problem.at(best.theta).e, problem.experiments, problem.std))
-        std = np.maximum(np.sqrt(np.nanmean(e**2, axis=0)), 1e-12 * problem.std)
-        change = float(np.max(np.abs(std / problem.std - 1)))
-        problem = replace(problem, std=std)
-        if change < _SETTLED:
-            break
-        best = searched(problem, best.theta, around=start)
-    return problem, best
-
-
-def searched(
-    problem: GreyBox | GreyBoxWithFriction, start: Vector, around: Vector | None = None
-) -> Optimum:
-    """Return the minimum that a search from `start` finds.
-
-    The logarithm of each parameter differs by at most `MAX_LOG_FACTOR` from its value in `around`.
-    By default `around` is `start`.
-    """
-    plain = problem if isinstance(problem, GreyBox) else problem.plain
-    logarithms = np.flatnonzero(logarithmic(plain.names))
-    centre = start if around is None else around
-
-    def admissible(eta: Vector) -> bool:
-        return bool(np.all(np.abs(eta - centre)[logarithms] < MAX_LOG_FACTOR))
-
-    # A model that overflows has no finite cost, and the search refuses the step.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return levenberg_marquardt(problem.linearise, start, admissible=admissible)
-
-
-def _fit(
-    data: Signals,
-    problem: GreyBox | GreyBoxWithFriction,
-    best: Optimum,
-    start: Vector,
-    names: tuple[str, ...],
-    fixed_std: dict[str, float],
-    i: int,
-    worse: tuple[str, ...] = (),
-) -> GreyFit:
-    """Return the result, whose loss, fit and whiteness are those of output i."""
-    plain = problem if isinstance(problem, GreyBox) else problem.plain
-    physics, at = plain.physics[i], problem.at(best.theta)
-    values = plain.values(best.theta[: len(plain.names)])
-    if COULOMB in names:
-        values[COULOMB] = float(best.theta[len(plain.names)])
-    held = tuple(x for x in NAMES if x not in names)
-    return grey_fit(
-        data,
-        i,
-        plain.std,
-        at,
-        best,
-        values=values,
-        slopes=scales(names, values),
-        moved=np.where(logarithmic(names), (best.theta - start)[: len(names)], 0.0),
-        held=Held(
-            values=physics.parameters(values),
-            names=held,
-            Psi=problem.at(best.theta, held).Psi,
-            std=fixed_std,
-            coordinate_std=np.array([fixed_std.get(x, 0.0) for x in held])
-            / scales(held, {x: getattr(physics.fixed, x) for x in held}),
-        ),
-        physics=physics,
-        doubts=lambda std: [*worse, *below_zero(values, std)],
-        has_friction=bool({"b_1", COULOMB} & {*names}),
+    physics = Physics(
+        model=model or (chassis if data.ny == 1 else arm),
+        fixed=p,
+        outputs=(output,) if data.ny == 1 else data.outputs,
     )
+    physics.check()
+    if data.ny == 1:
+        measured = data.outputs[0]
+        if measured in ARM_OUTPUTS and measured != output:
+            raise InputError(
+                f"the data contain {measured}, the model's output is {output}; use "
+                f"recording.dataset(output={output!r})"
+            )
+    if COULOMB in names and SPEED not in physics.states:
+        raise InputError(
+            f"Coulomb friction needs a state {SPEED!r}, the model has {physics.states[:-1]}"
+        )
+    require_samples(data, names, unknown=len(physics.states))
+    experiments = tuple(data.experiments())
+    worse: tuple[str, ...] = ()
+    with np.errstate(all="ignore"):
+        linear = tuple(name for name in names if name != COULOMB)
+        problem, best, start = minimised(physics, linear, asdict(p), experiments)
+        if COULOMB in names:
+            without, values = best.cost, asdict(p) | problem.values(best.theta)
+            # If u0 is not free with friction, T_c explains the u0 of the problem without friction.
+            offsets = zip(problem.initial(best.theta)[:, -1], experiments, strict=True)
+            taken = [u0 for u0, part in offsets if not bipolar(part.u[:, 0])]
+            volts = max(float(np.mean(taken)) if taken else 0.0, _MIN_START_V)
+            values[COULOMB] = volts * physics.all_values(values).torque_per_volt
+            rubbing = replace(physics, friction=True)
+            problem, best, start = minimised(rubbing, names, values, experiments)
+            worse = worse_with_friction(data, without, best.cost)
+        i = physics.outputs.index(output)
+        return grey_fit(data, i, problem, best, start, fixed_std=fixed_std or {}, worse=worse)
+
+
+def _equations(data: Signals, ode: Ode, fixed: Mapping[str, float], i: int) -> GreyFit:
+    """Return the estimates of all parameters of own equations that are not fixed."""
+    for name in fixed:
+        if name not in ode.parameters:
+            raise InputError(f"fixed={name!r} is none of {', '.join(ode.parameters)}")
+    names = tuple(name for name in ode.parameters if name not in fixed)
+    if not names:
+        raise InputError("all parameters are fixed: there is nothing to estimate")
+    require_samples(data, names, unknown=len(ode.states))
+    with np.errstate(all="ignore"):
+        returned = ode.simulate(data.u[:2], Ts=data.equidistant(), values=fixed, steps=1).shape[1]
+        if returned != data.ny:
+            raise InputError(
+                f"output returns {returned} values; the data have {data.ny} outputs, "
+                f"{', '.join(data.outputs)}: choose them with signals.channels(outputs)"
+            )
+        found = minimised(
+            Equations(model=ode),
+            names,
+            {**ode.values, **fixed},
+            tuple(data.experiments()),
+            draws=_MAX_DRAWS,
+        )
+        return grey_fit(data, i, *found, fixed_std={})
+
+
+def minimised(
+    model: PhysicalModel,
+    names: tuple[str, ...],
+    values: dict[str, float],
+    experiments: tuple[Signals, ...],
+    *,
+    draws: int = 0,
+) -> tuple[Shooting, Optimum, Vector]:
+    """Return the problem, its minimum and the coordinates at which the search started.
+
+    If the residuals are not white, the search is repeated from at most `draws` other starts.
+    """
+    problem = partial(Shooting.of, model, names, values)
+    windows = tuple(map(liveliest, experiments))
+    start = problem(windows).coordinates.of([values[name] for name in names])
+    found: list[tuple[float, Shooting, Optimum]] = []
+    failed, lowest = InputError("no start leads to finite outputs"), np.inf
+    drawn = np.random.default_rng(0).uniform(-_DRAWN, _DRAWN, (draws, start.size))
+    for at in [start, *(start + draw for draw in drawn)]:
+        short = problem(windows)
+        try:
+            z = short.relaxed(at, short.begun(at))
+            trial = short, short.searched(z, _TRIAL_STEPS)
+            if _misfit(*trial) < lowest + _NEAR_MISFIT:
+                trial = _refined(*trial, _TRIAL_STEPS)
+        except InputError as err:
+            failed = err if at is start else failed
+            continue
+        found.append((_misfit(*trial), *trial))
+        lowest = min(misfit for misfit, *_ in found)
+        if _is_white(*trial):
+            break
+    if not found:
+        raise failed
+    _, whole, best = min(found, key=lambda trial: trial[0])
+    if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
+        whole, eta = problem(experiments), best.theta[: start.size]
+        best = whole.searched(whole.relaxed(eta, whole.begun(eta)))
+    elif not best.converged:
+        best = whole.searched(best.theta)
+    whole, best = _refined(whole, best)
+    if whole.std.size == 1:  # the inference of a single output takes errors in its unit
+        best = replace(best, cost=best.cost * float(whole.std[0]) ** 2)
+        whole = whole.changed(std=np.ones(1))
+    return whole, best, start
+
+
+def _misfit(problem: Shooting, best: Optimum) -> float:
+    """Return the sum of the logarithms of the outputs' losses."""
+    return float(np.sum(np.log(np.nanmean(problem.residuals(best.theta) ** 2, axis=0))))
+
+
+def _is_white(problem: Shooting, best: Optimum) -> bool:
+    """Return whether the residuals are noise, so that no other start leads to a lower minimum."""
+    e, rows = problem.residuals(best.theta), problem.segments.rows
+    lags = default_lags(min(own.stop - own.start for own in rows))
+    for i, spread in enumerate(np.nanstd(problem.segments.y, axis=0)):
+        of_output = joined([e[own, i] for own in rows], lags)
+        exact = np.nanmax(np.abs(of_output)) <= _EXACT_SHARE * spread
+        if not (exact or ljung_box(of_output, lags) > _MIN_P):
+            return False
+    return True
+
+
+def liveliest(data: Signals) -> Signals:
+    """Return the window of at most `WINDOW` samples in which the outputs deviate most."""
+    if data.N <= 2 * WINDOW:
+        return data
+    windows = [data[k : k + WINDOW] for k in range(0, data.N - WINDOW + 1, WINDOW // 2)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a window without a value is no window
+        spreads = [np.nanmean(np.nanstd(part.y, axis=0)) for part in windows]
+    return windows[int(np.nanargmax(spreads))]
+
+
+def _refined(problem: Shooting, best: Optimum, most: int = MAX_STEPS) -> tuple[Shooting, Optimum]:
+    """Return problem and minimum with the noise of several outputs, and with enough steps."""
+    for _ in range(_MAX_ROUNDS):
+        noise = np.sqrt(np.nanmean(problem.residuals(best.theta) ** 2, axis=0))
+        steps, _ = problem.solver_error(best.theta, MAX_SOLVER_SHARE * noise)
+        finer = steps > problem.steps
+        std = np.maximum(noise, 1e-12 * problem.std) if noise.size > 1 else problem.std
+        settled = np.max(np.abs(std / problem.std - 1)) < _SETTLED
+        if settled and not finer:
+            break
+        problem = problem.changed(std=std, steps=steps if finer else problem.steps)
+        best = problem.searched(best.theta, most)
+    return problem, best
 
 
 def worse_with_friction(data: Signals, without: float, best: float) -> tuple[str, ...]:

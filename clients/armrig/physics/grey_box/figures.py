@@ -8,7 +8,7 @@ import numpy as np
 
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
-from armrig.physics.grey_box.sampled_model import UNITS
+from armrig.physics.grey_box.physical_models import UNITS
 from armrig.plots.captions import in_mathtext, legend, sign, symbol
 from armrig.plots.layout import (
     BLUE,
@@ -39,7 +39,7 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
     ax, below = panels(ax, 0.38)
     e = fit.errors(data)[:, 0]
     estimates = ", ".join(
-        f"{symbol(n)} = {scaled(fit.values[n], fit.std[n], fit.physics.units.get(n, ''))}"
+        f"{symbol(n)} = {scaled(fit.values[n], fit.std[n], fit.physics.parameters[n].unit)}"
         for n in fit.names
     )
     ramp, label, notes = without_ramp(data)
@@ -114,20 +114,20 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
     places = sorted({float(n) for s in study.splits for n in [s.N.mean()]})
     below.set_xticks(places, [f"{n:.0f}" for n in places])
     below.minorticks_off()
-    logarithmic(below.yaxis, *_with_ticks(*below.get_ylim()))
+    # Limits that contain at least two of the numbers 1, 2 and 5 times a power of ten.
+    low, high = below.get_ylim()
+    steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.arange(-4.0, 4.0)[:, None]
+    low, high = (
+        min(low, 0.95 * steps[steps <= high].max()),
+        max(high, 1.05 * steps[steps >= low].min()),
+    )
+    logarithmic(below.yaxis, low, high)
     below.set_xlabel("samples $N$")
     below.set_ylabel(in_mathtext(f"σ [{_of(of_std, unit)}]"))
     finish(ax)
     finish(below)
     legend(below)
     return sign(ax, study.source, above=legend(ax))
-
-
-def _with_ticks(low: float, high: float) -> tuple[float, float]:
-    """Return limits that contain at least two of the numbers 1, 2 and 5 times a power of ten."""
-    steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.arange(-4.0, 4.0)[:, None]
-    below, above = steps[steps <= high], steps[steps >= low]
-    return min(low, float(below.max()) * 0.95), max(high, float(above.min()) * 1.05)
 
 
 def _of(size: float, unit: str) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.numerics.inference import OutputQuality
-from armrig.physics.grey_box.sampled_model import COULOMB, SIGNED
+from armrig.physics.grey_box.physical_models import PhysicalModel
 
 if TYPE_CHECKING:
     import control
@@ -26,23 +26,6 @@ _WAY_OUT = (
     "estimate fewer parameters, start nearer to them, or record longer with an input that changes "
     "often"
 )
-
-
-class PhysicalModel(Protocol):
-    """Model with physical parameters: a linear model of the rig, or own equations."""
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of the parameters."""
-
-    def signed(self, name: str) -> bool:
-        """Return whether a parameter may be 0 or negative."""
-
-    def simulate(self, values: Mapping[str, float], u: ArrayLike, Ts: float) -> Matrix:
-        """Return the output (N,), or outputs (N, ny), for a held input, from rest."""
-
-    def to_control(self, parameters: Any) -> control.StateSpace:
-        """Return the continuous model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -150,7 +133,7 @@ class GreyFit:
         return tuple(
             name
             for name in self.names
-            if not self.physics.signed(name)
+            if self.physics.parameters[name].low >= 0
             and _MIN_SIGMAS * self.std_noise[name] >= abs(self.values[name])
         )
 
@@ -174,20 +157,21 @@ class GreyFit:
             ...
         armrig_core.errors.InputError: J_2 = 0.0039... kg m²: not identifiable from these ...
         """
-        if lost := self.undetermined:
+        lost = [
+            f"{n} = {self.values[n]:.3g} ± {self.std_noise[n]:.2g} "
+            f"{self.physics.parameters[n].unit}".rstrip()
+            for n in self.undetermined
+        ]
+        if lost:
             raise InputError(
-                f"{', '.join(map(self._figure, lost))}: not identifiable from these {self.N} "
-                f"samples, 2 standard deviations reach 0; {_WAY_OUT}"
+                f"{', '.join(lost)}: not identifiable from these {self.N} samples, 2 standard "
+                f"deviations reach 0; {_WAY_OUT}"
             )
         if not self.converged:
             raise InputError(
                 f"the search for {', '.join(self.names)} did not converge, so there is no "
                 f"result; {_WAY_OUT}"
             )
-
-    def _figure(self, name: str) -> str:
-        unit = f" {self.physics.units.get(name, '')}".rstrip()
-        return f"{name} = {self.values[name]:.3g} ± {self.std_noise[name]:.2g}{unit}"
 
     @property
     def relative_std(self) -> dict[str, float]:
@@ -220,7 +204,7 @@ class GreyFit:
         >>> print(f"{theta_1[-1]:.1f} rad after {100 * fit.Ts:.0f} s at 2 V")
         3.5 rad after 1 s at 2 V
         """
-        return self.physics.simulate(self.values, u, self.Ts)
+        return self.physics.simulate(self._values, u, self.Ts)
 
     def errors(self, data: Dataset | Signals) -> Matrix:
         """Return measured minus simulated outputs (N, ny), NaN where an output is missing.
@@ -236,9 +220,17 @@ class GreyFit:
         >>> f"{np.sqrt(np.nanmean(fit.errors(data) ** 2)):.4f} rad"
         '0.003... rad'
         """
-        from armrig.physics.grey_box.least_squares_problem import simulation_errors
+        from armrig.physics.grey_box.shooting import Shooting
 
-        return simulation_errors(self.physics, self.values, data.signals())
+        parts, nothing = tuple(data.signals().experiments()), np.zeros(0)
+        with np.errstate(all="ignore"):
+            problem = Shooting.of(self.physics, (), dict(self._values), parts)
+            z = problem.relaxed(nothing, problem.begun(nothing))
+            return problem.residuals(problem.searched(z).theta)
+
+    @property
+    def _values(self) -> Mapping[str, float]:
+        return self.fixed if isinstance(self.fixed, dict) else self.values
 
     def plot(self, data: Dataset, *, ax: Axes | None = None) -> Figure:
         """Return a figure of measured and simulated output with the error below.
@@ -268,7 +260,7 @@ class GreyFit:
         """
         parts = []
         for name in self.names:
-            unit = f" {self.physics.units.get(name, '')}".rstrip()
+            unit = f" {self.physics.parameters[name].unit}".rstrip()
             share = self.relative_std[name]
             if np.isnan(share):
                 parts.append(f"{name} = {self.values[name]:.5g}{unit}, at its bound.")
@@ -295,7 +287,7 @@ class GreyFit:
         ]
         lines += [
             f"  {n:6} {self.values[n]:12.6g} {self.std[n]:10.2g} {self.std_robust[n]:10.2g} "
-            f"{self.physics.units.get(n, '')}".rstrip()
+            f"{self.physics.parameters[n].unit}".rstrip()
             for n in self.names
         ]
         lines += [
@@ -303,22 +295,3 @@ class GreyFit:
             for name, q in self.by_output.items()
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
-
-
-def below_zero(values: Mapping[str, float], std: Mapping[str, float]) -> list[str]:
-    """Return a warning for each negative estimate of a friction."""
-    return [
-        f"{n} = {v:.2g} is below 0, by {abs(v) / std[n]:.1f} standard deviations: take it as 0"
-        for n, v in values.items()
-        if n in SIGNED | {COULOMB} and v < 0 < std[n] < np.inf
-    ]
-
-
-def logarithmic(names: Sequence[str]) -> list[bool]:
-    """Return True for each parameter whose coordinate is its logarithm."""
-    return [name not in SIGNED | {COULOMB} for name in names]
-
-
-def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
-    """Return the derivative of each parameter with respect to its coordinate."""
-    return np.where(logarithmic(names), [values[name] for name in names], 1.0)

@@ -1,4 +1,4 @@
-"""Multiple shooting: the least-squares problem of own equations, segment by segment.
+"""Multiple shooting: the least-squares problem of physical parameters, segment by segment.
 
 An experiment is cut into segments, which are integrated at once from states s_i of their own. The
 search begins with a relaxed problem, in which the segments need not join ::
@@ -19,26 +19,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.rig.equations import Course, Ode, Parameter, integrated, steps_and_error
-from scipy.linalg import solve_triangular
+from armrig_core.errors import InputError
+from armrig_core.rig.equations import Course, Parameter
+from scipy.linalg import LinAlgError, solveh_banded
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.physics.grey_box.least_squares_problem import (
-    Linearised,
-    without_free_responses,
-)
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
+from armrig.physics.grey_box.physical_models import OFFSET, PhysicalModel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-COLUMNS = 1500
-"""Number of trajectories at which the time of an array operation equals its overhead."""
-MIN_SEGMENT = 10  # least number of samples of a segment
-_STEP = 1e-5  # step of a central difference, as a share of the coordinate's scale
+MAX_LOG_FACTOR = 12.0
+"""Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
+_COLUMNS = 1500  # trajectories at which the time of an array operation equals its overhead
+_MIN_SEGMENT = 10  # least number of samples of a segment
+_STEP = 3e-5  # step of a central difference, as a share of the coordinate's scale
+DERIVATIVE_ERROR = 1e-7
+"""Largest relative error of a derivative, with a margin."""
 _JOINED = 1e-5  # largest defect of joined segments, as a share of the state's scale
 _MAX_JOINS = 12
 _NOTHING = np.zeros(0)
@@ -51,46 +55,59 @@ _RELAXED_CHANGE = 1e-2  # relative change of the cost at which the relaxed probl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Segments:
-    """Data of an experiment in segments of equal length; the last segment may exceed the data."""
+    """Data of experiments in S segments of L samples; the last of each may exceed its data."""
 
     course: Course
-    y: NDArray[np.float64]
-    """Outputs at the samples of each segment, (L, ny, S); NaN where there is none."""
-    N: int
+    y: Matrix
+    """Outputs (N, ny), NaN where there is none."""
+    place: tuple[NDArray[np.int_], NDArray[np.int_]]
+    """Interval and segment of each sample."""
+    experiment: NDArray[np.int_]
+    """Experiment of each segment, (S,)."""
+    rows: tuple[slice, ...]
+    """Samples of each experiment."""
 
     @classmethod
-    def of(cls, data: Signals, length: int) -> Segments:
-        """Cut an experiment."""
-        S = max(1, -(-(data.N - 1) // length))
-        index = np.minimum(np.arange(length + 1)[:, None] + length * np.arange(S), data.N - 1)
-        own = np.arange(length)[:, None] + length * np.arange(S)
-        # The last sample begins no interval: it is the end of the last segment.
-        y = np.full((length + 1, data.ny, S), np.nan)
-        inside = own < data.N
-        y[:length][inside.nonzero()[0], :, inside.nonzero()[1]] = data.y[own[inside]]
-        if length * S < data.N:
-            y[length, :, S - 1] = data.y[length * S]
-        Ts = data.equidistant()
+    def of(cls, model: PhysicalModel, experiments: Sequence[Signals], length: int) -> Segments:
+        """Cut the experiments."""
+        Ts, own, inputs, places, first = experiments[0].equidistant(), [], [], [], 0
+        for data in experiments:
+            S = max(1, -(-(data.N - 1) // length))
+            index = np.arange(length + 1)[:, None] + length * np.arange(S)
+            inputs.append(model.inputs(data)[np.minimum(index, data.N - 1)])
+            # The last sample begins no interval: it may be the end of the last segment.
+            segment = np.minimum(np.arange(data.N) // length, S - 1)
+            places.append((np.arange(data.N) - length * segment, first + segment))
+            own.append(index)
+            first += S
+        edges = np.cumsum([0, *(data.N for data in experiments)]).tolist()
+        interval, segment = (np.concatenate(part) for part in zip(*places, strict=True))
         return cls(
             course=Course(
-                u=np.moveaxis(data.u[index], 1, 2),
-                t=np.asarray(Ts * (np.arange(length + 1)[:, None] + length * np.arange(S))),
+                u=np.moveaxis(np.concatenate(inputs, 1), 1, 2),
+                t=np.asarray(Ts * np.concatenate(own, 1)),
                 Ts=Ts,
-                linear=tuple(x == "foh" for x in data.intersample),
+                linear=tuple(x == "foh" for x in experiments[0].intersample),
             ),
-            y=y,
-            N=data.N,
+            y=np.vstack([np.where(data.valid, data.y, np.nan) for data in experiments]),
+            place=(interval, segment),
+            experiment=np.repeat(np.arange(len(own)), [index.shape[1] for index in own]),
+            rows=tuple(slice(a, b) for a, b in pairwise(edges)),
         )
+
+    @property
+    def first(self) -> NDArray[np.bool_]:
+        """True for the first segment of each experiment, (S,)."""
+        return np.diff(self.experiment, prepend=-1) > 0
 
     def in_order(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (L + 1, ny, …, S) as (N, ny, …), in the order of time."""
-        body = np.moveaxis(values[:-1], -1, 0).reshape(-1, *values.shape[1:-1])[: self.N]
-        return body if body.shape[0] == self.N else np.concatenate([body, values[-1:, ..., -1]])
+        return np.asarray(values[self.place[0], ..., self.place[1]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
-    """Outputs and derivatives of the segments of an experiment, by eta and by their own states.
+    """Outputs and derivatives of all segments, by eta and by their own states.
 
     The states are divided by their scale.
     """
@@ -104,28 +121,25 @@ class Point:
     end_by: NDArray[np.float64]
     """Derivatives of the end of each segment with respect to (eta, s), (S, n, d + n)."""
     defects: Matrix
-    """End of each segment minus the start of the next, (S - 1, n)."""
+    """End of each segment minus the start of the next of its experiment, (S, n); 0 for the last."""
+    first: NDArray[np.bool_]
+    """See `Segments.first`."""
 
-    def states_by(self) -> NDArray[np.float64]:
-        """Return the derivatives of joined s with respect to (eta, x0), (S, n, d + n)."""
+    def chained(self) -> tuple[NDArray[np.float64], Matrix]:
+        """Return the derivatives of joined s with respect to (eta, x0), (S, n, d + n).
+
+        The second result is the change of s that removes the defects, (S, n).
+        """
         S, n, d = *self.end_by.shape[:2], self.end_by.shape[2] - self.end_by.shape[1]
-        found = np.zeros((S, n, d + n))
-        found[0, :, d:] = np.eye(n)
-        for i in range(S - 1):
-            found[i + 1] = self.end_by[i, :, d:] @ found[i]
-            found[i + 1, :, :d] += self.end_by[i, :, :d]
-        return found
-
-    def joining(self) -> Matrix:
-        """Return the change of s that removes the defects, (S, n)."""
-        S, n, d = *self.end_by.shape[:2], self.end_by.shape[2] - self.end_by.shape[1]
-        found = np.zeros((S, n))
-        for i in range(S - 1):
-            found[i + 1] = self.end_by[i, :, d:] @ found[i] + self.defects[i]
-        return found
+        found = np.zeros((S, n, d + n + 1))
+        found[self.first, :, d:-1] = np.eye(n)
+        for i in np.flatnonzero(~self.first):
+            found[i] = self.end_by[i - 1, :, d:] @ found[i - 1]
+            found[i, :, :d] += self.end_by[i - 1, :, :d]
+            found[i, :, -1] += self.defects[i - 1]
+        return found[..., :-1], found[..., -1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Coordinates:
     """Coordinates of the free parameters, in which the search has no bounds.
 
@@ -133,44 +147,34 @@ class Coordinates:
     eta = ln((p - low)/(high - p)). Without bounds p = eta |start|, or p = eta if the start is 0.
     """
 
-    parameters: tuple[Parameter, ...]
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        """Take the bounds and the magnitudes of the parameters."""
+        self._low, self._high, scale = (
+            np.array([(p.low, p.high, p.value) for p in parameters]).reshape(-1, 3).T
+        )
+        self._scale = np.where(scale == 0, 1.0, np.abs(scale))
+        lower, upper = np.isfinite(self._low), np.isfinite(self._high)
+        self.bounded = lower | upper
+        """True for each parameter with a bound."""
+        self._kinds = [lower & upper, lower, upper]
 
     def of(self, values: Sequence[float]) -> Vector:
         """Return the coordinates of values."""
-        return np.array([_coordinate(p, v) for p, v in zip(self.parameters, values, strict=True)])
+        low, high, p = self._low, self._high, np.array(values)
+        with np.errstate(all="ignore"):
+            ways = [np.log((p - low) / (high - p)), np.log(p - low), -np.log(high - p)]
+        return np.select(self._kinds, ways, p / self._scale)
 
-    def values(self, eta: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the values at coordinates (d, …)."""
-        return [_value(p, x) for p, x in zip(self.parameters, eta, strict=True)]
+    def values(self, eta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values at coordinates (d,) or (points, d)."""
+        low, high = self._low, self._high
+        with np.errstate(all="ignore"):
+            ways = [low + (high - low) / (1 + np.exp(-eta)), low + np.exp(eta), high - np.exp(-eta)]
+        return np.select(self._kinds, ways, eta * self._scale)
 
     def slopes(self, eta: Vector) -> Vector:
         """Return the derivative of each value with respect to its coordinate."""
-        up, down = self.values(eta + _STEP), self.values(eta - _STEP)
-        return np.array([(a - b) / (2 * _STEP) for a, b in zip(up, down, strict=True)])
-
-    def bounded(self) -> NDArray[np.bool_]:
-        """Return True for each parameter with a bound."""
-        return np.array([np.isfinite(p.low) or np.isfinite(p.high) for p in self.parameters])
-
-
-def _coordinate(p: Parameter, value: float) -> float:
-    if np.isfinite(p.low) and np.isfinite(p.high):
-        return float(np.log((value - p.low) / (p.high - value)))
-    if np.isfinite(p.low):
-        return float(np.log(value - p.low))
-    if np.isfinite(p.high):
-        return float(-np.log(p.high - value))
-    return value / (abs(p.value) or 1.0)
-
-
-def _value(p: Parameter, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    if np.isfinite(p.low) and np.isfinite(p.high):
-        return np.asarray(p.low + (p.high - p.low) / (1 + np.exp(-x)))
-    if np.isfinite(p.low):
-        return np.asarray(p.low + np.exp(x))
-    if np.isfinite(p.high):
-        return np.asarray(p.high - np.exp(-x))
-    return np.asarray(x * (abs(p.value) or 1.0))
+        return np.asarray((self.values(eta + _STEP) - self.values(eta - _STEP)) / (2 * _STEP))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,35 +201,57 @@ class Shooting:
     The vector of coordinates contains those of the parameters, then the initial states.
     """
 
-    ode: Ode
+    model: PhysicalModel
     names: tuple[str, ...]
     """Free parameters."""
     fixed: dict[str, float]
     """Values of all other parameters."""
-    experiments: tuple[Signals, ...]
+    segments: Segments
     std: Vector
     """Standard deviation of the noise of each output, (ny,)."""
-    spread: Vector
-    """Standard deviation of each output, (ny,)."""
     length: int
     """Samples of a segment."""
     steps: int = 1
     """Runge-Kutta steps of an interval."""
     scale: Vector
     """Magnitude of each state, (n,)."""
-    segments: tuple[Segments, ...] = ()
     box: Box
     """Walls of the coordinates of the parameters."""
-    best: tuple[float, Vector, tuple[Point, ...]] = field(
-        default=(np.inf, _NOTHING, ()), init=False
-    )
-    """Cost, coordinates and points of the best joined trajectories so far."""
+    best: tuple[float, Vector, Point | None] = field(default=(np.inf, _NOTHING, None), init=False)
+    """Cost, coordinates and point of the best joined trajectories so far."""
+
+    @classmethod
+    def of(
+        cls,
+        model: PhysicalModel,
+        names: tuple[str, ...],
+        values: dict[str, float],
+        experiments: Sequence[Signals],
+    ) -> Shooting:
+        """Return the problem of experiments, in segments of a suitable length."""
+        space = Coordinates([model.parameters[name] for name in names])
+        start = space.of([values[name] for name in names])
+        reach = np.where(space.bounded, MAX_LOG_FACTOR, np.inf)
+        n, N = len(model.states), max(part.N for part in experiments)
+        count = int(np.clip(_COLUMNS / (1 + 2 * (len(names) + n)), 1, max(N // _MIN_SEGMENT, 1)))
+        length = max(-(-(N - 1) // count), 1)
+        segments = Segments.of(model, experiments, length)
+        spread = np.nanstd(segments.y, axis=0)
+        return cls(
+            model=model,
+            names=names,
+            fixed=values,
+            segments=segments,
+            std=np.where(spread > 0, spread, 1.0),
+            length=length,
+            scale=np.ones(n),
+            box=Box(low=start - reach, high=start + reach),
+        )
 
     @property
     def coordinates(self) -> Coordinates:
         """Coordinates of the free parameters."""
-        own = [self.ode.parameters[name] for name in self.names]
-        return Coordinates(parameters=tuple(p for p in own if isinstance(p, Parameter)))
+        return Coordinates([self.model.parameters[name] for name in self.names])
 
     def changed(self, **fields: Any) -> Shooting:
         """Return the problem with other fields; the trajectories found so far remain its start."""
@@ -236,245 +262,255 @@ class Shooting:
     def values(self, z: Vector) -> dict[str, float]:
         """Return the values of the free parameters."""
         found = self.coordinates.values(z[: len(self.names)])
-        return {k: float(v) for k, v in zip(self.names, found, strict=True)}
+        return dict(zip(self.names, found.tolist(), strict=True))
 
-    def point(self, eta: Vector, part: Segments, s: Matrix) -> Point:
-        """Integrate the segments of an experiment, with all derivatives."""
+    def initial(self, z: Vector) -> Matrix:
+        """Return the initial state of each experiment, (experiments, n)."""
+        return np.asarray(z[len(self.names) :].reshape(-1, self.scale.size) * self.scale)
+
+    def point(self, eta: Vector, s: Matrix) -> Point:
+        """Integrate the segments, with all derivatives."""
         d, n, h = eta.size, s.shape[0], _STEP
         points = 1 + 2 * (d + n)
-        grid = np.repeat(eta[:, None], points, axis=1)
+        grid = np.repeat(eta[None], points, axis=0)
         x = np.repeat(s[:, None, :], points, axis=1)
         for j in range(d):
-            grid[j, 1 + 2 * j] += h
-            grid[j, 2 + 2 * j] -= h
+            grid[1 + 2 * j, j] += h
+            grid[2 + 2 * j, j] -= h
         for i in range(n):
             x[i, 1 + 2 * (d + i)] += h * self.scale[i]
             x[i, 2 + 2 * (d + i)] -= h * self.scale[i]
-        values = self.coordinates.values(grid)
-        all_values = self.fixed | {k: v[:, None] for k, v in zip(self.names, values, strict=True)}
-        found = integrated(self.ode, part.course, x, all_values, self.steps)
+        values = self.coordinates.values(grid).T[:, :, None]
+        all_values = self.fixed | dict(zip(self.names, values, strict=True))
+        found = self.model.integrated(self.segments.course, x, all_values, self.steps)
         end_by = (found.end[:, 1::2] - found.end[:, 2::2]) / (2 * h) / self.scale[:, None, None]
+        first = self.segments.first
+        defects = np.zeros((s.shape[1], n))
+        defects[:-1] = ((found.end[:, 0, :-1] - s[:, 1:]) / self.scale[:, None]).T
+        defects[:-1][first[1:]] = 0.0
         return Point(
             s=s,
             y=found.y[:, :, 0],
             y_by=(found.y[:, :, 1::2] - found.y[:, :, 2::2]) / (2 * h),
             end_by=np.moveaxis(end_by, 2, 0),
-            defects=((found.end[:, 0, :-1] - s[:, 1:]) / self.scale[:, None]).T,
+            defects=defects,
+            first=first,
         )
 
-    def relaxed(self, eta: Vector, starts: Sequence[Matrix]) -> Vector:
+    def relaxed(self, eta: Vector, s: Matrix) -> Vector:
         """Return coordinates near the minimum of the relaxed problem.
 
         The trajectories found there are the start of the joined ones.
         """
-        points = [self.point(eta, p, s) for p, s in zip(self.segments, starts, strict=True)]
+        point = self.point(eta, s)
         for weight in _WEIGHTS:
-            eta, points = self.relax(eta, points, weight * self.length)
-        z = np.concatenate([eta, *(p.s[:, 0] / self.scale for p in points)])
-        self.best = np.inf, z, tuple(points)
+            eta, point = self.relax(eta, point, weight * self.length)
+        z = np.append(eta, (point.s[:, point.first].T / self.scale).ravel())
+        self.best = np.inf, z, point
         return z
 
-    def relax(self, eta: Vector, points: list[Point], weight: float) -> tuple[Vector, list[Point]]:
-        """Return coordinates and points of a lower cost for one weight of the defects."""
-        cost, damping = self._relaxed_cost(points, weight), 1e-4
+    def relax(self, eta: Vector, point: Point, weight: float) -> tuple[Vector, Point]:
+        """Return coordinates and a point of a lower cost for one weight of the defects."""
+        cost, damping = self._relaxed_cost(point, weight), 1e-4
         for _ in range(_MAX_RELAXED):
-            move, moves = self._relaxed_step(points, weight, damping)
-            if not moves:
+            try:
+                move, moves = self._relaxed_step(point, weight, damping)
+            except (LinAlgError, ValueError):  # not positive definite, or not finite
                 break
             new = self.box.inside(eta + move, eta)
-            found = [
-                self.point(new, part, p.s + of_states.T * self.scale[:, None])
-                for part, p, of_states in zip(self.segments, points, moves, strict=True)
-            ]
+            found = self.point(new, point.s + moves.T * self.scale[:, None])
             value = self._relaxed_cost(found, weight)
             if np.isfinite(value) and value < cost:
-                fell, eta, points, cost = cost - value, new, found, value
+                fell, eta, point, cost = cost - value, new, found, value
                 damping /= 10
                 if fell < _RELAXED_CHANGE * cost:
                     break
             else:
                 damping *= 8
-        return eta, points
+        return eta, point
 
-    def _relaxed_cost(self, points: Sequence[Point], weight: float) -> float:
+    def _errors(self, point: Point) -> NDArray[np.float64]:
+        """Return the weighted errors at the samples of each segment, (L + 1, ny, S), or NaN."""
+        e = np.full(point.y.shape, np.nan)
+        interval, segment = self.segments.place
+        e[interval, :, segment] = self.segments.y
+        return np.asarray((e - point.y) / self.std[:, None])
+
+    def _relaxed_cost(self, point: Point, weight: float) -> float:
         """Return the sum of the squares of the errors and of the weighted defects."""
-        cost = 0.0
-        for point, part in zip(points, self.segments, strict=True):
-            e = (part.y - point.y) / self.std[:, None]
-            cost += float(np.nansum(e**2)) + weight * float(np.sum(point.defects**2))
-            if not np.all(np.isfinite(point.y)):
-                return np.inf
-        return cost
+        if not np.all(np.isfinite(point.y)):
+            return np.inf
+        return float(np.nansum(self._errors(point) ** 2) + weight * np.sum(point.defects**2))
 
-    def _relaxed_step(
-        self, points: Sequence[Point], weight: float, damping: float
-    ) -> tuple[Vector, list[Matrix]]:
-        """Return the damped change of eta, and of s (S, n) of each experiment; [] without any.
+    def _relaxed_step(self, point: Point, weight: float, damping: float) -> tuple[Vector, Matrix]:
+        """Return the damped change of eta, and of s (S, n).
 
-        The states of a segment occur only in its errors and in its two defects. The least-squares
-        problem is therefore solved by an orthogonal elimination of the states, segment by segment.
+        The states of a segment occur only in its errors and in its two defects. Their normal
+        equations are therefore banded, and eta follows from the Schur complement.
         """
-        d, n, join = len(self.names), self.scale.size, np.sqrt(weight)
-        blocks, rows, sizes = [], [], np.zeros(d)
-        for point, part in zip(points, self.segments, strict=True):
-            e, J = (part.y - point.y) / self.std[:, None], point.y_by / self.std[:, None, None]
-            known = np.isfinite(e)
-            whole = np.concatenate([J * known[:, :, None], np.where(known, e, 0.0)[:, :, None]], 2)
-            # Columns: the states, eta, and the right side.
-            stacked = np.moveaxis(whole.reshape(-1, *whole.shape[2:]), 2, 0)
-            order = [*range(d, d + n), *range(d), d + n]
-            own = np.asarray(np.linalg.qr(stacked[..., order], "r"))
-            ends = join * np.concatenate([point.end_by[..., d:], point.end_by[..., :d]], 2)
-            squares = np.sum(own[..., :-1] ** 2, axis=1)
-            squares[:-1] += np.sum(ends[:-1] ** 2, axis=1)
-            squares[1:, :n] += weight
-            sizes += np.sum(squares[:, n:], axis=0)
-            carry, eliminated = np.zeros((0, n + d + 1)), []
-            for i, (R, end) in enumerate(zip(own, ends, strict=True)):
-                above = np.vstack([R, carry, np.zeros((n, n + d + 1))])
-                above[-n:, :n] = np.diag(np.sqrt(damping * np.maximum(squares[i, :n], 1e-300)))
-                # A column block for the states of the next segment.
-                above = np.insert(above, [n] * n, 0.0, axis=1)
-                if i + 1 < own.shape[0]:
-                    defect = np.concatenate(
-                        [end[:, :n], -join * np.eye(n), end[:, n:], -join * point.defects[[i]].T], 1
-                    )
-                    above = np.vstack([above, defect])
-                R = np.asarray(np.linalg.qr(above, "r"))
-                eliminated.append(R[:n])
-                carry = R[n:, n:]
-            blocks.append(eliminated)
-            rows.append(carry[:, n:])
-        sizes[sizes == 0] = 1.0
-        A = np.vstack([*rows, np.pad(np.diag(np.sqrt(damping * sizes)), ((0, 0), (0, 1)))])
-        if not np.all(np.isfinite(A)):
-            return np.zeros(d), []
-        move = np.linalg.lstsq(A[:, :d], A[:, d], rcond=None)[0]
-        moves = []
-        for eliminated in blocks:
-            after, of_states = np.zeros(n), []
-            for R in reversed(eliminated):
-                right = R[:, -1] - R[:, n : 2 * n] @ after - R[:, 2 * n : -1] @ move
-                after = solve_triangular(R[:, :n], right)
-                of_states.append(after)
-            moves.append(np.array(of_states[::-1]))
-        return move, moves
+        d, n, S = len(self.names), self.scale.size, point.s.shape[1]
+        e, J = self._errors(point), point.y_by / self.std[:, None, None]
+        known = np.isfinite(e)
+        A = np.moveaxis(J * known[:, :, None], 3, 0).reshape(S, -1, d + n)
+        right = np.moveaxis(np.where(known, e, 0.0), 2, 0).reshape(S, -1, 1)
+        weights = weight * np.append(~point.first[1:], False)[:, None]
+        E, by = weights[:, :, None] * point.end_by, np.swapaxes(point.end_by, 1, 2)
+        G = np.swapaxes(A, 1, 2) @ A + by @ E
+        g = (np.swapaxes(A, 1, 2) @ right)[..., 0] - (by @ (weights * point.defects)[..., None])[
+            ..., 0
+        ]
+        # The start of a segment occurs in the defect of the segment before.
+        G[1:, range(d, d + n), range(d, d + n)] += weights[:-1]
+        G[1:, d:, :d] -= E[:-1, :, :d]
+        g[1:, d:] += (weights * point.defects)[:-1]
+        band = np.zeros((2 * n, S * n))
+        for p, q in np.ndindex(n, n):
+            if p >= q:
+                band[p - q, q::n] = G[:, d + p, d + q]
+            band[n + p - q, q::n][:-1] = -E[:-1, p, d + q]
+        band[0] = np.maximum((1 + damping) * band[0], 1e-300)
+        cross = G[:, d:, :d].reshape(S * n, d)
+        X = solveh_banded(band, np.column_stack([cross, g[:, d:].ravel()]), lower=True)
+        H, sizes = np.sum(G[:, :d, :d], axis=0), np.einsum("sii->i", G[:, :d, :d])
+        H += np.diag(damping * np.where(sizes > 0, sizes, 1.0)) - cross.T @ X[:, :d]
+        move = np.linalg.lstsq(H, np.sum(g[:, :d], axis=0) - cross.T @ X[:, d], rcond=None)[0]
+        return move, (X[:, d] - X[:, :d] @ move).reshape(S, n)
 
-    def _condensed(self, points: Sequence[Point]) -> tuple[Vector, Matrix]:
-        """Return errors of joined segments, and their derivatives with respect to z."""
-        d, n = len(self.names), self.scale.size
-        errors, blocks = [], []
-        for i, (point, part, data) in enumerate(
-            zip(points, self.segments, self.experiments, strict=True)
-        ):
-            along = np.einsum("ljis,sik->ljks", point.y_by[:, :, d:], point.states_by())
-            along[:, :, :d] += point.y_by[:, :, :d]
-            J = np.zeros((*data.y.shape, d + n * len(points)))
-            ordered = part.in_order(along)
-            J[..., :d], J[..., d + n * i : d + n * (i + 1)] = ordered[..., :d], ordered[..., d:]
-            # The last, small defects are removed to first order.
-            left = np.einsum("ljis,si->ljs", point.y_by[:, :, d:], point.joining())
-            e = (data.y - part.in_order(point.y + left)) / self.std
-            errors.append(e.T[data.valid.T])
-            blocks.append((J / self.std[:, None])[data.valid.T.nonzero()[::-1]])
-        return np.concatenate(errors), np.vstack(blocks)
+    def condensed(self, point: Point) -> tuple[Matrix, NDArray[np.float64]]:
+        """Return errors (N, ny) of nearly joined segments, and their derivatives by z (N, ny, …).
 
-    def joined(self, z: Vector) -> tuple[Point, ...] | None:
-        """Return the points of trajectories without defects, or None if there are none."""
-        eta, n, found = z[: len(self.names)], self.scale.size, []
-        _, at, points = self.best
-        for i, (part, near) in enumerate(zip(self.segments, points, strict=True)):
-            own = slice(eta.size + n * i, eta.size + n * (i + 1))
-            move = np.append(eta - at[: eta.size], z[own] - at[own])
-            s = near.s + (near.states_by() @ move).T * self.scale[:, None]
-            s[:, 0] = z[own] * self.scale
-            point = self._joined(eta, part, s)
-            if point is None:
-                return None
-            found.append(point)
-        return tuple(found)
+        An error is a measured minus a simulated output, NaN where an output is missing.
+        """
+        d, n, rows = len(self.names), self.scale.size, self.segments.rows
+        by, joining = point.chained()
+        along = np.einsum("ljis,sik->ljks", point.y_by[:, :, d:], by)
+        along[:, :, :d] += point.y_by[:, :, :d]
+        ordered = self.segments.in_order(along)
+        J = np.zeros((*self.segments.y.shape, d + n * len(rows)))
+        J[..., :d] = ordered[..., :d]
+        for i, own in enumerate(rows):
+            J[own, :, d + n * i : d + n * (i + 1)] = ordered[own, :, d:]
+        # The last, small defects are removed to first order.
+        left = np.einsum("ljis,si->ljs", point.y_by[:, :, d:], joining)
+        return self.segments.y - self.segments.in_order(point.y + left), J
 
-    def _joined(self, eta: Vector, part: Segments, s: Matrix) -> Point | None:
+    def joined(self, z: Vector) -> Point | None:
+        """Return the point of trajectories without defects, or None if there is none."""
+        d, (_, at, near) = len(self.names), self.best
+        if near is None:
+            return None
+        own = self.segments.experiment
+        x0, before = (v[d:].reshape(-1, self.scale.size)[own] for v in (z, at))
+        move = np.hstack([np.tile(z[:d] - at[:d], (own.size, 1)), x0 - before])
+        s = near.s + (near.chained()[0] @ move[..., None])[..., 0].T * self.scale[:, None]
+        s[:, near.first] = x0[near.first].T * self.scale[:, None]
         for _ in range(_MAX_JOINS):
-            if not np.all(np.isfinite(s)):
-                return None
-            point = self.point(eta, part, s)
-            if not np.all(np.isfinite(point.y)):
+            point = self.point(z[:d], s)
+            if not (np.all(np.isfinite(s)) and np.all(np.isfinite(point.y))):
                 return None
             if np.max(np.abs(point.defects), initial=0.0) <= _JOINED:
                 return point
-            s = s + point.joining().T * self.scale[:, None]
+            s = s + point.chained()[1].T * self.scale[:, None]
         return None
+
+    def _found(self, z: Vector) -> Point:
+        point = self.joined(z)
+        if point is None:
+            raise InputError("the search ended at parameters whose outputs are not finite")
+        return point
+
+    def residuals(self, z: Vector) -> Matrix:
+        """Return measured minus simulated outputs (N, ny), NaN where an output is missing."""
+        return self.condensed(self._found(z))[0]
 
     def linearise(self, z: Vector) -> tuple[Vector, Matrix]:
         """Return residuals and derivatives of the joined trajectories."""
-        points = self.joined(z)
-        if points is None:
-            M = sum(int(np.count_nonzero(data.valid)) for data in self.experiments)
+        point = self.joined(z)
+        if point is None:
+            M = int(np.count_nonzero(np.isfinite(self.segments.y)))
             return np.full(M, np.inf), np.zeros((M, z.size))
-        e, J = self._condensed(points)
+        errors, derivatives = self.condensed(point)
+        known = np.isfinite(errors)
+        e, J = (errors / self.std)[known], (derivatives / self.std[:, None])[known]
         cost = float(e @ e)
         if cost <= self.best[0]:
-            self.best = cost, z.copy(), points
+            self.best = cost, z.copy(), point
         return e, J
 
-    def at(self, z: Vector) -> Linearised:
-        """Return residuals, and derivatives without the parts that the initial states explain."""
-        e, J = self.linearise(z)
-        d, n = len(self.names), len(self.ode.states)
-        return without_free_responses(
-            e,
-            J,
-            d,
-            self.experiments,
-            [slice(d + n * i, d + n * (i + 1)) for i in range(len(self.experiments))],
-            [np.append(x0 * self.scale, 0.0) for x0 in z[d:].reshape(-1, n)],
+    def searched(self, z: Vector, most: int = MAX_STEPS) -> Optimum:
+        """Return the minimum that a search from z finds, inside the box."""
+        free = np.full(z.size - self.box.low.size, np.inf)
+        walls = Box(low=np.append(self.box.low, -free), high=np.append(self.box.high, free))
+        return levenberg_marquardt(
+            self.linearise,
+            walls.inside(z, z),
+            admissible=lambda _: True,
+            most=most,
+            walls=walls,
+            error=DERIVATIVE_ERROR,
         )
 
-    def starts(self, eta: Vector) -> list[Matrix]:
-        """Return states at the start of each segment, from the data near the segment.
+    def at(self, z: Vector, held: Sequence[str] = ()) -> tuple[Matrix, Vector, list[Matrix]]:
+        """Return derivatives without the parts that the initial states explain, and two factors.
 
-        The states minimise the relaxed problem for given parameters. The search begins with the
-        states that a segment from 0 reaches in one segment's time.
+        The derivatives (M, d) of the M measured values, divided by `std`, are with respect to the
+        coordinates of the free parameters and then of those in `held`. A derivative of which only
+        rounding remains is 0. The factors are the derivative of each parameter with respect to its
+        coordinate, and an orthonormal basis of each experiment's responses to its initial state.
         """
-        values, nothing = self.fixed | self.values(eta), np.zeros(0)
-        alone = replace(self, names=(), fixed=values, box=Box(low=nothing, high=nothing))
-        n, points = self.scale.size, []
-        for part in self.segments:
-            S = part.course.u.shape[2]
-            # A segment that starts at 0 ends near the states of the next, unless they integrate.
-            ends = integrated(self.ode, part.course, np.zeros((n, 1, S)), values, self.steps).end
-            s = np.column_stack([np.zeros(n), ends[:, 0, :-1]])
-            points.append(alone.point(nothing, part, np.nan_to_num(s, posinf=0, neginf=0)))
-        return [p.s for p in alone.relax(nothing, points, _WEIGHTS[0] * self.length)[1]]
+        values, n = self.fixed | self.values(z), self.scale.size
+        wide = replace(self, names=(*self.names, *held))
+        eta = wide.coordinates.of([values[name] for name in wide.names])
+        e, derivatives = wide.condensed(wide.point(eta, self._found(z).s))
+        known = np.isfinite(e)
+        J = (derivatives / self.std[:, None])[known]
+        edges = np.cumsum([0, *(np.count_nonzero(known[own]) for own in self.segments.rows)])
+        Psi, spans = J[:, : eta.size].copy(), []
+        for i, (a, b) in enumerate(pairwise(edges)):
+            free = J[a:b, eta.size + n * i : eta.size + n * (i + 1)]
+            basis = orthonormal(free, DERIVATIVE_ERROR)
+            Psi[a:b] = basis.without(Psi[a:b])
+            spans.append(basis.Q)
+        size = np.linalg.norm(J[:, : eta.size], axis=0)
+        Psi[:, np.linalg.norm(Psi, axis=0) <= DERIVATIVE_ERROR * size] = 0.0
+        return Psi, wide.coordinates.slopes(eta), spans
 
-    def begun(self, eta: Vector) -> list[Matrix]:
-        """Return states at the start of each segment; set enough steps and the states' scale."""
-        values = self.fixed | self.values(eta)
+    def from_rest(self, eta: Vector) -> Vector:
+        """Return coordinates of trajectories from the initial states 0, and begin with these."""
+        n, experiments = self.scale.size, len(self.segments.rows)
+        z = np.append(eta, np.zeros(n * experiments))
+        self.best = np.inf, z, self.point(eta, np.zeros((n, self.segments.experiment.size)))
+        return z
+
+    def begun(self, eta: Vector) -> Matrix:
+        """Return states at the start of each segment; set enough steps and the states' scale.
+
+        The states minimise the relaxed problem for given parameters. The search for them begins
+        with the states that a segment from 0 reaches in one segment's time.
+        """
+        values, course = self.fixed | self.values(eta), self.segments.course
         for _ in range(_MAX_BEGINNINGS):
-            starts = self.starts(eta)
-            sizes = np.max([np.max(np.abs(s), axis=1) for s in starts], axis=0)
-            known = np.isfinite(sizes) & (sizes > 0)
-            self.scale, before = np.where(known, sizes, 1.0), self.scale
-            steps = self.steps
-            for part, s in zip(self.segments, starts, strict=True):
-                steps = max(steps, steps_and_error(self.ode, part.course, s, values)[0])
-            settled = steps == self.steps and np.all(np.abs(np.log(self.scale / before)) < 1)
-            self.steps = steps
-            if settled:
+            alone = replace(self, names=(), fixed=values, box=Box(low=_NOTHING, high=_NOTHING))
+            s = np.zeros((self.scale.size, self.segments.experiment.size))
+            # A segment that starts at 0 ends near the states of the next, unless they integrate.
+            ends = self.model.integrated(course, s[:, None], values, self.steps).end[:, 0]
+            s[:, 1:] = np.where(self.segments.first[1:], 0.0, ends[:, :-1])
+            point = alone.point(_NOTHING, np.nan_to_num(s, posinf=0, neginf=0))
+            s = alone.relax(_NOTHING, point, _WEIGHTS[0] * self.length)[1].s
+            sizes = np.max(np.abs(s), axis=1)
+            # An offset of 0 would have no scale.
+            known = np.isfinite(sizes) & (sizes > 0) & [x != OFFSET for x in self.model.states]
+            before, steps = self.scale, self.steps
+            self.scale = np.where(known, sizes, 1.0)
+            self.steps = max(steps, self.model.steps_and_error(course, s, values)[0])
+            if steps == self.steps and np.all(np.abs(np.log(self.scale / before)) < 1):
                 break
-        return starts
+        return s
 
     def solver_error(self, z: Vector, allowed: Vector) -> tuple[int, Vector]:
         """Return enough steps and the solver's error of each output at the coordinates z.
 
         With enough steps, their doubling changes the outputs by at most `allowed`.
         """
-        values = self.fixed | self.values(z)
-        steps, error = self.steps, np.zeros(self.std.size)
-        for part, point in zip(self.segments, self.joined(z) or (), strict=False):
-            m, change = steps_and_error(
-                self.ode, part.course, point.s, values, least=self.steps, allowed=allowed
-            )
-            steps, error = max(steps, m), np.maximum(error, change)
-        return steps, error
+        course, s, values = self.segments.course, self._found(z).s, self.fixed | self.values(z)
+        return self.model.steps_and_error(course, s, values, least=self.steps, allowed=allowed)

@@ -112,69 +112,59 @@ class SplitStudy:
     @property
     def verdict(self) -> str:
         """Text on the trend of the standard deviation, and on the agreement of the parts."""
-        return "\n".join([*self._trend(), *self._agreement()])
+        return "\n".join(self._sentences(full=False))
 
     def explain(self) -> str:
         """Return a text on the trend, its reason, and the agreement of the parts."""
-        lines = self._trend()
-        if lines:
+        return "\n".join(self._sentences(full=True))
+
+    def _sentences(self, *, full: bool) -> list[str]:
+        first, last, lines = self.splits[0], self.splits[-1], []
+        cut = [s for s in self.splits if s.k > 1]
+        if len(self.splits) > 1:
+            ratio, expected = self.std_growth, sqrt(float(np.mean(first.N) / np.mean(last.N)))
+            lines.append(
+                f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
+                f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}. If the "
+                "variance were proportional to 1/N, the factors would be "
+                f"{expected:.2f} and {expected**2:.2f}."
+            )
+        if lines and full:
             lines.append(
                 "Each sample adds its share psi(t)²/lambda to the information. The covariance is "
                 "the inverse of the information: half the data have half the information and twice "
                 "the variance. Deviations from this law have two reasons: the input does not "
                 "excite all parts equally, and each part must estimate an initial state."
             )
-        return "\n".join([*lines, *self._agreement(scatter=True), *self._pooled()])
-
-    def _trend(self) -> list[str]:
-        first, last = self.splits[0], self.splits[-1]
-        if len(self.splits) == 1:
-            return []
-        ratio = self.std_growth
-        expected = sqrt(float(np.mean(first.N) / np.mean(last.N)))
-        return [
-            f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
-            f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}. If the variance "
-            f"were proportional to 1/N, the factors would be {expected:.2f} and {expected**2:.2f}."
-        ]
-
-    def _agreement(self, *, scatter: bool = False) -> list[str]:
-        """Return sentences on the agreement of the parts of each split."""
-        lines = []
-        for s in self.splits:
-            if s.k == 1:
-                continue
+        for s in cut:
             word = "agree" if s.p_value >= _DIFFERENCE_LEVEL else "DIFFER"
             line = (
                 f"The {s.k} parts {word} at a level of {100 * _DIFFERENCE_LEVEL:g} % "
                 f"(chi² {s.chi2:.2f} with {plural(s.k - 1, 'degree')} of freedom, "
                 f"p {p_relation(s.p_value)})"
             )
-            if scatter:
+            if full:
                 reported = sqrt(float(np.mean(s.std**2)))
                 low, high = s.scatter_interval
                 line += f"; they scatter by {s.scatter:.2g} (95 % interval {low:.2g} to "
                 line += f"{high:.2g}), and the reported standard deviation is {reported:.2g}"
             lines.append(f"{line}.")
-        if any(s.p_value < _DIFFERENCE_LEVEL for s in self.splits):
+        if any(s.p_value < _DIFFERENCE_LEVEL for s in cut):
             lines.append(
                 "If parts differ by more than their standard deviations allow, the model probably "
                 "lacks a property of the rig (friction, drift). The standard deviations contain "
                 "only the noise."
             )
+        whole = next((s for s in self.splits if s.k == 1), None)
+        if full and whole is not None and last.k > 1:
+            value, std = last.pooled
+            lines.append(
+                f"Pooled with weights 1/std², the estimate of the {last.k} parts is {value:.6g} ± "
+                f"{std:.2g}; the estimate from all data is {whole.values[0]:.6g} ± "
+                f"{whole.std[0]:.2g}. Cutting the data loses only the information that determines "
+                "the additional initial states."
+            )
         return lines
-
-    def _pooled(self) -> list[str]:
-        last, whole = self.splits[-1], next((s for s in self.splits if s.k == 1), None)
-        if whole is None or last.k == 1:
-            return []
-        value, std = last.pooled
-        return [
-            f"Pooled with weights 1/std², the estimate of the {last.k} parts is {value:.6g} ± "
-            f"{std:.2g}; the estimate from all data is {whole.values[0]:.6g} ± "
-            f"{whole.std[0]:.2g}. Cutting the data loses only the "
-            "information that determines the additional initial states."
-        ]
 
     plot = drawn_by("plot_split", "the estimates with ±2 standard deviations and the law 1/sqrt(N)")
 
