@@ -1030,7 +1030,7 @@ def predicted_std() -> Variants:
     u = switching(201, 3, 0.2)
     yield "bj", armrig.predicted_std(planned(C=[1, 0.5], D=[1, -0.6]), u, noise_variance=0.1)
     arx = planned(A=COMPLEX[1], F=[1.0])
-    yield "arx", armrig.predicted_std(arx, armrig.merge([late(), late()[:70]]), initial="zero")
+    yield "arx", armrig.predicted_std(arx, armrig.merge([late(), late()[:70]]))
     F = np.convolve([1.0, -0.7], [1.0, -1.0])
     model = planned(0.1, B=[0, 0.3, 0.2], F=F, integrator=True)
     yield "integrator", armrig.predicted_std(model, u)
@@ -1045,7 +1045,7 @@ def predicted_parameter_std() -> Variants:
     predicted = partial(armrig.predicted_parameter_std, Ts=0.005, noise_variance=1e-5)
     u = switching(400, 5, 0.02)
     yield "chassis", predicted(armrig.chassis, u)
-    yield "two", predicted(armrig.chassis, u, free=("J_1", "K_m"), initial="zero")
+    yield "two", predicted(armrig.chassis, u, free=("J_1", "K_m"))
     yield "arm", predicted(armrig.arm, u, free=("J_1", "J_2"), output="alpha")
 
 
@@ -1419,7 +1419,7 @@ def uncertainty() -> Variants:
         "integrator": oe_integrating(),
     }
     for name, fit in fits.items():
-        draws = drawn(fit, n=200, rng=np.random.default_rng(1))
+        draws = drawn(fit, n=200)
         yield f"{name} draws", draws
         yield f"{name} poles", u.pole_regions(fit, draws)
         yield f"{name} zeros", u.zero_regions(fit, draws)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -146,7 +145,6 @@ def predicted_std(
     u: ArrayLike | Dataset,
     *,
     noise_variance: float | None = None,
-    initial: Literal["estimate", "zero"] = "estimate",
 ) -> PredictedStd:
     """Predict the standard deviations of the parameters of a model for a planned input.
 
@@ -157,8 +155,9 @@ def predicted_std(
 
     The gradient of the prediction has a part psi_u from u and a part psi_e from e. The part psi_u
     is simulated. The initial states, and the level and ramp of an integrator, are estimated too.
-    Therefore the projection of psi_u on the responses to these quantities is subtracted. The
-    variance of psi_e is computed from impulse responses.
+    Therefore the projection of psi_u on the responses to these quantities is subtracted. In a model
+    with A, the first samples are the initial values and are not predicted. The variance of psi_e is
+    computed from impulse responses.
 
     Parameters
     ----------
@@ -169,9 +168,6 @@ def predicted_std(
         input, gaps and boundaries of experiments are used, but not its y.
     noise_variance : float, optional
         Variance of e, in the squared unit of y. The default is the variance in the model.
-    initial : {"estimate", "zero"}
-        Assumption on the initial states: estimated from the data, or zero. In a model with A, the
-        first samples are the initial values and are not predicted.
 
     Returns
     -------
@@ -205,8 +201,6 @@ def predicted_std(
             f"noise_variance={variance!r} must be > 0; give the variance of e, for example from an "
             "earlier fit"
         )
-    if initial not in ("estimate", "zero"):
-        raise InputError(f'initial={initial!r} must be "estimate" or "zero"')
     for name, p in (("C", model.C), ("F", _without_known_root(model, "f"))):
         if not stable(p):
             raise InputError(f"{name} has a root on or outside the unit circle")
@@ -217,11 +211,7 @@ def predicted_std(
             f"{planned.missing} samples are missing, but only an output-error model can be planned "
             "with gaps: plan with the complete input"
         )
-    rows = [
-        block
-        for part in planned.experiments()
-        for block in _gradient(model, part, variance, estimate=initial == "estimate")
-    ]
+    rows = [block for part in planned.experiments() for block in _gradient(model, part, variance)]
     to_full = np.eye(model.theta.size)
     if model.integrating:
         # F = (1 - q^-1) F̃ is linear in F̃: f_k = f̃_k - f̃_(k-1). The equations for A are the
@@ -232,7 +222,7 @@ def predicted_std(
     return inverted(np.vstack(rows), variance, model.names, model.theta, planned, to_full)
 
 
-def _gradient(model: Fit, part: Dataset, variance: float, *, estimate: bool) -> Iterator[Array]:
+def _gradient(model: Fit, part: Dataset, variance: float) -> Iterator[Array]:
     """Yield blocks of rows Psi for one experiment; the sum of Psi^T Psi is lambda M."""
     # The columns belong to a, b, c, d and f, without the factor of an integrator.
     # An integrator in A is removed by differencing y, an integrator in F by summing u.
@@ -241,7 +231,7 @@ def _gradient(model: Fit, part: Dataset, variance: float, *, estimate: bool) -> 
     if model.integrating == "f":
         # The mean of u leads to a ramp, which is projected out anyway. Without the mean, the sums
         # have smaller rounding errors.
-        u = np.cumsum(u - np.mean(u) if estimate else u)
+        u = np.cumsum(u - np.mean(u))
     na, nf = A.size - 1, F.size - 1
     forced = filtered(B, F, u)
     white = filtered(D, C, np.column_stack([u, forced, filtered([1.0], A, forced)]).T)
@@ -258,9 +248,9 @@ def _gradient(model: Fit, part: Dataset, variance: float, *, estimate: bool) -> 
     Z = np.zeros((N, 0))
     if model.A.size > 1:
         rows[: max(model.A.size, B.size) - 1] = False
-        if model.integrating and estimate:
+        if model.integrating:
             Z = filtered(D, C, np.ones((1, N))).T  # offset of the input
-    elif estimate:
+    else:
         count = transient_count(
             numerator_degree=B.size - 1,
             denominator_degree=model.F.size - 1,

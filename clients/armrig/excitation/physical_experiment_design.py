@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -33,13 +32,12 @@ def predicted_parameter_std(
     free: Sequence[str] = ("J_1",),
     fixed: ArmParameters | None = None,
     output: str = THETA_1,
-    initial: Literal["estimate", "zero"] = "estimate",
 ) -> PredictedStd:
     """Predict the standard deviations of physical parameters for a planned input.
 
     The function uses the method of `predicted_std`. The physical model is sampled exactly for an
     input held between samples, and the noise on the output is white. The derivatives are those of
-    `greybox`.
+    `greybox`. The initial state and the input offset are estimated too.
 
     Parameters
     ----------
@@ -58,9 +56,6 @@ def predicted_parameter_std(
         Values of all parameters; by default the values of the handout.
     output : str, default "theta_1"
         Measured output of the model.
-    initial : {"estimate", "zero"}
-        With "estimate" the initial state and the input offset are estimated too; with "zero" both
-        are assumed to be known.
 
     Raises
     ------
@@ -100,11 +95,8 @@ def predicted_parameter_std(
     problem = Shooting.of(physics, (*theta,), asdict(p), parts).changed(std=np.ones(1))
     z = problem.from_rest(problem.coordinates.of(values.tolist()))
     Psi, slopes, _ = problem.at(z)
-    if initial == "zero":
-        Psi = problem.linearise(z)[1][:, : values.size]
     one = np.eye(values.size)
-    Psi = Psi / slopes
-    return inverted(Psi, noise_variance, (*theta,), values, planned, one, DERIVATIVE_ERROR)
+    return inverted(Psi / slopes, noise_variance, (*theta,), values, planned, one, DERIVATIVE_ERROR)
 
 
 def arm_deviations(u: Vector, Ts: float, *, alone: bool) -> list[str]:

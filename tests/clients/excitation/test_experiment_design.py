@@ -195,8 +195,6 @@ def test_impossible_arguments_of_a_plan_are_refused() -> None:
         predicted_std(model, u, noise_variance=float("nan"))
     with pytest.raises(ValueError, match="Ts=1 s and the data have Ts=2 s"):
         predicted_std(model, Dataset(u=u, y=u, Ts=2.0))
-    with pytest.raises(ValueError, match='initial=\'guess\' must be "estimate" or "zero"'):
-        predicted_std(model, u, initial="guess")  # type: ignore[arg-type]
     for free in (("b_1",), ()):
         with pytest.raises(ValueError, match="must name parameters that are > 0"):
             predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, free=free)
@@ -204,8 +202,7 @@ def test_impossible_arguments_of_a_plan_are_refused() -> None:
         predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, output="beta")
 
 
-@pytest.mark.parametrize("initial", ["estimate", "zero"])
-def test_a_gap_at_the_end_informs_like_a_shorter_experiment(initial: Any) -> None:
+def test_a_gap_at_the_end_informs_like_a_shorter_experiment() -> None:
     """For a physical model and a black box; the planned length still contains the gap."""
     u = telegraph(300, 0.1)
     y, there = np.where(np.arange(300) < 180, 0.0, np.nan), np.arange(300) < 180
@@ -213,9 +210,9 @@ def test_a_gap_at_the_end_informs_like_a_shorter_experiment(initial: Any) -> Non
     model = planned(B=B, F=A, noise_variance=1.0, Ts=0.01)
 
     for predict in (
-        lambda x: predicted_std(model, x, initial=initial),
+        lambda x: predicted_std(model, x),
         lambda x: predicted_parameter_std(
-            arm, x, Ts=0.01, noise_variance=1e-4, free=("J_1", "K_lin"), initial=initial
+            arm, x, Ts=0.01, noise_variance=1e-4, free=("J_1", "K_lin")
         ),
     ):
         found, short, long = (predict(x) for x in (gap, u[:180], u))
@@ -237,15 +234,3 @@ def test_each_experiment_adds_its_information() -> None:
     ):
         one, two = (predict(x).covariance for x in (once, merge([once, once])))
         np.testing.assert_allclose(two, one / 2, rtol=1e-9)
-
-
-@pytest.mark.parametrize("structure", ["A", "F"])
-def test_a_known_initial_state_lowers_the_deviation_of_an_integrator(structure: str) -> None:
-    """Initial state and offset are then not estimated."""
-    u = telegraph(60, 0.1) - 2.5
-    integrating = np.convolve(A, [1.0, -1.0])
-    model = planned(B=B, noise_variance=1.0, Ts=0.01, integrator=True, **{structure: integrating})
-
-    known, estimated = (predicted_std(model, u, initial=how) for how in ("zero", "estimate"))
-
-    assert (known.std < 0.997 * estimated.std).all()
