@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import LinAlgError, solve_discrete_are
 from scipy.linalg.lapack import dggev
 
@@ -32,12 +33,12 @@ from armrig.models.structure_table import Weights
 from armrig.numerics.criteria import aic, mdl
 from armrig.numerics.least_squares import (
     cholesky_factor,
-    gram_of_windows,
     least_squares,
     triangle,
     without_span,
 )
 from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.regressors import in_blocks
 from armrig.numerics.stretches import stretches
 
 Parts = Sequence[tuple[Array, Array]]
@@ -93,10 +94,15 @@ def windows(parts: Parts, *, past: int, future: int, most: int | None = None) ->
     order = np.concatenate(
         [at[past:, :nu], at[:past, :nu], at[:past, nu:], at[past:, nu:]], axis=None
     )
-    G = gram_of_windows([[*x.T] for x in whole], length, m)
+    G, total = np.zeros((at.size, at.size)), np.zeros(at.size)
+    for M in _blocks(whole, length):
+        G += M.T @ M
+        total += M.sum(axis=0)
+    G -= np.outer(total, total) / max(N, 1)
     R = cholesky_factor(G[np.ix_(order, order)])
     if R is None:
-        R = np.triu(triangle(_blocks(whole, order, length), 1 + order.size))[1:, 1:]
+        ordered = (np.insert(M[:, order], 0, 1.0, axis=1) for M in _blocks(whole, length))
+        R = np.triu(triangle(ordered, 1 + order.size))[1:, 1:]
     return Windows(R=R, past=past, future=future, N=N, nu=nu, ny=m - nu)
 
 
@@ -122,27 +128,11 @@ def _centred(parts: list[Array]) -> list[Array]:
     return [x - mean for x in parts]
 
 
-def _blocks(parts: list[Array], order: Integers, length: int) -> Iterator[Array]:
-    """Yield blocks of windows [1 U_f U_p Y_p Y_f]; short parts share a block."""
-    waiting: list[Array] = []
+def _blocks(parts: list[Array], length: int) -> Iterator[Array]:
+    """Yield blocks of windows, with the samples of one signal after those of another."""
     for x in parts:
-        count = x.shape[0] - length + 1
-        for begin in range(0, count, _BLOCK_ROWS):
-            waiting.append(_block(x, order, length, range(begin, min(begin + _BLOCK_ROWS, count))))
-            if sum(block.shape[0] for block in waiting) >= _BLOCK_ROWS:
-                yield np.vstack(waiting)
-                waiting = []
-    if waiting:
-        yield np.vstack(waiting)
-
-
-def _block(x: Array, order: Integers, length: int, rows: range) -> Array:
-    """Return [1 U Y] for the windows that begin at `rows`, with the columns in the given order."""
-    M = np.ones((len(rows), 1 + order.size), order="F")
-    for j, k in enumerate(order, 1):
-        signal, shift = divmod(int(k), length)
-        M[:, j] = x[rows.start + shift : rows.stop + shift, signal]
-    return M
+        for block in in_blocks(sliding_window_view(x, length, axis=0), _BLOCK_ROWS):
+            yield block.reshape(len(block), -1)
 
 
 def shortened(w: Windows, samples: int) -> Windows:

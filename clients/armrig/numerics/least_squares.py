@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -148,68 +148,6 @@ def triangle(blocks: Iterable[Array], width: int) -> Array:
 # square of this share, 1e-10, with rounding errors of about 1e-16. A variance then has about five
 # correct digits, and an estimate about two.
 _MIN_COLUMN_REST = 1e-5
-_MIN_DISPLACEMENT_RATIO = 8  # with more windows than 8 times their length, the recursion is faster
-
-
-def gram_of_windows(parts: Sequence[Sequence[Array]], length: int, m: int = 2) -> Array:
-    """Return the Gram matrix of the windows of m signals after the column means are subtracted.
-
-    `parts` are the m signals of each part, for example (u, y), of at least `length` samples. The
-    shape of the Gram matrix is (m length, m length).
-
-    Row t of the matrix of windows contains the samples t … t + length - 1 of the first signal. The
-    same samples of the second signal follow, and so on. Let x and z be two signals. Then entry
-    (i, j) of their block is the sum of x(t + i) z(t + j) over the n windows. A recursion computes
-    this sum ::
-
-        G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
-
-    The first row and column of each block are computed as correlations of x and z. The recursion
-    needs m² n length multiplications. A product of the matrix of windows with itself would need
-    (m length)² n multiplications.
-
-    References
-    ----------
-    .. [1] T. Kailath, S.-Y. Kung, M. Morf, J. Math. Anal. Appl. 68 (1979) 395-407 (displacement
-       rank).
-    """
-    G, total, N = np.zeros((m, length, m, length)), np.zeros((m, length)), 0
-    for part in parts:
-        x = np.stack(part)
-        n = x.shape[1] - length + 1
-        if n < _MIN_DISPLACEMENT_RATIO * length:
-            M = np.lib.stride_tricks.sliding_window_view(x, n, axis=1).reshape(m * length, n)
-            G += (M @ M.T).reshape(G.shape)
-            total += M.sum(axis=1).reshape(total.shape)
-        else:
-            G += _by_displacement(x, length)
-            inner = x[:, length - 1 : n].sum(axis=1)
-            total += inner[:, None] + _ends(x, length)
-        N += n
-    whole, s = G.reshape(m * length, m * length), total.ravel()
-    return np.asarray(whole - np.outer(s, s) / max(N, 1))
-
-
-def _ends(x: Array, length: int) -> Array:
-    """Return the sum of x(i) … x(length - 2) and x(n) … x(n + i - 1) for each i, (m, length)."""
-    before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
-    after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)
-    none = np.zeros((x.shape[0], 1))
-    return np.asarray(np.hstack([before, none]) + np.hstack([none, after]))
-
-
-def _by_displacement(x: Array, length: int) -> Array:
-    """Return the Gram matrix of the windows of m signals x (m, N), (m, length, m, length)."""
-    m, n = x.shape[0], x.shape[1] - length + 1
-    first = np.array([[np.correlate(z, v[:n]) for z in x] for v in x])
-    G = np.empty((m, length, m, length))
-    G[:, 0] = first
-    G[:, :, :, 0] = first.transpose(1, 2, 0)
-    late, early = x[:, n : n + length - 1], x[:, : length - 1]
-    change = np.einsum("ai,bj->aibj", late, late) - np.einsum("ai,bj->aibj", early, early)
-    for i in range(length - 1):
-        G[:, i + 1, :, 1:] = G[:, i, :, :-1] + change[:, i]
-    return G
 
 
 def cholesky_factor(G: Array) -> Array | None:
