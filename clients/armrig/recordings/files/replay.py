@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.manifest import RUN, Manifest, manifest_of
+from armrig_core.recording_file.manifest import RUN, manifest_of
 from armrig_core.rig.volts import codes_of
-from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
 from armrig_daemon.decisions.state import Action, Emit, Publish, Send
 from armrig_daemon.pipe import Log
 from armrig_protocol.frame import Spoilt, Unknown, decode
-from numpy.typing import NDArray
 
 from armrig.numerics.quantities import plural
 from armrig.recordings.files.container import Content, read, streamed
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
 
 MAX_CHUNK_BYTES = 4096
 """Largest size of a chunk of the core's steps, in B."""
-_COMPARED_SAMPLES = 4096  # samples compared in one step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,16 +101,19 @@ def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
 
 def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     manifest = manifest_of(content.metadata[RUN])
-    codes = _codes(paths[0], content, manifest)
-    state = trace.restored(begin.state, codes, begin.version)
+    if content.input is None:
+        raise InputError("no input is attached")
+    u = recorded_input(paths[0], content.input, manifest.samples)
+    state = trace.restored(begin.state, codes_of(u.tolist()), begin.version)
     # Samples read together with the answer to START precede the first step.
     k = content.samples["k"]
-    compared = _Compared(content.samples[k > state.last_reported_k], manifest)
-    chunks = _Chunks(_chunks_of(paths))
+    theirs = content.samples[k > state.last_reported_k]
+    ours = same = 0  # replayed samples, and equal samples before the first difference
+    chunks, numbers = _chunks_of(paths), list[int]()
     difference, frames, said = "", 0, []
     first = now_ns = None
     n = 0
-    for n, step in enumerate(chunks.steps(), 1):
+    for n, step in enumerate(_steps(chunks, numbers), 1):
         now_ns = step.now_ns
         first = now_ns if first is None else first
         state, actions = core_step.step(state, now_ns, step.events)
@@ -123,21 +123,26 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
             difference += f"sent {_names(step.sent)}, now decides {_names(sent)}"
             break
         frames += len(sent)
-        compared.add(a.sample for a in actions if isinstance(a, Publish))
+        for sample in (a.sample for a in actions if isinstance(a, Publish)):
+            if manifest.k_first <= sample.k < manifest.k_first + manifest.samples:
+                row = np.array([tuple(sample)], SAMPLE_DTYPE)
+                same += same == ours and row.tobytes() == theirs[ours : ours + 1].tobytes()
+                ours += 1
         said += list(_messages(actions, first))
-    compared.settle()
-    if not difference and (holes := chunks.holes()):  # then samples are missing, too
+    numbers += [int(chunk.number) for chunk in chunks]
+    holes = numbers[-1] + 1 - len(numbers)
+    if not difference and holes:  # then samples are missing, too
         verb = "is" if holes == 1 else "are"
         difference = f"{plural(holes, 'chunk')} of steps {verb} missing from the file"
     # In a file that is cut off, the last sample may be later or earlier than the last step.
-    reach = (min if content.cut_off else max)(compared.ours, compared.theirs.size)
-    if not difference and compared.same != reach:
-        difference = f"the file has {compared.theirs.size} samples, the replay has {compared.ours}"
-        difference += f"; the first {compared.same} are the same"
+    reach = (min if content.cut_off else max)(ours, theirs.size)
+    if not difference and same != reach:
+        difference = f"the file has {theirs.size} samples, the replay has {ours}"
+        difference += f"; the first {same} are the same"
     return Replay(
         steps=n,
         frames=frames,
-        samples=compared.same,
+        samples=same,
         seconds=0.0 if first is None or now_ns is None else (now_ns - first) / 1e9,
         difference=difference,
         until=content.damage,
@@ -145,81 +150,18 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     )
 
 
-class _Compared:
-    """Comparison of replayed and recorded samples, in several parts to limit the use of memory."""
-
-    def __init__(self, theirs: NDArray[np.void], manifest: Manifest) -> None:
-        """Store the samples of the file, an array (n,) of `SAMPLE_DTYPE`."""
-        self.theirs = theirs
-        self.ours = 0
-        """Number of replayed samples of the run."""
-        self.same = 0
-        """Number of equal samples before the first difference."""
-        self._first, self._end = manifest.k_first, manifest.k_first + manifest.samples
-        self._pending: list[tuple[Any, ...]] = []
-
-    def add(self, samples: Iterable[Sample]) -> None:
-        """Add replayed samples."""
-        self._pending += [tuple(s) for s in samples if self._first <= s.k < self._end]
-        if len(self._pending) >= _COMPARED_SAMPLES:
-            self.settle()
-
-    def settle(self) -> None:
-        """Compare the pending samples."""
-        ours = np.array(self._pending, dtype=SAMPLE_DTYPE)
-        self._pending = []
-        if self.same == self.ours:
-            self.same += _same_rows(ours, self.theirs[self.ours : self.ours + ours.size])
-        self.ours += ours.size
-
-
-class _Chunks:
-    """Chunks of the core's steps in a file, in order."""
-
-    def __init__(self, chunks: Iterator[Any]) -> None:
-        self._chunks = chunks
-        self._count, self._last = 0, -1
-
-    def steps(self) -> Iterator[trace.Step]:
-        """Yield the core's steps up to the first missing chunk."""
-        for chunk in self._next():
-            if chunk.number != self._count - 1:
-                return
-            if len(chunk.steps) > MAX_CHUNK_BYTES:
-                raise InputError(
-                    f"a chunk of steps has {len(chunk.steps)} B; "
-                    f"the daemon writes at most {MAX_CHUNK_BYTES} B"
-                )
-            yield from trace.steps_of(chunk.steps, chunk.version)
-
-    def holes(self) -> int:
-        """Return the number of missing chunks before the last existing chunk."""
-        for _ in self._next():
-            pass
-        return self._last + 1 - self._count
-
-    def _next(self) -> Iterator[Any]:
-        for chunk in self._chunks:
-            self._count, self._last = self._count + 1, int(chunk.number)
-            yield chunk
-
-
-def _same_rows(ours: Any, theirs: Any) -> int:
-    """Return the number of samples before the first sample that differs in any bit."""
-    n = min(ours.size, theirs.size)
-    if not n:
-        return 0
-    a, b = (np.frombuffer(x[:n].tobytes(), np.uint8).reshape(n, -1) for x in (ours, theirs))
-    different = np.flatnonzero((a != b).any(axis=1))
-    return int(different[0]) if different.size else n
-
-
-def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
-    """Return the PWM codes of the attached input, computed as in the daemon."""
-    if content.input is None:
-        raise InputError("no input is attached")
-    u = recorded_input(path, content.input, manifest.samples)
-    return codes_of(u.tolist())
+def _steps(chunks: Iterator[Any], numbers: list[int]) -> Iterator[trace.Step]:
+    """Yield the core's steps up to the first missing chunk; add the numbers of the chunks read."""
+    for chunk in chunks:
+        numbers.append(int(chunk.number))
+        if numbers[-1] != len(numbers) - 1:
+            return
+        if len(chunk.steps) > MAX_CHUNK_BYTES:
+            raise InputError(
+                f"a chunk of steps has {len(chunk.steps)} B; "
+                f"the daemon writes at most {MAX_CHUNK_BYTES} B"
+            )
+        yield from trace.steps_of(chunk.steps, chunk.version)
 
 
 def _names(frames: Sequence[bytes]) -> str:
