@@ -100,70 +100,44 @@ def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> N
 
 def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], list[int]]:
     """Return (t, u) and the line number of each row, counted from 1; t may be None."""
-    lines: list[str] = []
-    rows: list[int] = []
-    for number, line in enumerate(text.translate(_SEPARATORS).splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            lines.append(line)
-            rows.append(number)
-    names = lines[0].split() if lines and not _is_number(lines[0].split()[0]) else []
-    lines, rows = (lines[1:], rows[1:]) if names else (lines, rows)
-    if not lines:
+    given = [
+        (k, line)
+        for k, line in enumerate(text.splitlines(), start=1)
+        if line.translate(_SEPARATORS).strip() and not line.lstrip().startswith("#")
+    ]
+    cells = [line.translate(_SEPARATORS).split() for _, line in given]
+    names: list[str] = []
+    if cells and not _is_number(cells[0][0]):
+        names = [name.strip("\"'").lower() for name in cells.pop(0)]
+        del given[0]
+    if not cells:
         raise InputError(
             f"{path}: no row of numbers; give one row for each sample: u in V, or two columns, "
             "t in s and u in V"
         )
-    try:
-        numbers = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
-    except ValueError:
-        numbers = np.zeros((0, 0))
-    if numbers.shape[1] not in (1, 2):
-        raise InputError(_unreadable(path, lines, rows))
-    if numbers.shape[1] == 1:
-        if [name.strip("\"'").lower() for name in names] not in ([], ["u"]):
+    width = len(cells[0])
+    for (row, _), words in zip(given, cells, strict=True):
+        if len(words) != width or width > 2:
             raise InputError(
-                f"{path}: column {', '.join(names)}; name it u, or leave the name out: this column "
-                "drives the motor"
-            )
-        return (None, numbers[:, 0]), rows
-    if not names and _may_be_decimals(text):
-        raise InputError(
-            f"{path}: a comma separates what may be one number (0,5); name the columns t and u in "
-            "the first row, or separate them by a semicolon and write 0.5"
-        )
-    order = _order(path, names)
-    return (numbers[:, order[0]], numbers[:, order[1]].copy()), rows
-
-
-def _may_be_decimals(text: str) -> bool:
-    """Return whether each row is two whole numbers separated by a comma, such as 0,5."""
-    rows = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
-    return all(re.fullmatch(r"\s*-?\d+,\d+\s*", row) for row in rows)
-
-
-def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
-    width = len(lines[0].split())
-    for row, line in zip(rows, lines, strict=True):
-        words = line.split()
-        if len(words) != width or width not in (1, 2):
-            return (
                 f"{path}, row {row}: {len(words)} columns; give u, or t and u, in every row "
                 "(with a point, not a comma, before the decimals)"
             )
         if not all(map(_is_number, words)):
-            return f"{path}, row {row}: {' '.join(words)!r} must be one number in each column"
-    return f"{path}: its rows cannot be read as numbers"
-
-
-def _order(path: str | Path, names: list[str]) -> tuple[int, int]:
-    if not names:
-        return 0, 1
-    lower = [name.strip("\"'").lower() for name in names]
-    if sorted(lower) == ["t", "u"]:
-        return lower.index("t"), lower.index("u")
-    raise InputError(
-        f"{path}: columns {', '.join(names)}; name them t and u, or leave the names out"
-    )
+            msg = f"{path}, row {row}: {' '.join(words)!r} must be one number in each column"
+            raise InputError(msg)
+    columns = ["t", "u"][-width:]
+    if sorted(names) not in ([], columns):
+        raise InputError(
+            f"{path}: columns {', '.join(names)}; name them t and u, or one column u, or leave the "
+            "names out: u drives the motor"
+        )
+    if width == 2 and not names and all(re.fullmatch(r"\s*-?\d+,\d+\s*", x) for _, x in given):
+        raise InputError(
+            f"{path}: a comma separates what may be one number (0,5); name the columns t and u in "
+            "the first row, or separate them by a semicolon and write 0.5"
+        )
+    numbers = dict(zip(names or columns, np.array(cells, dtype=np.float64).T.copy(), strict=True))
+    return (numbers.get("t"), numbers["u"]), [row for row, _ in given]
 
 
 def _is_number(word: str) -> bool:

@@ -269,7 +269,7 @@ def test_a_file_is_read_in_each_common_notation(tmp_path: Path, text: str) -> No
         ("0,1\n0.01\n", "row 2: 1 columns"),
         ("0,1,2\n", "row 1: 3 columns"),
         ("0;1,5\n", "row 1: 3 columns.*with a point, not a comma"),
-        ("t\n0\n0.02\n0.04\n", "column t; name it u"),
+        ("t\n0\n0.02\n0.04\n", "columns t; name them t and u, or one column u"),
         ("0,5\n1,5\n2,5\n", "a comma separates what may be one number"),
         ("time,voltage\n0,1\n", "columns time, voltage; name them t and u"),
         ("", "no row of numbers"),
