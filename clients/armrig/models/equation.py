@@ -279,27 +279,10 @@ def _number(x: float, digits: int, notation: _Notation) -> str:
 
 
 def html(fit: Fit) -> str:
-    """Return equation, coefficients and quality as HTML; MathJax renders the equation.
-
-    A model of several signals, and a model that was not estimated, are preformatted text.
-    """
-    if (fit.ny, fit.nu) != (1, 1) or not fit.quality:
-        return f"<pre>{escape(repr(fit))}</pre>"
-    rows = "".join(
-        f"<tr><td>{name}</td><td>{value:.5g}</td><td>{std:.2g}</td><td>{robust:.2g}</td></tr>"
-        for name, value, std, robust in zip(
-            fit.names, fit.theta, fit.std, fit.std_robust, strict=True
-        )
-    )
-    said = "".join(f"<li>{escape(warning)}</li>" for warning in fit.warnings)
-    return (
-        f"<p><b>{fit.heading}</b>, {time_axis(fit)}, N {fit.N}</p>"
-        f"$$\n{latex(fit)}\n$$"
-        "<table><tr><th>coefficient</th><th>estimate</th><th>std</th><th>std_robust</th></tr>"
-        f"{rows}</table>"
-        f"<p>Fit {fit.fit_percent:.2f} % one step ahead on estimation data, loss {fit.loss:.4g}; "
-        f"{escape(whiteness_sentence(fit))}.</p>" + (f"<ul>{said}</ul>" if said else "")
-    )
+    """Return the text of a model as HTML, below the equation of one channel for MathJax."""
+    text = f"<pre>{escape(repr(fit))}</pre>"
+    is_estimated_channel = (fit.ny, fit.nu) == (1, 1) and bool(fit.quality)
+    return f"$$\n{latex(fit)}\n$$\n{text}" if is_estimated_channel else text
 
 
 Labels = Sequence[str] | None

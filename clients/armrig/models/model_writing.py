@@ -32,14 +32,9 @@ FORMS: dict[str, type[Matrices] | type[Polynomials] | type[TransferFunction]] = 
 """Classes of the parameters, by the names of the classes in a file."""
 
 
-def save_fit(fit: Fit, path: str | PathLike[str]) -> Path:
-    """Write a model as JSON and return the path.
-
-    Raises OSError if the file cannot be written.
-    """
-    path = Path(path)
-    path.write_text(model_text(fit), encoding="utf-8")
-    return path
+def save_fit(fit: Fit, path: str | PathLike[str]) -> None:
+    """Write a model as JSON; raises OSError if the file cannot be written."""
+    Path(path).write_text(model_text(fit), encoding="utf-8")
 
 
 def model_text(fit: Fit) -> str:
