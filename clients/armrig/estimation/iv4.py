@@ -16,7 +16,7 @@ from armrig.estimation.stability import reflection_warnings, stabilised, with_st
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.criteria import fit_percent
-from armrig.numerics.inference import infer, least_squares_residuals
+from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import arx_rows, complete
@@ -92,8 +92,9 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     if stable and (A := stabilised(free)) is not free:
         theta, e = _with_given_poles(A, prewhitened)
     basis = orthonormal(instruments)
+    influences = np.split(basis.Q, np.cumsum([v.size for v in e])[:-1])
     found = infer(
-        least_squares_residuals(e, basis),
+        [[OutputResiduals(e=v, H=H)] for v, H in zip(e, influences, strict=True)],
         inverse @ basis.W,
         score="correlated",
         test="ljung-box",

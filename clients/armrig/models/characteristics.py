@@ -186,7 +186,9 @@ def integrates(model: Fit) -> bool:
 
 
 def _scalars(model: Fit, theta: Vector, *, integrating: bool) -> dict[str, float]:
-    B, F = _polynomials(model, theta)
+    a, b, f = (theta[model.slice_of(letter)] for letter in "abf")
+    B = np.append(np.zeros(model.nk), b)
+    F = np.convolve(np.append(1.0, a), np.append(1.0, f))
     if integrating:
         F = (without_integrator(F) if model.integrator else _without_one(F)) * model.Ts
     gain = float(np.sum(B) / np.sum(F))
@@ -195,12 +197,12 @@ def _scalars(model: Fit, theta: Vector, *, integrating: bool) -> dict[str, float
 
     x = np.exp(-1j * omega * model.Ts)
     of_grid = np.asarray(np.abs(evaluate(B, x) / evaluate(F, x)) ** 2)
-    b, f = ((p[::-1].tolist(), (np.arange(p.size) * p)[::-1].tolist()) for p in (B, F))
+    of_B, of_F = ((p[::-1].tolist(), (np.arange(p.size) * p)[::-1].tolist()) for p in (B, F))
 
     def slope(w: float) -> float:
         """Return d|G|²/dw, multiplied by a positive factor."""
         at = exp(-1j * w * model.Ts)
-        (B_w, dB), (F_w, dF) = ([_horner(p, at) for p in pair] for pair in (b, f))
+        (B_w, dB), (F_w, dF) = ([_horner(p, at) for p in pair] for pair in (of_B, of_F))
         by_B, by_F = B_w.conjugate() * dB, F_w.conjugate() * dF
         return by_B.imag * abs(F_w) ** 2 - by_F.imag * abs(B_w) ** 2
 
@@ -230,12 +232,6 @@ def _without_one(F: Vector) -> Vector:
     """Return F without its root nearest 1, which is assumed to be exactly 1."""
     z = roots(F)
     return np.atleast_1d(np.real(np.poly(np.delete(z, np.argmin(np.abs(z - 1))))))
-
-
-def _polynomials(model: Fit, theta: Vector) -> tuple[Vector, Vector]:
-    a, b, f = (theta[model.slice_of(letter)] for letter in "abf")
-    B = np.concatenate([np.zeros(model.nk), b])
-    return B, np.convolve(np.append(1.0, a), np.append(1.0, f))
 
 
 def _length(modulus: Vector) -> int:

@@ -96,9 +96,14 @@ def plot_bode(
         levels.append(level)
     for model, name in named:
         if isinstance(model, SpectralEstimate):
-            levels.append(_dots(ax, below, model, name if labels else _method(model), w))
+            name = name if labels else f"{model.method.split(',')[0]}, 95 %"
+            levels.append(_dots(ax, below, model, name, w))
     ax.set_xscale("log")
-    _limit_level(ax, np.concatenate(levels))
+    shown = np.concatenate(levels)
+    shown = shown[np.isfinite(shown)]
+    if shown.size:
+        ax.set_ylim(float(shown.min()) - 6.0, float(shown.max()) + 6.0)
+    decibel_ticks(ax)
     _limit_phase(below)
     ax.set_ylabel(f"$|G|$ [dB re 1 {gain_unit(models)}]")
     below.set_ylabel("arg $G$ [°]")
@@ -235,10 +240,6 @@ def _spread(w: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.intp]
     return np.unique(known[np.argmin(np.abs(wanted[:, None] - w[known][None, :]), axis=1)])
 
 
-def _method(estimate: SpectralEstimate) -> str:
-    return f"{estimate.method.split(',')[0]}, 95 %"
-
-
 def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
@@ -281,14 +282,6 @@ def _limit_phase(ax: Axes) -> None:
         ticks = 90 * np.arange(first, last + 1)
         ax.set_yticks(ticks[:: -(-ticks.size // 6)])
         ax.set_ylim(90 * first - 5, 90 * last + 5)
-
-
-def _limit_level(ax: Axes, level: NDArray[np.float64]) -> None:
-    """Limit an axis in dB to the curves, with ticks at multiples of 20 dB."""
-    shown = level[np.isfinite(level)]
-    if shown.size:
-        ax.set_ylim(float(shown.min()) - 6.0, float(shown.max()) + 6.0)
-    decibel_ticks(ax)
 
 
 def _limited(ax: Axes, y: NDArray[np.float64]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from numbers import Integral
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -17,6 +16,7 @@ from armrig.models.innovations import Unknown, errors, prepared, regression, sum
 from armrig.models.state_space import predicted as of_outputs
 from armrig.models.structure import Structure, free_columns, transient_count
 from armrig.models.transfer_function import TransferFunction
+from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.noise_filter import NoiseFilter
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
@@ -58,7 +58,8 @@ def predicted(model: Fit, data: Dataset | Signals, horizon: int | None) -> Array
     Ts.
     """
     require_same_signals(model, data)
-    _require_horizon(horizon)
+    if horizon is not None:
+        require_integers(horizon=(horizon, 1))
     if model.Ts == 0:
         return predicted(model.to_discrete(data.Ts), data, horizon)
     if (model.ny, model.nu) != (1, 1):
@@ -208,13 +209,6 @@ def _none(N: int, parameters: int) -> Residuals:
 
 def _single(data: Dataset | Signals) -> Dataset:
     return data if isinstance(data, Dataset) else data.dataset()
-
-
-def _require_horizon(horizon: object) -> None:
-    if horizon is None:
-        return
-    if isinstance(horizon, bool) or not isinstance(horizon, Integral) or int(horizon) < 1:
-        raise InputError(f"horizon={horizon!r} must be an integer >= 1, or None for simulation")
 
 
 def require_same_signals(model: Fit, data: Dataset | Signals) -> None:

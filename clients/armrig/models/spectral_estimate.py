@@ -194,17 +194,13 @@ def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes
         below.fill_between(w, phase - reach, phase + reach, **shaded)
     ax.plot(w, decibels(magnitude), color=BLUE, label=estimate.method.split(",")[0], **style)
     below.plot(w, phase, color=BLUE, **style)
-    if estimate.nonlinear_std is not None and np.isfinite(estimate.nonlinear_std).any():
+    distortion, noise = estimate.nonlinear_std, estimate.noise_only_std
+    if distortion is not None and noise is not None and np.isfinite(distortion).any():
         for x, name, colour, dash in (
-            (
-                estimate.nonlinear_std[known],
-                "nonlinear distortion (one realisation)",
-                VERMILION,
-                "--",
-            ),
-            (_of(estimate.noise_only_std, known), "noise", GREEN, ":"),
+            (distortion, "nonlinear distortion (one realisation)", VERMILION, "--"),
+            (noise, "noise", GREEN, ":"),
         ):
-            shown = np.where(x > 0, x, np.nan)
+            shown = np.where(x[known] > 0, x[known], np.nan)
             ax.plot(w, decibels(shown), color=colour, ls=dash, lw=1.0, label=name)
     ax.set_xscale("log")
     if phase.size:
@@ -227,7 +223,3 @@ def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes
         other.spines["top"].set_visible(False)
         ax.plot([], [], color=GREY, lw=0.8, ls="--", label="coherence")
     return sign(ax, estimate.source, above=legend(ax, lift=lift))
-
-
-def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]:
-    return np.full(int(np.count_nonzero(known)), np.nan) if x is None else np.asarray(x[known])

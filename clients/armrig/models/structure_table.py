@@ -77,10 +77,6 @@ class RegisteredStructure:
         """Return structure and orders in the shortest form, such as OE[4 4 1]."""
         return f"{self.title}[{' '.join(str(n) for n in orders.values())}]"
 
-    def long(self, orders: Mapping[str, int]) -> str:
-        """Return structure, and orders by their names, such as OE(nb=4, nf=4, nk=1)."""
-        return f"{self.title}({named(orders)})"
-
 
 def named(orders: Mapping[str, int | None]) -> str:
     """Return a text with the orders that are not None, such as nb=4, nf=4, nk=1."""

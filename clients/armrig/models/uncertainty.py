@@ -52,7 +52,7 @@ class Draws:
         return ", ".join(f"{n} of {self.asked} {what}" for n, what in counted if n)
 
 
-def drawn(model: Fit, *, n: int = DRAWS, rng: np.random.Generator | None = None) -> Draws | None:
+def drawn(model: Fit, *, n: int = DRAWS) -> Draws | None:
     """Return n draws of theta from N(theta, P), or None if nothing was estimated or P is not known.
 
     P is the trusted covariance of the model. With P = W W^T the draws are theta + W x, with x
@@ -63,13 +63,13 @@ def drawn(model: Fit, *, n: int = DRAWS, rng: np.random.Generator | None = None)
     the root stays 1 in each draw.
 
     n is even and more than twice the number of parameters. If half of the draws or more are
-    rejected, up to 10 n draws are made. The default generator has a fixed seed, so that a figure is
+    rejected, up to 10 n draws are made. The generator has a fixed seed, so that a figure is
     reproducible.
     """
     P = model.trusted_covariance
     if not (np.isfinite(P).all() and P.any()):
         return None
-    rng = np.random.default_rng(SEED) if rng is None else rng
+    rng = np.random.default_rng(SEED)
     W = directions(model)
     polynomials = {"a": model.A, "f": model.F}
     if model.integrating:

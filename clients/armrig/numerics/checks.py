@@ -73,7 +73,8 @@ def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
         msg += f", such as data.{name}" if name in ("u", "y") else ""
         raise InputTypeError(msg)
     given = np.asanyarray(values)
-    if given.dtype.kind in "USO" and not _are_numbers(given):
+    are_numbers = given.dtype.kind == "O" and all(isinstance(x, Number) for x in given.ravel())
+    if given.dtype.kind in "USO" and not are_numbers:
         first = given.ravel()[0] if given.size else ""
         raise InputError(
             f"{name} contains text or other objects ({str(first)[:20]!r}); give numbers with a "
@@ -98,10 +99,6 @@ def real_copy(given: NDArray[Any]) -> NDArray[np.float64]:
     if isinstance(given, np.ma.MaskedArray):
         taken[np.ma.getmaskarray(given)] = np.nan
     return taken
-
-
-def _are_numbers(given: NDArray[Any]) -> bool:
-    return given.dtype.kind == "O" and all(isinstance(x, Number) for x in given.ravel())
 
 
 def _way_out(name: str, taken: NDArray[np.float64]) -> str:

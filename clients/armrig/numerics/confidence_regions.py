@@ -197,7 +197,8 @@ def chosen_region(z: complex, P: Matrix, draws: RootDraws | None) -> Region:
         return Region(centre=z, method="sampled", covariance=nothing, interval=unknown)
     if linear.interval is None:
         beside = draws.upper - complex(z.real, abs(z.imag))
-        outside = float(np.mean(_distance(beside, _folded(z, P)) > RADIUS))
+        turn = np.diag([1.0, -1.0 if z.imag < 0 else 1.0])  # mirrored into the upper half plane
+        outside = float(np.mean(_distance(beside, turn @ P @ turn) > RADIUS))
         return (
             linear
             if OUTSIDE_RANGE[0] <= outside <= OUTSIDE_RANGE[1]
@@ -213,12 +214,6 @@ def chosen_region(z: complex, P: Matrix, draws: RootDraws | None) -> Region:
 
 def _is_real(z: complex) -> bool:
     return abs(z.imag) < REAL_TOLERANCE
-
-
-def _folded(z: complex, P: Matrix) -> Matrix:
-    """Return the covariance of the root mirrored into the upper half plane."""
-    turn = np.diag([1.0, -1.0 if z.imag < 0 else 1.0])
-    return np.asarray(turn @ P @ turn)
 
 
 def _distance(z: Complex, P: Matrix) -> Vector:

@@ -31,7 +31,6 @@ from armrig.numerics.covariance import (
     pairwise_covariance,
 )
 from armrig.numerics.criteria import fit_percent, mdl
-from armrig.numerics.least_squares import Basis
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import (
     LJUNG_BOX,
@@ -119,30 +118,6 @@ class Inference:
         )
 
 
-def least_squares_residuals(
-    residuals: Sequence[Array],
-    basis: Basis,
-    *,
-    spans: Sequence[Array] | None = None,
-    y: Array | None = None,
-) -> list[list[OutputResiduals]]:
-    """Return the residuals of one output that was fitted by least squares, for `infer`.
-
-    The basis is that of the derivatives of the prediction in all experiments. `residuals`, `spans`
-    and y are e, Z and y of `OutputResiduals`; y is one array for all experiments.
-    """
-    edges = np.cumsum([e.size for e in residuals])[:-1]
-    none = [None] * len(residuals)
-    parts = zip(
-        residuals,
-        np.split(basis.Q, edges),
-        none if spans is None else spans,
-        none if y is None else np.split(y, edges),
-        strict=True,
-    )
-    return [[OutputResiduals(e=e, H=Q, Z=span, y=part)] for e, Q, span, part in parts]
-
-
 def infer(
     experiments: Sequence[Sequence[OutputResiduals]],
     W: Array,
@@ -185,13 +160,16 @@ def infer(
         [_degrees(of, N, d) for of, N, d in zip(outputs, counts.tolist(), parameters, strict=True)]
     )
     noise = [autoregression([r.e for r in of]) for of in outputs]
+    # For tests on other data by MDL: in short data AIC often finds an autoregression in white
+    # residuals, whose variance is too small.
+    consistent = [autoregression([r.e for r in of], mdl) for of in outputs]
     quality = tuple(
         replace(
             quality_of(of, test=test, rounding=rounding, prewhitening=prewhitening),
             autoregression=tuple(C.tolist()),
             innovation_variance=s2,
         )
-        for of, (C, s2) in zip(outputs, _consistent(outputs), strict=True)
+        for of, (C, s2) in zip(outputs, consistent, strict=True)
     )
     inflation = counts / degrees
     if ny == 1:
@@ -206,12 +184,6 @@ def infer(
         noise_covariance=Lambda,
         quality=quality,
     )
-
-
-def _consistent(outputs: Sequence[Sequence[OutputResiduals]]) -> list[tuple[Array, float]]:
-    """Return the autoregression of each output by MDL, for tests on other data."""
-    # In short data AIC often finds one in white residuals, whose variance is too small.
-    return [autoregression([r.e for r in of], mdl) for of in outputs]
 
 
 def _degrees(parts: Sequence[OutputResiduals], N: int, parameters: float) -> float:

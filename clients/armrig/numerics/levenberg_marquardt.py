@@ -102,7 +102,8 @@ def levenberg_marquardt(
         iterations += 1
         s, Vt, z = _along(normals, *whole, damping)
         predicted = float(z @ z)
-        if _out_of_reach(target, cost, predicted):
+        reach = 1.0 if cost <= target * (1 + _NEAR_TARGET) else _REACH
+        if cost - reach * predicted > target:
             break
         if change <= TOLERANCE and sqrt(predicted / cost) <= TOLERANCE:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
@@ -146,12 +147,6 @@ def levenberg_marquardt(
 
 
 _Linear = tuple[Array, Array, Array]
-
-
-def _out_of_reach(target: float, cost: float, predicted: float) -> bool:
-    """Return whether a search at `cost` cannot reach `target`, given the predicted decrease."""
-    reach = 1.0 if cost <= target * (1 + _NEAR_TARGET) else _REACH
-    return cost - reach * predicted > target
 
 
 def _admitted(

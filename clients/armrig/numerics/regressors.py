@@ -104,12 +104,11 @@ def best_arx(
     orders: Sequence[int],
     criterion: Callable[[float, int, int], Array],
     rows_per_parameter: int,
-    first: int = 0,
 ) -> LongArx | None:
     """Return the model of the order p with the least criterion; None if there are too few rows."""
     y, least, best = np.concatenate([y for _, y in parts]), np.inf, None
     for p in orders:
-        arx = long_arx(parts, p, first)
+        arx = long_arx(parts, p, 0)
         e, d = arx.errors(y), arx.base.W.shape[0]
         if e.size < rows_per_parameter * d:
             break

@@ -20,8 +20,8 @@ SHARE = 1 - 1 / np.e
 _MIN_LINE_SAMPLES = 4  # least number of samples for a line, with two degrees of freedom
 
 
-def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = SHARE) -> float:
-    """Return the first time at which a response reaches a share of its final value, in s, or NaN.
+def rise_time(y: Vector, Ts: float, *, integrated: bool = False) -> float:
+    """Return the first time at which a response reaches 63 % of its final value, in s, or NaN.
 
     y (N,) is the response divided by its final value, from the last sample before the input acts.
     If `integrated` is True, y is the integral of the response, such as an angle instead of its
@@ -38,13 +38,13 @@ def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = 
     ends = ((1, 0.0), "not-a-knot") if integrated and y.size > 2 else "not-a-knot"
     curve = CubicSpline(t, y, bc_type=ends)
     answer = curve.derivative() if integrated else curve
-    if float(answer(0.0)) >= share:
+    if float(answer(0.0)) >= SHARE:
         return 0.0
-    # Solve only up to the first sample above the share: to solve all pieces takes twice the time.
-    there = np.flatnonzero(answer.c[-1] >= share)
+    # Solve only up to the first sample above 63 %: to solve all pieces takes twice the time.
+    there = np.flatnonzero(answer.c[-1] >= SHARE)
     if there.size:
         answer = PPoly(answer.c[:, : there[0] + 1], answer.x[: there[0] + 2])
-    reached = answer.solve(share, extrapolate=False)
+    reached = answer.solve(SHARE, extrapolate=False)
     reached = reached[np.isfinite(reached)]
     return float(reached[0]) if reached.size else float("nan")
 

@@ -34,12 +34,12 @@ class DamageError(ArmrigError):
 class Budget:
     """Cost of reading a file up to now, and the limits of this cost."""
 
-    def __init__(self, size: int, messages: int = 0) -> None:
-        """Set the limits for a file of `size` B; `messages`, unless 0, is the limit of `KEPT`."""
+    def __init__(self, size: int) -> None:
+        """Set the limits for a file of `size` B."""
         more = min(UNPACKED_PER_BYTE * size, size + UNPACKED_MORE)
         self.limits = {
             WORK: WORK_LIMIT + size // BYTES_PER_WORK,
-            KEPT: messages or MESSAGES_LIMIT + MESSAGES_PER_BYTE * size,
+            KEPT: MESSAGES_LIMIT + MESSAGES_PER_BYTE * size,
             UNPACKED: UNPACKED_LIMIT + more,
         }
         self.spent = dict.fromkeys(self.limits, 0)

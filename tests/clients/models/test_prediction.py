@@ -165,7 +165,7 @@ def test_signals_of_one_input_and_output_are_predicted_as_their_dataset() -> Non
     for horizon in (1, 3, None):
         expected = fit.predict(signals.dataset(), horizon)
         np.testing.assert_array_equal(fit.predict(signals, horizon), expected)
-    with pytest.raises(InputError, match="horizon=True must be an integer >= 1, or None"):
+    with pytest.raises(InputError, match="horizon=True must be an integer >= 1"):
         fit.predict(signals, True)
     with pytest.raises(TypeError, match="data is a list: give a Dataset"):
         fit.predict([1.0])  # type: ignore[arg-type]

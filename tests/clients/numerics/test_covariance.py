@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from armrig.numerics import covariance
 from armrig.numerics.covariance import correlated_score, joint_exogenous_score
-from armrig.numerics.inference import infer, least_squares_residuals
+from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.whiteness import autoregression
@@ -52,7 +52,7 @@ def test_for_white_residuals_the_robust_covariance_is_the_classic(d: int) -> Non
     assert autoregression([e])[0].size == 1  # white, as the autoregression sees it
 
     basis = orthonormal(Phi)
-    found = infer(least_squares_residuals([e], basis), basis.W, score="exogenous")
+    found = infer([[OutputResiduals(e=e, H=basis.Q)]], basis.W, score="exogenous")
 
     np.testing.assert_allclose(found.covariance_robust, found.covariance, rtol=1e-10)
 

@@ -12,7 +12,6 @@ from armrig.numerics.inference import (
     Score,
     Test,
     infer,
-    least_squares_residuals,
 )
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
@@ -40,7 +39,12 @@ def inferred(
 ) -> Inference:
     """Return the inference of a regression from its residuals and its regressors."""
     basis = orthonormal(np.vstack(blocks))
-    parts = least_squares_residuals(residuals, basis, spans=spans, y=y)
+    edges = np.cumsum([e.size for e in residuals])[:-1]
+    measured = [None] * len(residuals) if y is None else np.split(y, edges)
+    each = zip(residuals, np.split(basis.Q, edges), spans or measured, measured, strict=True)
+    parts = [
+        [OutputResiduals(e=e, H=Q, Z=span if spans else None, y=part)] for e, Q, span, part in each
+    ]
     return infer(parts, basis.W, **options)
 
 
@@ -173,7 +177,7 @@ def test_the_influence_may_have_any_scale(score: Score, level: float) -> None:
     """An estimator of several outputs weights them: H is no orthonormal basis of Psi."""
     Phi, y, theta, _ = regression(8, [1.0, 0.5])
     e, basis = y - Phi @ theta, orthonormal(Phi)
-    plain = infer(least_squares_residuals([e], basis, y=y), basis.W, score=score)
+    plain = infer([[OutputResiduals(e=e, H=basis.Q, y=y)]], basis.W, score=score)
 
     scaled = infer(
         [[OutputResiduals(e=e, y=y, H=basis.Q / level, Psi=Phi)]], level * basis.W, score=score
@@ -203,7 +207,7 @@ def test_two_outputs_have_the_degrees_of_freedom_of_their_own_parameters() -> No
     found = infer([outputs], np.eye(2 * D), score="exogenous")
 
     for k, (e, basis) in enumerate(H):
-        alone = infer(least_squares_residuals([e], basis), basis.W, score="exogenous")
+        alone = infer([[OutputResiduals(e=e, H=basis.Q)]], basis.W, score="exogenous")
         block = slice(k * D, (k + 1) * D)
         assert found.noise_covariance[k, k] == pytest.approx(alone.noise_variance)
         np.testing.assert_allclose(found.covariance[block, block], alone.covariance, rtol=1e-9)

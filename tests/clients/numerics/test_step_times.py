@@ -105,7 +105,7 @@ def test_parameters_that_are_far_apart_have_their_times() -> None:
 
 
 def test_two_samples_are_a_straight_line() -> None:
-    assert rise_time(np.array([0.0, 1.0]), 0.1, share=0.5) == pytest.approx(0.05)
+    assert rise_time(np.array([0.0, 1.0]), 0.1) == pytest.approx(0.1 * (1 - np.exp(-1)))
     assert np.isnan(rise_time(np.array([0.0]), 0.1))
 
 

@@ -33,6 +33,7 @@ Transforms = tuple[Complex, Complex, Integers]
 # Least magnitude of an excited line, as a share of the largest line. Between the 125 lines of a
 # multisine, a PWM of 10 bits causes lines with shares of 1e-3, at most 2e-3.
 _MIN_LINE_SHARE = 5e-3
+_ROUNDING = 1e-9  # of the range of u, by which a period may differ
 
 
 @takes_recordings
@@ -167,12 +168,12 @@ def _periodic(data: Dataset, P: int, integrates: bool) -> Lines:
     return at, np.mean(Y[:, at], axis=0) / U[at], variance, P, words
 
 
-def period(u: Vector, tolerance: float = 1e-9) -> int | None:
+def period(u: Vector) -> int | None:
     """Return the least P <= N/2 with u(t + P) = u(t) for all t, or None if there is none.
 
     A constant has no period.
     """
-    allowed = tolerance * float(np.ptp(u))
+    allowed = _ROUNDING * float(np.ptp(u))
     if allowed == 0:
         return None
     head = min(16, u.size // 2)

@@ -254,7 +254,9 @@ def impulse_response(
         raise InputError("u is constant: it determines no response; record an input that varies")
     decided = integration(data, integrator)
     integrates = decided.integrates
-    n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
+    if n is None:
+        share, most = (10, MAX_PLAIN_LAGS) if kernel is None else (5, MAX_REGULARISED_LAGS)
+        n = max(2, min((data.N - data.missing) // share, most))
     require_integers(n=(n, 1))
     # A fifth more lags are estimated and then dropped. Without these extra lags the last
     # coefficients would include the effect of all later lags, because running sums at neighbouring
@@ -372,11 +374,6 @@ def _regularised(rows: FirRegression, kernel: Kernel) -> Posterior:
         rest=float(R[d, d] ** 2),
         M=rows.N - rows.nuisance,
     ).posterior()
-
-
-def _default(N: int, *, plain: bool) -> int:
-    share, longest = (10, MAX_PLAIN_LAGS) if plain else (5, MAX_REGULARISED_LAGS)
-    return max(2, min(N // share, longest))
 
 
 def _warnings(

@@ -196,8 +196,11 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     integrates = decided.integrates
     steps = _settled_steps(data, integrates=integrates)
     stepped = steps is not None
-    curve = _from_impulse(data, integrates) if steps is None else _from_steps(steps)
-    t, response, tau, transient = curve
+    if steps is None:
+        t, response, tau, transient = _from_impulse(data, integrates)
+    else:
+        t, response = np.append(0.0, steps.smooth_t), np.append(0.0, steps.smooth / steps.gain)
+        tau, transient = steps.tau, steps.settling
     estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
     if not stepped:
         explained(estimate)
@@ -269,11 +272,6 @@ def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
     return found if found.settling <= min(between) * data.Ts else None
 
 
-def _from_steps(found: StepAnalysis) -> tuple[Vector, Vector, float, float]:
-    t, y = np.append(0.0, found.smooth_t), np.append(0.0, found.smooth / found.gain)
-    return t, y, found.tau, found.settling
-
-
 def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float]:
     response = long_enough(data, LAGS, integrator=integrates)
     g, _ = response.decaying
@@ -287,14 +285,14 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     crossing = rise_time(shown, data.Ts, integrated=integrates)
     if np.isnan(crossing):
         raise InputError("the step response never reaches 63 % of its final value; record longer")
-    dead, _ = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # not part of any rule
+    dead = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # not part of any rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
     return t, y, crossing - dead, end - dead
 
 
-def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
-    """Return L and its interval from a fit of s (t - L)^p to the rise up to 50 %, p = 1 or 2."""
+def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> float:
+    """Return L from a fit of s (t - L)^p to the rise up to 50 %, p = 1 or 2; 0 if L may be 0."""
     rise = (t <= half + Ts) & np.isfinite(y)
     t, y = t[rise], y[rise]
     delays = np.linspace(0.0, half, 201)
@@ -307,9 +305,7 @@ def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tup
     least = sse.min(axis=0)
     best = int(np.argmin(least))
     variance = least[best] / max(t.size - 2, 1)
-    near = delays[least <= least[best] + 4 * variance]
-    interval = (float(near[0]), float(near[-1]))
-    return (0.0 if interval[0] <= 0 else float(delays[best])), interval
+    return 0.0 if least[0] <= least[best] + 4 * variance else float(delays[best])
 
 
 def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:

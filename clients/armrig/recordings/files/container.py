@@ -200,12 +200,12 @@ def _reason(err: Exception) -> str:
 class _Reader:
     """Collector of the records' contents."""
 
-    def __init__(self, content: Content, streams: Collection[str], messages: int = 0) -> None:
+    def __init__(self, content: Content, streams: Collection[str]) -> None:
         self.content = content
         self.kept = streams
         self.schemas: dict[int, str] = {}
         self.streams: dict[int, str] = {}
-        self.budget = Budget(content.size, messages)
+        self.budget = Budget(content.size)
         self.rows = SampleRows(lambda: self.budget.spend(WORK, _SAMPLE_WORK))
         self.chunks = Unpacker(self.budget)
         self._chunks_at = 0  # place of the first chunk in the file
