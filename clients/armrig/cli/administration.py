@@ -147,7 +147,7 @@ def flash(
     if json:
         print_json(facts)
     elif not dry_run:
-        say_next("flash", port=quote(board.port))
+        say_next("conformance", port=quote(board.port))
 
 
 def _device(board: Board, firmware: FirmwareImage, baud: int) -> tuple[dict[str, Any], str]:

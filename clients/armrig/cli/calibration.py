@@ -323,7 +323,7 @@ def calibrate(
         print_json(facts | fields_of(found, "alpha_sign warnings") | {"in_use": used})
     else:
         described = rest.manifest.description_sha256
-        say_next("rig", rig=naming(rig, connect), described=described)
+        say_next("collect step", rig=naming(rig, connect), described=described)
 
 
 def _measure_points(

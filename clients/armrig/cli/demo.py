@@ -16,7 +16,7 @@ from armrig_core.errors import InputError, OperationError
 from armrig_core.process.options import chosen
 
 import armrig
-from armrig.cli.next_step import opener, say_next
+from armrig.cli.next_step import say_next
 from armrig.cli.options import Json
 from armrig.cli.printing import columns, fields_of, inform, print_result, spinner
 
@@ -151,7 +151,7 @@ def demo(
     }
     print_result(facts, _text(done, names, directory, pdf), json=json)
     if not json:
-        say_next("demo", opener=opener(), file=quote(str(_from_here(pdf.absolute()))))
+        say_next("open", file=quote(str(_from_here(pdf.absolute()))))
 
 
 def _record(plan: Sequence[Experiment], config: Path, done: list[Path]) -> str:

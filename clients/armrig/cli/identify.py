@@ -117,12 +117,12 @@ def sampling(
 
     def say_after() -> None:
         if signals.read and (again := step_again(signals.read[0])):
-            say_next("step hidden", again=again)
+            say_next("collect step again", again=again)
         elif from_recording(data):
             described = signals.read[0].manifest.description_sha256 if signals.read else ""
-            say_next("sampling", **_experiment(choice), described=described)
+            say_next("collect pair", **_experiment(choice), described=described)
         else:
-            say_next("sampling other", file=typed(file), given=signals.options())
+            say_next("hints", file=typed(file), given=signals.options())
 
     out.show(
         facts=lambda: source_facts(data) | _sampling_facts(choice) | _step_facts(steps),
@@ -197,12 +197,13 @@ def hints(
     def say_after() -> None:
         given = signals.options()
         if any(d.remedy == "check" for of_channel in doubts.values() for d in of_channel):
-            say_next("identify check", file=typed(file), given=given)
+            say_next("check", file=typed(file), given=given)
             return
         validation = paired(file, "validation") if from_recording(data) else ""
         validate = f" --validate {validation}" if validation else ""
         options = f"{_options([*known.values()], level=has_level(data))}{given}"
-        say_next("hints", file=typed(file), options=options, validate=validate)
+        values = {"options": options, "validate": validate, "model": "model.json"}
+        say_next("identify", file=typed(file), **values)
 
     out.show(
         facts=lambda: facts_by_channel(data, each, _hint_facts),

@@ -43,59 +43,44 @@ _AGAIN = "-again"
 _Pair = tuple["RecordingSummary", "RecordingSummary"]
 """A recording for estimation and its recording for validation."""
 
-AFTER: Mapping[str, str] = {
-    "rig": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
-    "rig alone": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
-    "rig other": "armrig collect step{rig} --name first",
-    "flash": "armrig conformance --device {port}",
+NEXT: Mapping[str, str] = {
+    "collect step": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
+    "collect step other": "armrig collect step{rig} --name first",
+    "collect step again": "armrig collect step{again}",
+    "collect greybox": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
+    "collect pair": "armrig collect blackbox --Ts {Ts:g} --seconds {seconds:g}{switching} "
+    "--validation",
+    "collect blackbox": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --seed 2",
+    "conformance": "armrig conformance --device {port}",
     "model": "armrig model --set J_2=0.005 --set K_lin=2.4 -o step.png",
-    "model --set": "armrig lab",
-    "demo": "{opener} {file}",
-    "reset": "armrig status{rig}",
-    "ls": "armrig info {file}",
-    "info": "armrig plot {file}",
-    "play": "armrig info {file}",
-    "record": "armrig info {file}",
-    "collect step": "armrig sampling {file} -o sampling.png",
-    "step hidden": "armrig collect step{again}",
-    "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds {seconds:g}{switching} --validation",
-    "sampling other": "armrig hints {file}{given} -o hints.png",
-    "collect blackbox": "armrig plot {file}",
-    "collect greybox": "armrig greybox {file} -o chassis.png",
-    "collect staircase": "armrig plot {file}",
-    "collect bla": "armrig plot {file}",
-    "plot": "armrig hints {file} -o hints.png",
-    "plot step": "armrig sampling {file} -o sampling.png",
-    "plot greybox": "armrig greybox {file}",
-    "hints": "armrig identify {file} {options}{validate} --save model.json",
-    "identify": "armrig identify {file} {options} --save {model}",
-    "identify --save": "armrig validate {validation} --model {model}{given} -o validate.png",
-    "identify check": "armrig check {file}{given}",
-    "identify alone": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --seed 2",
-    "validate": "armrig compare {estimation} {file} --model {model} -o compare.png",
-    "validate several": "armrig simulate {file} --model {model}{part} -o simulate.png",
-    "validate alone": "armrig check {file}{given}",
-    "compare": "armrig check {file}{given}",
-    "simulate F": "armrig check {file}{given}",
-    "check": "armrig lab --config chassis.toml",
-    "check with chassis": "armrig greybox {chassis} -o chassis.png",
-    "check greybox": "armrig integrate -o integrate.png",
-    "check rig": "armrig report {file} -o report.pdf",
-    "check other": "armrig hints {file}{given} -o hints.png",
-    "greybox": "armrig split {file}{given} -o split.png",
-    "split": "armrig integrate -o integrate.png",
-    "integrate": "armrig report --handout{files}{answers}{sinusoid} -o {report}",
-    "report": "{opener} {file}",
-    "report --questions": "armrig report --handout --questions {questions}",
+    "lab": "armrig lab",
+    "lab chassis": "armrig lab --config chassis.toml",
+    "open": "{opener} {file}",
+    "status": "armrig status{rig}",
+    "info": "armrig info {file}",
+    "plot": "armrig plot {file}",
+    "sampling": "armrig sampling {file} -o sampling.png",
+    "hints": "armrig hints {file}{given} -o hints.png",
+    "identify": "armrig identify {file} {options}{validate} --save {model}",
+    "validate": "armrig validate {validation} --model {model}{given} -o validate.png",
+    "compare": "armrig compare {estimation} {file} --model {model} -o compare.png",
+    "simulate": "armrig simulate {file} --model {model}{part} -o simulate.png",
+    "check": "armrig check {file}{given}",
+    "greybox": "armrig greybox {file} -o chassis.png",
+    "split": "armrig split {file}{given} -o split.png",
+    "integrate": "armrig integrate -o integrate.png",
+    "report": "armrig report {file} -o report.pdf",
+    "handout": "armrig report --handout{files}{answers}{sinusoid} -o {report}",
+    "questions": "armrig report --handout --questions {questions}",
 }
-"""Next command after each command; names in braces are replaced by values."""
+"""Commands that the line `next:` names; names in braces are replaced by values."""
 REASONS = "reasons.toml"
 """Usual name of the file with the answers to the handout's questions."""
 
 
-def say_next(after: str, **values: str | float) -> None:
-    """Print the line `next: …` after a command, on standard error."""
-    say_to_copy(next_line(after, **values))
+def say_next(name: str, **values: str | float) -> None:
+    """Print the line `next: …` with a command of `NEXT`, on standard error."""
+    say_to_copy(next_line(name, **values))
 
 
 def say_to_copy(text: str) -> None:
@@ -104,12 +89,13 @@ def say_to_copy(text: str) -> None:
         print(printable(text, keep="\n"), file=sys.stderr)
 
 
-def next_line(after: str, **values: str | float) -> str:
-    """Return the line `next: …` after a command.
+def next_line(name: str, **values: str | float) -> str:
+    """Return the line `next: …` with a command of `NEXT`.
 
     The value `described` is the hash of the rig's description; "" if it is not known.
     """
-    line = AFTER[after].format(**values)
+    opener = {"darwin": "open", "win32": "start"}.get(sys.platform, "xdg-open")
+    line = NEXT[name].format(**{"opener": opener, "given": "", "validate": ""} | values)
     return f"next: {printable(_goes_on(line, str(values.get('described', ''))))}"
 
 
@@ -117,14 +103,14 @@ def _goes_on(line: str, described: str) -> str:
     """Return the command, or a later command if the rig runs or the recording already exists."""
     words = shlex.split(line)
     if words[1:] == ["lab"] and _rig_runs():
-        return _goes_on(AFTER["rig"].format(rig=""), described)
+        return _goes_on(NEXT["collect step"].format(rig=""), described)
     if words[1] != "collect":
         return line
     own = own_recordings()
     of_rig = [s for s in own if described in ("", s.description_sha256 or described)]
     if "--validation" in words:
         pair = _estimation(of_rig, float(words[words.index("--Ts") + 1]))
-        return AFTER["collect blackbox"].format(file=pair) if pair else line
+        return NEXT["plot"].format(file=pair) if pair else line
     if words[-2] != "--name":
         return line
     names = f"{words[-1]}{_AGAIN}", words[-1]  # prefer the repeated run
@@ -133,9 +119,13 @@ def _goes_on(line: str, described: str) -> str:
     if not found:  # a recording of another rig keeps its name
         return line.rpartition(" --name ")[0] if named else line
     if found[0].kind == "step" and (pair := _estimation(of_rig)):
-        return AFTER["plot"].format(file=pair)
-    after = f"collect {found[0].kind}"
-    return AFTER[after if after in AFTER else "plot"].format(file=typed(found[0].path))
+        return NEXT["hints"].format(file=pair, given="")
+    return NEXT[name_after(found[0].kind)].format(file=typed(found[0].path))
+
+
+def name_after(kind: str, otherwise: str = "plot") -> str:
+    """Return the name of the command after a recording of a kind."""
+    return {"step": "sampling", "greybox": "greybox"}.get(kind, otherwise)
 
 
 def _rig_runs() -> bool:
@@ -199,11 +189,6 @@ def step_again(recording: Recording) -> str:
     name = manifest.experiment.partition("-")[2]
     named = f" --name {quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
     return f" --Ts {manifest.Ts:g} {hidden.options}{named}"
-
-
-def opener() -> str:
-    """Return the program that opens a file as a double click does."""
-    return {"darwin": "open", "win32": "start"}.get(sys.platform, "xdg-open")
 
 
 def naming(rig: str, connect: str | None = None) -> str:
@@ -302,7 +287,7 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     # The next step after the validation of one output is known for the arm's angle alone.
     known = signals.read and (not one or fit.output in INTEGRATING_OUTPUTS)
     if options == CHECK:
-        say_next("identify check", **values)
+        say_next("check", **values)
     elif found.save is None or options != options_of(found.request):
         say_next("identify", **values)
     elif found.validate is not None and found.validation is not None and known:
@@ -310,9 +295,9 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)
     elif validation:
         # `armrig validate` has no option --assume.
-        say_next("identify --save", **values | {"given": replace(signals, assume=None).options()})
+        say_next("validate", **values | {"given": replace(signals, assume=None).options()})
     else:
-        say_next("identify alone" if signals.read else "identify check", **values)
+        say_next("collect blackbox" if signals.read else "check", **values)
 
 
 def after_validate(
@@ -333,14 +318,14 @@ def after_validate(
     channel, recorded = signals, from_recording(data)
     if (fit.ny, fit.nu) == (1, 1):
         estimation = estimation or (paired(file, "estimation") if recorded else "")
-        after = "validate" if estimation else "validate alone"
+        name = "compare" if estimation else "check"
     else:
         channel = signals.of_channel(*tests.poorest_pair, data)
         of_arm = from_arm(data) and not INTEGRATING_OUTPUTS.isdisjoint(fit.outputs)
-        after = "validate several" if of_arm else "validate alone"
+        name = "simulate" if of_arm else "check"
     part = SignalChoice(calibration=signals.calibration, start=signals.start, stop=signals.stop)
     say_next(
-        after,
+        name,
         file=typed(file),
         estimation=estimation,
         model=quote(str(model)),

@@ -216,7 +216,7 @@ def greybox(
         say=say_fit,
         figures=lambda: {"greybox": partial(fit.plot, data)},
         say_next=lambda: (
-            None if own else say_next("greybox", file=typed(file), given=after.options(data))
+            None if own else say_next("split", file=typed(file), given=after.options(data))
         ),
         height=4.5,
     )
@@ -301,7 +301,7 @@ def split(
         facts=lambda: {"recording": data.source} | _split_facts(study),
         say=say_study,
         figures=lambda: {"split": study.plot},
-        say_next=lambda: say_next("split"),
+        say_next=lambda: say_next("integrate"),
         height=5.0,
     )
 
@@ -346,7 +346,7 @@ def simulate(
         },
         say=lambda: model_output.print_comparison(table, where, verbose=out.verbose),
         figures=lambda: {"compare": table.plot},
-        say_next=lambda: say_next("simulate F", file=typed(file), given=part.options(data)),
+        say_next=lambda: say_next("check", file=typed(file), given=part.options(data)),
     )
 
 
@@ -403,7 +403,7 @@ def model(given: Given = None, *, out: Annotated[Output, shown("verbose", "plot"
         facts=lambda: {"models": {name: _model_facts(one) for name, one in found.items()}},
         say=lambda: _say_model(found, given, verbose=out.verbose),
         figures=lambda: _model_figures(compared),
-        say_next=lambda: say_next("model --set" if given else "model"),
+        say_next=lambda: say_next("lab" if given else "model"),
     )
 
 
@@ -528,7 +528,7 @@ def integrate(
         given = "" if omega == OMEGA else f" --omega {omega:g}"
         given += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
         values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
-        say_next("integrate", **values, sinusoid=given)
+        say_next("handout", **values, sinusoid=given)
 
     out.show(
         facts=lambda: (

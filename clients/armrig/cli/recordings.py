@@ -17,7 +17,7 @@ from armrig_core.process.options import argument, chosen
 from armrig_core.process.printable import printable
 
 import armrig
-from armrig.cli.next_step import AFTER, say_next, typed
+from armrig.cli.next_step import name_after, say_next, typed
 from armrig.cli.options import CalibrationFile, From, Json, To
 from armrig.cli.printing import (
     columns,
@@ -121,7 +121,7 @@ def ls(
     inform(_the_rest(found, len(shown)), dim=True)
     if shown:
         newest = shown[0]
-        say_next("ls", file=typed(newest.path) if where else short_name(newest, answering))
+        say_next("info", file=typed(newest.path) if where else short_name(newest, answering))
 
 
 def _list_rigs(connect: str | None, *, json: bool) -> None:
@@ -211,7 +211,7 @@ def info(file: File, part: Part, out: Shown) -> None:
 
     def say_next_command() -> None:
         if recording.N:
-            say_next("info", file=typed(file))
+            say_next("plot", file=typed(file))
 
     out.show(
         facts=lambda: contents_facts(recording),
@@ -286,8 +286,7 @@ def plot(
         print_json(found.facts() | {"figure": written})
         return
     print_table(*found.rows())
-    after = f"plot {recording.manifest.kind}"
-    say_next(after if after in AFTER else "plot", file=typed(file))
+    say_next(name_after(recording.manifest.kind, "hints"), file=typed(file))
 
 
 def verify(file: File, json: Json = False) -> None:

@@ -60,7 +60,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         return
     print_table(*status_rows(report))
     if report.phase == "safe" and not report.line:
-        _say_next(_after(report), rig, connect, report.described.sha256)
+        _say_next(_next_of(report), rig, connect, report.described.sha256)
 
 
 def watch(
@@ -169,7 +169,7 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
     text = f"rig {rig} was reset" if was_latched else f"rig {rig}: no fault is latched"
     print_result({"rig": rig, "was_latched": was_latched}, text, json=json)
     if not json:
-        _say_next("reset", rig, connect)
+        _say_next("status", rig, connect)
 
 
 def note(
@@ -193,17 +193,17 @@ def note(
     print_result({"rig": rig, "recorded": is_recorded}, text, json=json)
 
 
-def _after(status: StatusReport) -> str:
-    """Return the key of the next command: the kind of rig decides."""
+def _next_of(status: StatusReport) -> str:
+    """Return the name of the next command: the kind of rig decides."""
     if not status.described.arm:
-        return "rig other"
-    return "rig alone" if status.arm_removed else "rig"
+        return "collect step other"
+    return "collect greybox" if status.arm_removed else "collect step"
 
 
-def _say_next(after: str, rig: str, connect: str | None, described: str = "") -> None:
+def _say_next(name: str, rig: str, connect: str | None, described: str = "") -> None:
     from armrig.cli.next_step import naming, say_next
 
-    say_next(after, rig=naming(rig, connect), described=described)
+    say_next(name, rig=naming(rig, connect), described=described)
 
 
 @contextmanager
@@ -352,7 +352,7 @@ def _show(
     status, asked_s = rig.status(), time.monotonic()
     # Computed once: the commands of later recordings print their own next command.
     described = status.described.sha256
-    after = next_line(_after(status), rig=naming(status.rig), described=described)
+    after = next_line(_next_of(status), rig=naming(status.rig), described=described)
     with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
         sample = None
         while True:

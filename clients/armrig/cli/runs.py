@@ -21,7 +21,7 @@ from armrig_core.process.options import Commands, chosen, group, option
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 
 import armrig
-from armrig.cli.next_step import naming, own_recordings, say_next, step_again, typed
+from armrig.cli.next_step import name_after, naming, own_recordings, say_next, step_again, typed
 from armrig.cli.options import Connect, From, Json, RigId, SamplingTime, To
 from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
@@ -348,9 +348,9 @@ def _say_next(kind: str, first: Path, rig: str) -> None:
         with suppress(FileError, OSError):  # the verdict is printed already: this is only a hint
             again = step_again(armrig.load(first))
     if again:
-        say_next("step hidden", again=f"{rig}{again}")
+        say_next("collect step again", again=f"{rig}{again}")
     else:
-        say_next(f"collect {kind}", file=typed(first))
+        say_next(name_after(kind), file=typed(first))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -441,7 +441,7 @@ def _record_one(remote: _Remote, ended: SignalPipe) -> None:
     facts = {"recordings": [*map(_recorded_facts, recording.done)]}
     print_result(facts, *map(_recorded_line, recording.done), json=remote.json)
     if not remote.json:
-        say_next("record", file=typed(recording.done[-1].path))
+        say_next("info", file=typed(recording.done[-1].path))
 
 
 def _finish(recording: RemoteRecording, ended: Ending) -> None:
@@ -577,4 +577,4 @@ def play(
             rest(run, speed=speed)
     print_result({"rig": rig, "published": count}, f"published {count} messages", json=json)
     if not json:
-        say_next("play", file=typed(file))
+        say_next("info", file=typed(file))

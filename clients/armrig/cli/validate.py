@@ -22,7 +22,6 @@ from armrig.cli.next_step import (
     chassis,
     for_the_report,
     free_name,
-    opener,
     say_next,
     typed,
 )
@@ -234,7 +233,7 @@ def compare(
     def say_after() -> None:
         columns = data.signals()
         channel = part.of_channel(columns.outputs[0], columns.inputs[0], data)
-        say_next("compare", file=typed(file), given=channel.options(data))
+        say_next("check", file=typed(file), given=channel.options(data))
 
     out.show(
         facts=lambda: {
@@ -335,16 +334,16 @@ def check(
 
     def say_after() -> None:
         if not recorded:
-            say_next("check other", file=typed(file), given=signals.options())
+            say_next("hints", file=typed(file), given=signals.options())
         elif not signals.read[0].description.arm:
-            say_next("check rig", file=typed(file))
+            say_next("report", file=typed(file))
         elif signals.read[0].manifest.kind == "greybox":
-            say_next("check greybox")
+            say_next("integrate")
         elif alone := chassis():
-            say_next("check with chassis", chassis=alone)
+            say_next("greybox", file=alone)
         else:
             inform(_CHASSIS)
-            say_next("check")
+            say_next("lab chassis")
 
     out.show(
         facts=lambda: recorded_data.facts_by_channel(data, tests, _test_facts),
@@ -378,7 +377,7 @@ def linearity(
         facts=lambda: recorded_data.facts_by_channel(data, found, _linearity_facts),
         say=say_test,
         figures=lambda: results.figures_by_channel(nonlinear, lambda one: {"linearity": one.plot}),
-        say_next=lambda: say_next("check other", file=typed(file), given=signals.options()),
+        say_next=lambda: say_next("hints", file=typed(file), given=signals.options()),
     )
 
 
@@ -477,7 +476,7 @@ def report(
     if json:
         return
     if answers or not all(r.description.arm for r in recordings):
-        say_next("report", opener=opener(), file=quote(str(output)))
+        say_next("open", file=quote(str(output)))
     else:
         _say_next_answers(Path(REASONS))
 
@@ -488,9 +487,9 @@ def _say_next_answers(path: Path) -> None:
         inform(f"fill in {path} before the next command")
         answers = f" --answers {quote(str(path))}"
         values = {"files": for_the_report(), "answers": answers, "report": free_name()}
-        say_next("integrate", sinusoid="", **values)
+        say_next("handout", sinusoid="", **values)
     else:
-        say_next("report --questions", questions=quote(str(path)))
+        say_next("questions", questions=quote(str(path)))
 
 
 def _check_options(

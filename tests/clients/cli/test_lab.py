@@ -225,7 +225,7 @@ def test_a_lab_prints_each_change_once(
     fakes: dict[str, Any] = dict.fromkeys(("_LAB_STATUS_INTERVAL_S", "_VIEW_INTERVAL_S"), 0.0)
     for name, fake in fakes.items():
         monkeypatch.setattr(of_lab, name, fake)
-    monkeypatch.setattr("armrig.cli.next_step.next_line", lambda after, **of: f"{after}{of['rig']}")
+    monkeypatch.setattr("armrig.cli.next_step.next_line", lambda name, **of: f"{name}{of['rig']}")
     monkeypatch.setattr("armrig.rig.local_daemon.require_running", lambda *_: None)
 
     with pytest.raises(KeyboardInterrupt):
@@ -238,7 +238,10 @@ def test_a_lab_prints_each_change_once(
             *(("init", ""), ("init", "no rig"), ("safe", "")),
         ]
     else:
-        assert [said[0], said[-1]] == ["not ready: no rig; Ctrl-C ends the lab", "rig --rig 7"]
+        assert [said[0], said[-1]] == [
+            "not ready: no rig; Ctrl-C ends the lab",
+            "collect step --rig 7",
+        ]
         assert len(said) == 5
 
 

@@ -13,7 +13,7 @@ import pytest
 import typer
 from armrig.cli import app, main
 from armrig.cli.next_step import (
-    AFTER,
+    NEXT,
     free_name,
     naming,
     next_line,
@@ -43,8 +43,6 @@ VALUES: dict[str, Any] = {
     "rig": " --rig 2",
     "given": " --signal theta_1",
     "report": "report.pdf",
-    "chassis": "F3.mcap",
-    "source": "source",
     "questions": "reasons.toml",
     "again": " --Ts 0.002 --at 1.8 --seconds 11 --name first-again",
 }
@@ -86,12 +84,12 @@ def report_of(capsys: pytest.CaptureFixture[str]) -> str:
     return last.removeprefix("next: armrig report --handout ")
 
 
-OPENED = {name for name, line in AFTER.items() if line.startswith("{opener}")}
+OPENED = {name for name, line in NEXT.items() if line.startswith("{opener}")}
 
 
-@pytest.mark.parametrize("after", sorted(AFTER.keys() - OPENED))
-def test_every_suggested_command_is_valid(after: str) -> None:
-    words = shlex.split(AFTER[after].format(**VALUES))
+@pytest.mark.parametrize("name", sorted(NEXT.keys() - OPENED))
+def test_every_suggested_command_is_valid(name: str) -> None:
+    words = shlex.split(NEXT[name].format(**VALUES))
     command = _command_line()
 
     assert words.pop(0) == "armrig"
@@ -247,7 +245,7 @@ def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:
     put(pair, "step-first", "0000000e")
     put(pair, "step-first-again", "0000000f")
 
-    assert next_line("rig", rig="") == "next: armrig sampling @first-again -o sampling.png"
+    assert next_line("collect step", rig="") == "next: armrig sampling @first-again -o sampling.png"
 
 
 @pytest.mark.parametrize(
@@ -269,7 +267,7 @@ def test_the_next_command_names_no_pair_of_another_rig(
     put(pair, "blackbox-validation", "0000000b", at="130000", details=details, **about)
     asked = {"Ts": 0.01, "seconds": 30, "switching": "", "described": described}
 
-    assert next_line("sampling", **asked) == f"next: armrig {wanted}"
+    assert next_line("collect pair", **asked) == f"next: armrig {wanted}"
 
 
 @pytest.mark.parametrize(
@@ -281,7 +279,7 @@ def test_a_name_of_another_rig_is_not_given_again(pair: Path, described: str, wa
         path.unlink()
     put(pair, "step-first", "0000000e", description_sha256="ab")
 
-    found = next_line("rig other", rig="", described=described)
+    found = next_line("collect step other", rig="", described=described)
 
     assert found == f"next: armrig {wanted}"
 
