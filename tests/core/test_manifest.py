@@ -10,8 +10,6 @@ from armrig_core.recording_file.manifest import (
     Manifest,
     Recovered,
     check_whole_numbers,
-    manifest_of,
-    recovered_of,
 )
 from armrig_core.rig.emulated import is_emulated
 
@@ -49,11 +47,11 @@ def test_the_manifest_determines_which_samples_of_a_file_are_due(
 def test_a_manifest_is_read_as_it_was_written() -> None:
     made = Manifest(**MADE, details={"a": [1, {"b": None}]}, host={"port": "unix:/x"}, part=3)
 
-    assert manifest_of(made.metadata()) == made
+    assert Manifest.of(made.metadata()) == made
     assert made.emulated
     assert not Manifest(**MADE, device={"uid": "17"}, host={"port": "/dev/a"}).emulated
     fixed = Recovered(when="w", armrig="0.2.0", kept_bytes=5, cut_off_bytes=7, damage="d")
-    assert recovered_of(fixed.metadata()) == fixed
+    assert Recovered.of(fixed.metadata()) == fixed
 
 
 def _nested(levels: int) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 
@@ -38,6 +38,15 @@ class _Record(msgspec.Struct, frozen=True, kw_only=True):
         """Return the fields as MCAP needs them; each value is a JSON text."""
         fields = msgspec.structs.asdict(self)
         return {key: msgspec.json.encode(value).decode() for key, value in fields.items()}
+
+    @classmethod
+    def of(cls, metadata: dict[str, str]) -> Self:
+        """Return the contents of a metadata record.
+
+        Raises msgspec.DecodeError if an entry is missing, is not JSON, or has another type.
+        """
+        fields = {key: msgspec.json.decode(text) for key, text in metadata.items()}
+        return msgspec.convert(fields, cls)
 
 
 class Manifest(_Record, frozen=True, kw_only=True):
@@ -136,10 +145,6 @@ class Recovered(_Record, frozen=True, kw_only=True):
     """Omitted attachments, and reason why the rest is unreadable; empty for an undamaged file."""
 
 
-def _fields(metadata: dict[str, str]) -> dict[str, Any]:
-    return {key: msgspec.json.decode(text) for key, text in metadata.items()}
-
-
 def description_of(attachments: Mapping[str, bytes]) -> Description:
     """Return the description of the rig of a recording; without an attached one, the arm's.
 
@@ -147,24 +152,6 @@ def description_of(attachments: Mapping[str, bytes]) -> Description:
     """
     text = attachments.get(DESCRIPTION)
     return shipped("arm") if text is None else Description.of(text)
-
-
-def manifest_of(metadata: dict[str, str]) -> Manifest:
-    """Return the manifest in a metadata record named `RUN`.
-
-    Raises msgspec.DecodeError if an entry is missing, is not JSON, or has another type.
-    """
-    return msgspec.convert(_fields(metadata), Manifest)
-
-
-def outcome_of(metadata: dict[str, str]) -> Outcome:
-    """Return the outcome in a metadata record named `OUTCOME`; raise as `manifest_of` does."""
-    return msgspec.convert(_fields(metadata), Outcome)
-
-
-def recovered_of(metadata: dict[str, str]) -> Recovered:
-    """Return the recovery in a metadata record named `RECOVERED`; raise as `manifest_of` does."""
-    return msgspec.convert(_fields(metadata), Recovered)
 
 
 def check_whole_numbers(record: Manifest | Outcome | Recovered) -> None:

@@ -28,9 +28,6 @@ from armrig_core.recording_file.manifest import (
     Outcome,
     Recovered,
     check_whole_numbers,
-    manifest_of,
-    outcome_of,
-    recovered_of,
 )
 from armrig_core.recording_file.opening import lock
 from armrig_core.recording_file.part_names import ACTIVE, COPY
@@ -149,7 +146,7 @@ class Recovery:
                 code=OutcomeCode.CUT_OFF,
             )
             if OUTCOME in rewriter.metadata:
-                outcome = _checked(path, outcome_of, rewriter.metadata[OUTCOME])
+                outcome = _checked(path, Outcome, rewriter.metadata[OUTCOME])
                 if tally.samples < outcome.samples:
                     raise RecoveryError(
                         f"{path}: the run was recorded to the end, but only {tally.samples} of its "
@@ -166,7 +163,7 @@ class Recovery:
                 damage="; ".join([*rewriter.left_out, *([str(damage)] if damage else [])]),
             )
             if RECOVERED in rewriter.metadata:  # an interrupted recovery wrote it
-                recovered = _checked(path, recovered_of, rewriter.metadata[RECOVERED])
+                recovered = _checked(path, Recovered, rewriter.metadata[RECOVERED])
             else:
                 rewriter.add_metadata(RECOVERED, recovered.metadata())
             rewriter.finish()
@@ -231,7 +228,7 @@ def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
     """Return the copied manifest; None before it is copied."""
     if RUN not in rewriter.metadata:
         return None
-    manifest = _checked(path, manifest_of, rewriter.metadata[RUN])
+    manifest = _checked(path, Manifest, rewriter.metadata[RUN])
     if rig and manifest.rig != rig:
         raise NotOursError(f"{path}: belongs to rig {manifest.rig}, not to rig {rig}")
     return manifest
@@ -240,10 +237,10 @@ def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
 _R = TypeVar("_R", Manifest, Outcome, Recovered)
 
 
-def _checked(path: Path, read: Callable[[dict[str, str]], _R], metadata: dict[str, str]) -> _R:
+def _checked(path: Path, kind: type[_R], metadata: dict[str, str]) -> _R:
     """Return the checked contents of a metadata record of armrig."""
     try:
-        record = read(metadata)
+        record = kind.of(metadata)
         check_whole_numbers(record)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         msg = f"{path}: a metadata record of armrig is not valid; the file stays as it is"

@@ -25,7 +25,7 @@ from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
-from armrig_core.recording_file.manifest import OUTCOME, RUN, manifest_of, outcome_of
+from armrig_core.recording_file.manifest import OUTCOME, RUN, Manifest, Outcome
 from armrig_core.recording_file.part_names import ACTIVE, COPY, PART
 from armrig_core.recording_file.rewriting import all_records
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
@@ -138,7 +138,7 @@ class Retention:
             try:
                 with held(run.files[0], self.owner) as stream:
                     manifests = (data for name, data in self._metadata(stream) if name == RUN)
-                    self._rigs[known] = manifest_of(next(manifests, {})).rig
+                    self._rigs[known] = Manifest.of(next(manifests, {})).rig
             except NotOursError:  # the file may be free at the next call
                 return ""
             except _READ_ERRORS:
@@ -173,11 +173,11 @@ class Retention:
     def _outcome(self, stream: IO[bytes]) -> str:
         """Read a whole file; return the code of its outcome."""
         metadata = dict(self._metadata(stream))
-        if manifest_of(metadata.get(RUN, {})).rig != self.rig:
+        if Manifest.of(metadata.get(RUN, {})).rig != self.rig:
             raise DamageError("a part of it belongs to another rig")
         if OUTCOME not in metadata:
             raise DamageError("it contains no outcome of its run")
-        return outcome_of(metadata[OUTCOME]).code
+        return Outcome.of(metadata[OUTCOME]).code
 
     def _metadata(self, stream: IO[bytes]) -> Iterator[tuple[str, dict[str, str]]]:
         """Yield the name and the content of each metadata record; raise DamageError at damage."""

@@ -14,7 +14,7 @@ from armrig.rig.playback import published
 from armrig_core.commands.codes import COMPLETE
 from armrig_core.errors import FileError
 from armrig_core.recording_file import recorder
-from armrig_core.recording_file.manifest import RUN, Outcome, manifest_of
+from armrig_core.recording_file.manifest import RUN, Manifest, Outcome
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.telemetry.telemetry import Outgoing
 from mcap.reader import make_reader
@@ -116,7 +116,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
         about = {record.name: record.metadata for record in reader.iter_metadata()}
         attached = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
         messages = list(reader.iter_messages(log_time_order=False))
-    run = manifest_of(about[RUN])
+    run = Manifest.of(about[RUN])
     batch = [
         Outgoing(
             channel.topic.rpartition("/")[2],
@@ -133,7 +133,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
         attached,
         t_first_ns=batch[0].t_host_ns,
         changed=lambda: None,
-        limits=recorder.PartLimits(samples=samples, size=1 << 30),
+        part_samples=samples,
     )
     recording.add(batch)
     recording.finish(COMPLETE)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from armrig_core.commands.commands import Run
-from armrig_core.recording_file.manifest import DESCRIPTION, RUN, description_of, manifest_of
+from armrig_core.recording_file.manifest import DESCRIPTION, RUN, Manifest, description_of
 from armrig_core.rig.description import Description, path_of, shipped
 from armrig_core.rig.firmware_image import image_crcs
 from armrig_daemon.config import Config, Rig, load
@@ -52,7 +52,7 @@ def test_the_schema_of_a_recording_has_the_names_and_units_of_the_rig(tmp_path: 
     assert all(s.T_degC == (s.T_counts - 100) * 0.5 for s in samples)
     assert all(s.flow_l_per_min == -2.0 * s.flow_counts for s in samples)
     assert attached == TWO.text
-    manifest = manifest_of(metadata)
+    manifest = Manifest.of(metadata)
     assert (manifest.description_sha256, manifest.rehearsal) == (TWO.sha256, None)
 
 

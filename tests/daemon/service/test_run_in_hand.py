@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from armrig_core.commands.codes import COMPLETE, GapCode, OutcomeCode
 from armrig_core.commands.commands import Run
-from armrig_core.recording_file.manifest import OUTCOME, outcome_of
+from armrig_core.recording_file.manifest import OUTCOME, Outcome
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Gap, Log, RunStarted, State
@@ -69,7 +69,7 @@ def _ended(runs: Runs, expected: str = "info") -> str:
 def _missing_in_file(path: Path) -> int:
     with path.with_suffix("").open("rb") as file:
         metadata = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
-    return outcome_of(metadata[OUTCOME]).missing
+    return Outcome.of(metadata[OUTCOME]).missing
 
 
 def test_a_recording_contains_only_the_samples_of_its_run(runs: Runs) -> None:

@@ -23,7 +23,7 @@ from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
 from armrig_core.commands.commands import Calibrate as AskedCalibrate
 from armrig_core.commands.commands import Reset as AskedReset
-from armrig_core.recording_file.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
+from armrig_core.recording_file.manifest import CALIBRATION, CALIBRATION_RAW, Manifest
 from armrig_core.recording_file.manifest import RUN as OF_RUN
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
 from armrig_core.telemetry import protobuf
@@ -374,7 +374,7 @@ def test_the_clock_offset_of_a_recording_is_measured_at_its_beginning(between: B
 
     with _finished(between).open("rb") as file:
         metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
-    assert manifest_of(metadata[OF_RUN]).clock_offset_ns > 10**18
+    assert Manifest.of(metadata[OF_RUN]).clock_offset_ns > 10**18
 
 
 def test_orders_are_forwarded_in_batches_from_a_bounded_queue(between: Between) -> None:
@@ -463,7 +463,7 @@ def test_a_second_calibration_replaces_the_first(between: Between, tmp_path: Pat
     status = between.service._rig.status(None)
     assert "made 2026-11-21" in status.calibration
     assert status.calibration_sha256 == hashlib.sha256(attached[CALIBRATION]).hexdigest()
-    assert status.calibration_sha256 == manifest_of(of_run).calibration_sha256
+    assert status.calibration_sha256 == Manifest.of(of_run).calibration_sha256
     assert msgspec.json.decode(attached[CALIBRATION], type=Calibration) == second
     assert attached[CALIBRATION_RAW] == b"second"
 

@@ -229,9 +229,9 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
         why = content.damage or "it contains no metadata named armrig.run"
         raise FileError(f"{path}: not a recording of a run: {why}")
     try:
-        manifest = records.manifest_of(entries)
+        manifest = records.Manifest.of(entries)
         outcome = content.metadata.get(records.OUTCOME)
-        ended = None if outcome is None else records.outcome_of(outcome)
+        ended = None if outcome is None else records.Outcome.of(outcome)
         text = content.attachments.get(records.CALIBRATION)
         attached = None if text is None else msgspec.json.decode(text, type=Calibration)
         recovered = _recovered(content)
@@ -284,7 +284,7 @@ def origin_of(content: Content, manifest: Manifest) -> int:
 
 def _recovered(content: Content) -> Recovered | None:
     entries = content.metadata.get(records.RECOVERED)
-    return None if entries is None else records.recovered_of(entries)
+    return None if entries is None else records.Recovered.of(entries)
 
 
 def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -> Recording:

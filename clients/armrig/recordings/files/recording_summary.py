@@ -28,8 +28,6 @@ from armrig_core.recording_file.manifest import (
     Manifest,
     Outcome,
     check_whole_numbers,
-    manifest_of,
-    outcome_of,
 )
 from armrig_core.recording_file.opening import byte_source, regular_file
 from armrig_core.recording_file.part_names import part_paths
@@ -211,7 +209,7 @@ def summary_of(path: Path) -> RecordingSummary:
             raise ForeignError("not made by armrig") from err
         raise
     try:
-        manifest, outcome = manifest_of(metadata[RUN]), outcome_of(metadata[OUTCOME])
+        manifest, outcome = Manifest.of(metadata[RUN]), Outcome.of(metadata[OUTCOME])
         check_whole_numbers(manifest)
         check_whole_numbers(outcome)
     except (msgspec.DecodeError, ValueError, RecursionError) as err:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.manifest import RUN, manifest_of
+from armrig_core.recording_file.manifest import RUN, Manifest
 from armrig_core.rig.volts import codes_of
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
@@ -100,7 +100,7 @@ def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
 
 
 def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
-    manifest = manifest_of(content.metadata[RUN])
+    manifest = Manifest.of(content.metadata[RUN])
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(paths[0], content.input, manifest.samples)
