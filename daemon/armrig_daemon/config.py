@@ -200,10 +200,6 @@ class Recording(Table, frozen=True, kw_only=True):
     """Folder of the recordings; default: armrig/recordings in $XDG_DATA_HOME (~/.local/share)."""
     part_minutes: Annotated[float, Meta(ge=0, le=1e6)] = 60.0
     """Longest file, in minutes; a longer run is recorded in several files; 0 is no limit."""
-    part_mb: Annotated[float, Meta(ge=0, le=1e6)] = 2000.0
-    """Largest file, in MB; a larger run is recorded in several files; 0 is no limit."""
-    stop_when_full: bool = True
-    """True to stop a run if the disk is full; false to continue the run without recording."""
     keep_days: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
     """Age at which a complete recording of this rig is removed, in days; 0 keeps all."""
     keep_gb: Annotated[float, Meta(ge=0, le=1e6)] = 0.0

@@ -12,7 +12,6 @@ from armrig_core.telemetry.channels import CHANNELS, SAMPLE_FIELDS
 from armrig_core.telemetry.history import decode_past
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import Config
-from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
 from armrig_daemon.service import admission, client_watchdog, readings
 from armrig_daemon.service.access import Network
@@ -20,7 +19,7 @@ from armrig_daemon.service.host import pressure
 from armrig_daemon.service.played_input import checked, one_a_line
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import History
-from armrig_daemon.service.runs import part_limits
+from armrig_daemon.service.runs import part_samples
 from armrig_daemon.service.sentences import (
     endpoint_error,
     network_error,
@@ -38,7 +37,6 @@ from tests.daemon.odd_bench import CONFIG
 __all__ = [
     "CONFIG",
     "Config",
-    "RecordingConfig",
     "checked",
     "ended",
     "endpoint_error",
@@ -53,7 +51,7 @@ __all__ = [
     "odd_signs",
     "odd_state",
     "one_a_line",
-    "part_limits",
+    "part_samples",
     "served",
     "state_sentence",
     "unreachable",

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from math import inf
 from pathlib import Path
-from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -36,15 +35,6 @@ class RecordingError(ArmrigError, OSError):
     """A recording cannot begin; the message gives file and reason."""
 
 
-class PartLimits(NamedTuple):
-    """Limits at which a part ends and the next part begins."""
-
-    samples: int
-    """Number of samples, recorded or missing, after which a part ends."""
-    size: int
-    """Size after which a part ends, in B."""
-
-
 class Recording:
     """An open recording; after its creation, the caller never waits for the disk."""
 
@@ -56,14 +46,14 @@ class Recording:
         *,
         t_first_ns: int,
         changed: Callable[[], None],
-        limits: PartLimits | None = None,
+        part_samples: int = 0,
     ) -> None:
         """Create the file and write header, schemas, manifest and attachments to the kernel.
 
         No file may exist at `path`, the path of the finished recording. `t_first_ns` is the
         monotonic time of the first sample. The writer's thread calls `changed` when `error`,
-        `moved` or `done` has changed. `limits` are those of a part; without limits, the run is
-        recorded in one file.
+        `moved` or `done` has changed. A part ends after `part_samples` samples, recorded or
+        missing; with 0, the run is recorded in one file.
 
         Raises RecordingError if the file cannot be created.
         """
@@ -79,7 +69,7 @@ class Recording:
         """Message that the file was moved; writing continues at its new path."""
         self.done = False
         """True if the file is complete under its final name, or if writing has failed and ended."""
-        self._limits = limits
+        self._part_samples = part_samples
         # Only the first part contains the input, which may have 80 MB.
         self._attachments = {n: data for n, data in attachments.items() if n != INPUT}
         self._changed = changed
@@ -87,7 +77,7 @@ class Recording:
         self._written = self._flushed = 0  # samples
         self._busy_since_s = inf  # inf: the writer waits for messages, not for the disk
         self._queue: queue.SimpleQueue[list[Outgoing] | Ending] = queue.SimpleQueue()
-        if limits is not None:
+        if part_samples:
             manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
         path = part_path(path, manifest.part)
         try:
@@ -112,7 +102,7 @@ class Recording:
         part = self._part
         if not part.is_named:
             return part.active
-        return part.path if self._limits is None else part.path.with_name(self.path.name)
+        return part.path.with_name(self.path.name) if self._part_samples else part.path
 
     @property
     def active(self) -> Path:
@@ -227,10 +217,8 @@ class Recording:
 
     def _is_full(self, k: int) -> bool:
         """Return whether the part ends with sample `k`; no part ends inside a gap."""
-        part, limits = self._part, self._limits
-        if limits is None or k + 1 >= part.manifest.due.stop:
-            return False
-        return k + 1 - part.manifest.due.start >= limits.samples or part.size >= limits.size
+        due = self._part.manifest.due
+        return 0 < self._part_samples <= k + 1 - due.start and k + 1 < due.stop
 
     def _begin_part(self, k_first: int, t_ns: int) -> None:
         """End the part, and begin the next part with sample `k_first`."""

@@ -30,7 +30,7 @@ from armrig_core.recording_file.manifest import (
     INPUT,
     Manifest,
 )
-from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
+from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import raw_samples
 from armrig_core.rig.description import Description, shipped
@@ -40,7 +40,6 @@ from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
 from armrig_daemon import pipe
 from armrig_daemon.config import Config
-from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
 from armrig_daemon.service.host.host_facts import HostFacts, check_directory, of_this_host
@@ -92,7 +91,6 @@ class Runs:
         self.has_lost = False
         """True if a recording failed before all its samples were on the disk."""
         self._presence: ClientWatchdog | None = None
-        self._reported_error = ""
         self._early_notes: list[Outgoing] = []  # of a run that was requested and has not begun
 
     @property
@@ -226,7 +224,9 @@ class Runs:
                 attachments,
                 t_first_ns=started.t_host_ns,
                 changed=self._changed,
-                limits=part_limits(self._config.recording, manifest.samples, manifest.Ts),
+                part_samples=part_samples(
+                    self._config.recording.part_minutes, manifest.samples, manifest.Ts
+                ),
             )
         except RecordingError as err:
             self._last = msgspec.structs.replace(
@@ -283,17 +283,9 @@ class Runs:
         if recording is None:
             return None
         recording.look()
-        if recording.error and self._config.recording.stop_when_full:
+        if recording.error:
             return Ending(OutcomeCode.RECORDING, recording.error)
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
-
-    def unrecorded(self) -> str:
-        """Return a new reason why recording has stopped; an empty text if there is none."""
-        recording = self._recording
-        if recording is None or not recording.error or recording.error == self._reported_error:
-            return ""
-        error = self._reported_error = recording.error
-        return "" if self._config.recording.stop_when_full else f"{error}; the run continues"
 
     def finished(self, timeout: float = 0.0) -> tuple[str, str]:
         """Return the level and text of a log line if a recording is complete, else two empty texts.
@@ -368,14 +360,12 @@ def _most_bytes(samples: int, Ts: float) -> int:
     return round(samples * (_BYTES_PER_SAMPLE + _BYTES_PER_SECOND * Ts))
 
 
-def part_limits(config: RecordingConfig, samples: int, Ts: float) -> PartLimits | None:
-    """Return the limits of the parts of a run; None if one file may contain the whole run."""
-    longest_s, largest = config.part_minutes * 60 or inf, config.part_mb * 1e6 or inf
-    size = _most_bytes(samples, Ts)
-    most = samples if samples * Ts <= longest_s else max(1, round(longest_s / Ts))
-    if most == samples and size <= largest:
-        return None
-    return PartLimits(most, round(min(size, largest)))
+def part_samples(minutes: float, samples: int, Ts: float) -> int:
+    """Return the number of samples of each part of a run; 0 if one file contains the whole run."""
+    if not minutes or samples * Ts <= minutes * 60:
+        return 0
+    most = max(1, round(minutes * 60 / Ts))
+    return most if most < samples else 0
 
 
 def _begun(planned: Planned) -> LastRun:

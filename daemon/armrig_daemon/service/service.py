@@ -384,8 +384,6 @@ class Service:
         if ended := self._runs.disturbed():
             self._loop.order(Stop(reason=ended.text, outcome_code=ended.code))
         self._say_finished()
-        if unrecorded := self._runs.unrecorded():
-            self._say("error", unrecorded)
         for level, text in self._left_over.lines():
             self._say(level, text)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.commands.codes import COMPLETE, Ending
-from armrig_core.recording_file.recorder import PartLimits, Recording
+from armrig_core.recording_file.recorder import Recording
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
 from msgspec.structs import replace
 
@@ -32,7 +32,7 @@ def sample(k: int, *, theta_1: float = 0.1, counts: tuple[int, int] = (1, 2)) ->
 def begun(
     path: Path,
     changed: threading.Event | None = None,
-    limits: PartLimits | None = None,
+    part: int = 0,
     *,
     files: Mapping[str, bytes] = {"input.csv": b"u_v\n1.0\n"},
     t_first_ns: int = 5,
@@ -42,7 +42,12 @@ def begun(
     event = changed or threading.Event()
     filled = replace(MANIFEST, **about)
     return Recording(
-        path, filled, dict(files), t_first_ns=t_first_ns, changed=event.set, limits=limits
+        path,
+        filled,
+        dict(files),
+        t_first_ns=t_first_ns,
+        changed=event.set,
+        part_samples=part,
     )
 
 

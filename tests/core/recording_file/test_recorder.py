@@ -11,8 +11,8 @@ import pytest
 from armrig_core.commands.codes import COMPLETE, Ending, GapCode, OutcomeCode
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.manifest import OUTCOME, outcome_of
-from armrig_core.recording_file.recorder import PartLimits, RecordingError
+from armrig_core.recording_file.manifest import OUTCOME, Outcome
+from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.recording_file.recording_part import Part
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
@@ -134,7 +134,7 @@ def test_a_slow_rewriting_loses_no_sample(
             answers.wait(30)
 
     monkeypatch.setattr(Part, "compact", slow)
-    recording = begun(tmp_path / "run.mcap", limits=PartLimits(40, 1 << 30), k_first=0)
+    recording = begun(tmp_path / "run.mcap", part=40, k_first=0)
     recording.add([sample(k) for k in range(50)])
     recording.finish(COMPLETE)
     assert asked.wait(30)
@@ -185,7 +185,7 @@ def test_batches_beyond_the_queue_are_discarded_and_counted(
     assert (recording.samples, recording.dropped) == (3, 6)
     with recording.path.open("rb") as file:
         metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
-    assert outcome_of(metadata[OUTCOME]).missing == recording.dropped
+    assert Outcome.of(metadata[OUTCOME]).missing == recording.dropped
 
 
 def test_a_sample_that_was_not_flushed_is_not_acknowledged(

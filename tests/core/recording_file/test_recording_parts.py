@@ -14,16 +14,14 @@ from armrig.recordings.files.verification import verify
 from armrig_core.commands.codes import GapCode, OutcomeCode
 from armrig_core.recording_file.manifest import CONFIG, INPUT
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
-from armrig_core.recording_file.recording_part import Part
+from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry.telemetry import Outgoing
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
-from msgspec.structs import replace
 
-from tests.core.recording_file.made import MANIFEST, Setter, begun, finished, sample, until
+from tests.core.recording_file.made import Setter, begun, finished, sample, until
 from tests.daemon.failing_disk import Disk
 
 N, FIRST = 100, 1000
@@ -45,17 +43,17 @@ def _gap(first: int, count: int) -> Outgoing:
     return outgoing(record, 0)
 
 
-def _recorded(path: Path, batches: list[list[Outgoing]], limits: PartLimits | None) -> Recording:
+def _recorded(path: Path, batches: list[list[Outgoing]], part: int) -> Recording:
     """Record batches one after the other, to the end of the run."""
-    recording = _begun(path, limits)
+    recording = _begun(path, part)
     for batch in batches:
         recording.add(batch)
     assert finished(recording).done
     return recording
 
 
-def _begun(path: Path, limits: PartLimits | None) -> Recording:
-    return begun(path, None, limits, files=ATTACHED, t_first_ns=FIRST * 10_000_000, k_first=FIRST)
+def _begun(path: Path, part: int) -> Recording:
+    return begun(path, None, part, files=ATTACHED, t_first_ns=FIRST * 10_000_000, k_first=FIRST)
 
 
 def _each(messages: list[Outgoing]) -> list[list[Outgoing]]:
@@ -73,9 +71,9 @@ HOLED = [*WHOLE[:28], _gap(FIRST + 28, 4), *WHOLE[32:60], _gap(FIRST + 60, 1), *
 
 def test_the_parts_contain_the_messages_of_one_file(tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
-    one = _recorded(tmp_path / "one" / "run.mcap", _each(HOLED), None)
+    one = _recorded(tmp_path / "one" / "run.mcap", _each(HOLED), 0)
 
-    parts = _recorded(tmp_path / "run.mcap", _each(HOLED), PartLimits(30, 1 << 30))
+    parts = _recorded(tmp_path / "run.mcap", _each(HOLED), 30)
 
     assert parts.kept == tmp_path / "run.mcap"
     assert not parts.kept.exists()
@@ -96,7 +94,7 @@ def test_the_parts_contain_the_messages_of_one_file(tmp_path: Path) -> None:
 
 
 def test_a_part_has_its_number_and_ends_after_a_sample(tmp_path: Path) -> None:
-    _recorded(tmp_path / "run.mcap", _each(HOLED), PartLimits(30, 1 << 30))
+    _recorded(tmp_path / "run.mcap", _each(HOLED), 30)
 
     loaded = [armrig.load(tmp_path / f"run.part-000{i}.mcap") for i in (1, 2, 3, 4)]
     assert [r.manifest.part for r in loaded] == [1, 2, 3, 4]
@@ -117,26 +115,15 @@ def test_a_part_has_its_number_and_ends_after_a_sample(tmp_path: Path) -> None:
 def test_a_gap_at_the_end_of_a_part_is_reported_in_the_next_part(tmp_path: Path) -> None:
     messages = [*WHOLE[:30], _gap(FIRST + 30, 5), *WHOLE[35:]]
 
-    _recorded(tmp_path / "run.mcap", _each(messages), PartLimits(30, 1 << 30))
+    _recorded(tmp_path / "run.mcap", _each(messages), 30)
 
     first, second = (armrig.load(tmp_path / f"run.part-000{i}.mcap") for i in (1, 2))
     assert (first.N, first.missing, len(first.gaps)) == (30, 0, 0)
     assert (second.k_first, second.missing, len(second.gaps)) == (FIRST + 30, 5, 1)
 
 
-def test_a_part_ends_at_its_size_limit(tmp_path: Path, pace: Setter) -> None:
-    pace(FLUSH_S=0.0)
-    empty = Part(tmp_path / "x.mcap", replace(MANIFEST, k_first=FIRST), ATTACHED, 0)
-    empty.discard()
-
-    recording = _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(N, empty.size + 3000))
-
-    assert len(part_paths(recording.kept)) > 2
-    assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
-
-
 def test_a_run_that_ends_with_a_full_part_has_no_empty_part(tmp_path: Path) -> None:
-    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(N // 2, 1 << 30))
+    _recorded(tmp_path / "run.mcap", _each(WHOLE), N // 2)
 
     assert [p.name for p in part_paths(tmp_path / "run.mcap")] == [
         *("run.part-0001.mcap", "run.part-0002.mcap")
@@ -157,7 +144,7 @@ def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
         fsync(fd)
 
     instead(fsync=slow)
-    recording = _begun(tmp_path / "run.mcap", PartLimits(60, 1 << 30))
+    recording = _begun(tmp_path / "run.mcap", 60)
     recording.add(WHOLE)
     second = tmp_path / "run.part-0002.mcap.active"
     until(lambda: recording._flushed == N)
@@ -176,7 +163,7 @@ def test_a_part_is_on_the_disk_before_it_is_named_and_no_flush_waits_for_it(
 def test_every_completed_part_has_full_chunks(tmp_path: Path, pace: Setter) -> None:
     pace(FLUSH_S=0.0)
 
-    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
+    _recorded(tmp_path / "run.mcap", _each(WHOLE), 40)
 
     for path in part_paths(tmp_path / "run.mcap"):
         with path.open("rb") as file:
@@ -188,9 +175,7 @@ def test_every_completed_part_has_full_chunks(tmp_path: Path, pace: Setter) -> N
 def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
     disk = Disk("open", 2)
     with disk.installed():
-        recording = _recorded(
-            disk.path(tmp_path / "run.mcap"), _each(WHOLE), PartLimits(60, 1 << 30)
-        )
+        recording = _recorded(disk.path(tmp_path / "run.mcap"), _each(WHOLE), 60)
 
     told = f"{recording.kept}: No space left on device; part 2 cannot begin"
     assert (
@@ -214,7 +199,7 @@ def test_a_failing_system_call_leaves_a_prefix_of_the_samples(
     counted = Disk()
     (tmp_path / "counted").mkdir()
     with counted.installed():
-        _recorded(counted.path(tmp_path / "counted" / "run.mcap"), batches, PartLimits(40, 1 << 30))
+        _recorded(counted.path(tmp_path / "counted" / "run.mcap"), batches, 40)
     assert counted.calls["write"] > 10
     failed = 0
     for kind, calls in counted.calls.items():
@@ -225,7 +210,7 @@ def test_a_failing_system_call_leaves_a_prefix_of_the_samples(
             with disk.installed():
                 try:
                     path = disk.path(folder / "run.mcap")
-                    recording = _recorded(path, batches, PartLimits(40, 1 << 30))
+                    recording = _recorded(path, batches, 40)
                 except RecordingError:
                     assert not list(folder.iterdir())
                     continue
@@ -243,7 +228,7 @@ def test_a_failing_system_call_leaves_a_prefix_of_the_samples(
 def test_the_parts_of_a_dead_daemon_are_read_as_one_after_recovery(
     tmp_path: Path,
 ) -> None:
-    recording = _begun(tmp_path / "run.mcap", PartLimits(40, 1 << 30))
+    recording = _begun(tmp_path / "run.mcap", 40)
     recording.add([*WHOLE[:60], _gap(FIRST + 60, 3), *WHOLE[63:70]])
     until(lambda: recording._flushed == 67)
     for path in tmp_path.iterdir():

@@ -22,7 +22,6 @@ from armrig_core.recording_file.manifest import (
     RECOVERED,
     RUN,
 )
-from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry.telemetry import Outgoing, Sample, encode_sample
@@ -38,7 +37,6 @@ from tests.tools import require
 NODE = Path(__file__).parents[2] / "node"
 N, FLUSH = 400, 50
 TORN = 1_500  # B: some of the samples of the last flush, and the index after them
-_PART = PartLimits(samples=150, size=1 << 30)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +47,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     service = VirtualService(Config(), folder, seed=1)
     whole = service.record(Run(lease=LEASE, n=0, u=u, experiment="a"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runs, "part_limits", lambda *_: _PART)
+        patch.setattr(runs, "part_samples", lambda *_: 150)
         service.record(Run(lease=LEASE, n=0, u=u, experiment="b"))
     parts = sorted(folder.glob("*.part-*"))
     assert len(parts) == 3

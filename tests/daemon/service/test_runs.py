@@ -11,7 +11,6 @@ from armrig_core.commands.codes import OutcomeCode, RefusalCode
 from armrig_core.commands.commands import LastRun, Run
 from armrig_core.commands.rehearsal import rehearse
 from armrig_daemon.config import ArmSettings, Config, Limits
-from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.service.host.host_facts import check_directory
 from armrig_daemon.service.runs import Runs
 
@@ -62,19 +61,17 @@ def test_a_rig_without_its_arm_has_no_predicted_deflection(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("error", "moved", "stop_when_full", "disturbed", "unrecorded"),
+    ("error", "moved", "disturbed"),
     [
-        ("", "", True, "", ""),
-        ("", "it was moved away", True, "it was moved away", ""),
-        ("the disk is full", "it was moved", True, "the disk is full", ""),
-        ("the disk is full", "it was moved", False, "it was moved", "the disk is full; the run c"),
+        ("", "", ""),
+        ("", "it was moved away", "it was moved away"),
+        ("the disk is full", "it was moved", "the disk is full"),
     ],
 )
 def test_the_state_of_the_current_recording_is_reported(
-    error: str, moved: str, stop_when_full: bool, disturbed: str, unrecorded: str, tmp_path: Path
+    error: str, moved: str, disturbed: str, tmp_path: Path
 ) -> None:
-    config = Config(recording=RecordingConfig(stop_when_full=stop_when_full))
-    runs = Runs(config, tmp_path, lambda: None)
+    runs = Runs(Config(), tmp_path, lambda: None)
     recording: Any = SimpleNamespace(
         **{"kept": tmp_path / "a.mcap.active", "samples": 9, "synced": 4, "error": error},
         **{"moved": moved, "look": lambda: None},
@@ -87,8 +84,6 @@ def test_the_state_of_the_current_recording_is_reported(
     if ending is not None:
         code = OutcomeCode.RECORDING if disturbed == error else OutcomeCode.MOVED
         assert ending.code == code
-    assert runs.unrecorded().startswith(unrecorded)
-    assert runs.unrecorded() == ""
     assert runs.last is not None
     assert (runs.last.samples, runs.last.synced) == (9, 4)
     assert runs.run_id == "r"
