@@ -130,7 +130,7 @@ class CoreDevice(Device):
             is_watched=self.is_watched,
         )
         self.use().pc_device_begin(ctypes.byref(setup))
-        self._board.release(now_ns, State.BOOT, Cause.POWER_ON)
+        self.board.release(now_ns, State.BOOT, Cause.POWER_ON)
         self._next_ns = self.core.state.next_ns
 
     def use(self) -> Any:
@@ -183,7 +183,7 @@ class CoreDevice(Device):
 
     def read(self, t_ns: int, channel: int) -> int:
         """Return the converter's reading of an input."""
-        return self._board.reading(channel, t_ns)
+        return self.board.reading(channel, t_ns)
 
     def drive(self, t_ns: int, steps: int, code: int) -> None:
         """Give the pin the duty of `code`."""
@@ -191,14 +191,14 @@ class CoreDevice(Device):
         wanted = duty(code, bits) if bits < 16 else code
         if steps != wanted or not self.is_running:
             raise VoltageError(f"{steps} steps for code {code} in state {self._fw.state.name}")
-        self._board.latch(t_ns, code, Cause.REQUEST)
+        self.board.latch(t_ns, code, Cause.REQUEST)
 
     def release(self, t_ns: int) -> None:
         """Let the pin be low."""
-        self._board.release(t_ns, self._fw.state, self._fw.cause)
+        self.board.release(t_ns, self._fw.state, self._fw.cause)
 
     def supply(self, t_ns: int) -> int:
-        return self._board.supply_mv(t_ns)
+        return self.board.supply_mv(t_ns)
 
     def token(self) -> int:
         """Draw a token."""
