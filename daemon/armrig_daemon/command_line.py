@@ -379,8 +379,7 @@ def conformance(
     The exit code is 0 only if no rule is broken. After the test, the device is at 0 V.
     """
     from armrig_daemon.conformance import suite
-    from armrig_daemon.conformance.conversation import Broken
-    from armrig_daemon.conformance.host import Host
+    from armrig_daemon.conformance.host import Broken, Host
     from armrig_daemon.conformance.rule import Result
     from armrig_daemon.conformance.suite import run as try_rules
     from armrig_daemon.loop.link import LinkError

@@ -8,8 +8,7 @@ from armrig_protocol import cobs, frame
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import TYPES
 
-from armrig_daemon.conformance.conversation import Broken
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import Broken, Host
 from armrig_daemon.conformance.rule import expect, rule
 
 _STATUS_MS = 3_000

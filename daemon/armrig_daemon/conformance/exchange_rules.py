@@ -6,8 +6,7 @@ from armrig_core.rig.volts import applied_code
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import Capability, Cause, Code, Flag, State
 
-from armrig_daemon.conformance.conversation import Broken, only
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import Broken, Host, only
 from armrig_daemon.conformance.rule import expect, expect_trip, rule, shown
 
 _SAMPLE_LIMIT_MS = 30

@@ -12,9 +12,8 @@ from armrig_daemon.conformance.byte_rules import (
     next_status,
     spoilt_frames,
 )
-from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.exchange_rules import expect_watchdog
-from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.host import BOOT_MS, Broken, Host, only
 from armrig_daemon.conformance.rule import NotTried, expect, rule
 
 _RAIL_CODES = 64
@@ -117,7 +116,6 @@ def _unfed(host: Host) -> None:
 
 
 def _hellos(host: Host, fed_us: int) -> None:
-    """Send HELLO repeatedly until the watchdog trips."""
     came: list[wire.Message] = []
     for _ in range(60):
         host.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)

@@ -1,16 +1,25 @@
-"""The host that tests a device: the host changes the device's state and requests samples."""
+"""The host that tests a device: it sends frames, waits for the answers, and leads to a state.
+
+A device answers in order. All answers to a request have therefore arrived before the PONG of a
+later PING. No rule is judged by the host's clock. This clock only limits the waits.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from math import inf
+from typing import Any, TypeVar
 
+from armrig_protocol import decoder, frame
 from armrig_protocol import messages as wire
+from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Mode, State
 
-from armrig_daemon.conformance.conversation import PATIENCE_MS, Broken, Conversation, only
 from armrig_daemon.conformance.line import Line
 
+PATIENCE_MS = 2_000
+"""Longest wait for an answer, in ms of the host's clock; devices answer in less than 20 ms."""
+M = TypeVar("M", bound=wire.Message)
 BOOT_MS = 8_000
 """Longest time of a boot, including the boot loader, in ms."""
 _HELLO_MS = 200
@@ -32,18 +41,69 @@ CONFIG: dict[str, int] = {
 }
 
 
-class Host(Conversation):
+class Broken(Exception):  # noqa: N818 - the device's error
+    """The device breaks a rule; the message describes the behaviour of the device."""
+
+
+class EndlessError(Exception):
+    """The device sends more data or takes longer than the suite's limits allow."""
+
+
+class Host:
     """A host at one end of a line."""
 
     def __init__(self, line: Line, baud: int = 500_000) -> None:
         """Set the next seq to 0 and send nothing; `baud` is the speed of the line, in bit/s."""
-        super().__init__(line)
+        self.line = line
         self.baud = baud
         self.k = 0
         """Index of the last EXCHANGE."""
+        self.seq = 0
+        self.facts: wire.HelloReply | None = None
+        """Last HELLO_R of the device."""
+        self.pong: wire.Pong | None = None
+        """Answer to the last PING."""
+        self.status: wire.Status | None = None
+        """Last STATUS of the device."""
+        self.state = 0
+        """State in the last frame of the device."""
+        self.silence_ms = 0.0
+        """Longest time between two frames of the host."""
+        self.spoilt = 0
+        """Number of pieces from the device that are not frames."""
+        self.breaks = 0
+        """Number of frames from the device whose seq is not the last seq plus one."""
+        self.nonce = self.config_crc = 0
+        """Values of the last CONFIG_R."""
+        self._device_seq: int | None = None
+        self._sent_ns = line.now_ns()
+        self._pending = b""
+        self._fresh = True
+        self._heard: list[wire.Message] = []
+        self._pings = 0
+        self._received = 0  # B
+        self._limits = inf, inf
+
+    def limit(self, ms: float = inf, received: float = inf) -> None:
+        """Set limits: a read then raises `EndlessError` after `ms` or after `received` bytes.
+
+        Each wait has its own limit, but a device can cause an unlimited number of waits.
+        """
+        self._limits = self.line.now_ns() + ms * 1e6, self._received + received
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the line."""
+        self.note_silence()
+        self._sent_ns = self.line.now_ns()
+        self.line.send(data)
+
+    def note_silence(self) -> None:
+        """Note the time since the last frame of the host."""
+        silence_ms = (self.line.now_ns() - self._sent_ns) / 1e6
+        self.silence_ms = max(self.silence_ms, silence_ms)
 
     def put(self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any) -> int:
-        """Send a frame and return its seq.
+        """Send a frame; return its seq, which is by default the last seq plus one.
 
         ARM and START contain the values of the last CONFIG_R, unless `fields` contains other
         values.
@@ -53,7 +113,103 @@ class Host(Conversation):
             fields = {**known, "nonce": self.nonce, **fields}
         if kind is wire.Start:
             fields = {"k_stop": 0, "nonce": self.nonce, **fields}
-        return super().put(kind, seq=seq, **fields)
+        self.seq = (self.seq + 1) & 0xFFFF if seq is None else seq
+        message: Any = kind  # each type has its own fields
+        self.write(frame.encode(message(0, self.seq, **fields)))
+        return self.seq
+
+    def put_together(self, messages: Sequence[wire.Message]) -> None:
+        """Send several frames, with consecutive seq, as one piece."""
+        data = b""
+        for message in messages:
+            self.seq = (self.seq + 1) & 0xFFFF
+            data += frame.encode(message._replace(seq=self.seq))
+        self.write(data)
+
+    def listen(self, ms: float) -> list[wire.Message]:
+        """Return the messages that arrive within `ms`, except STATUS."""
+        end_ns = self.line.now_ns() + round(ms * 1e6)
+        while (left_ms := (end_ns - self.line.now_ns()) / 1e6) > 0:
+            self._read(left_ms)
+        return self._taken()
+
+    def until(
+        self, found: Callable[[wire.Message], bool], what: str, within_ms: float = PATIENCE_MS
+    ) -> list[wire.Message]:
+        """Return the messages, except STATUS, up to the first message for which `found` is true.
+
+        Raises Broken if `found` is false for every message that arrives in time.
+        """
+        end_ns = self.line.now_ns() + round(within_ms * 1e6)
+        looked = 0
+        while True:
+            for at in range(looked, len(self._heard)):
+                if found(self._heard[at]):
+                    came, self._heard = self._heard[: at + 1], self._heard[at + 1 :]
+                    return came
+            looked = len(self._heard)
+            left_ms = (end_ns - self.line.now_ns()) / 1e6
+            if left_ms <= 0:
+                names = ", ".join(type(m).__name__ for m in self._taken()[-5:])
+                raise Broken(f"no {what}; received: {names or 'nothing'}")
+            self._read(left_ms)
+
+    def fence(self) -> list[wire.Message]:
+        """Send a PING and return the messages before its PONG."""
+        self._pings += 1
+        self.put(wire.Ping, host_ns=self._pings)
+        came = self.until(
+            lambda m: isinstance(m, wire.Pong) and m.host_ns == self._pings, "PONG of a PING"
+        )
+        return came[:-1]
+
+    def ask(
+        self, kind: type[wire.Message], *, seq: int | None = None, **fields: Any
+    ) -> list[wire.Message]:
+        """Send a frame that requests no conversion, and return its answers."""
+        self.put(kind, seq=seq, **fields)
+        return self.fence()
+
+    def _taken(self) -> list[wire.Message]:
+        came, self._heard = self._heard, []
+        return came
+
+    def _read(self, within_ms: float) -> None:
+        end_ns, most = self._limits
+        if self.line.now_ns() > end_ns:
+            raise EndlessError("the device took longer than the whole suite may take")
+        if self._received > most:
+            raise EndlessError(
+                "the device sent more than the whole suite allows: it floods the line"
+            )
+        data = self.line.receive(within_ms)
+        self._received += len(data)
+        self._pending, received = decoder.feed(self._pending, data)
+        for item in received:
+            if isinstance(item, Spoilt | Unknown):
+                self.spoilt += not self._fresh
+                continue
+            self._fresh = False
+            expected = self._device_seq is None or item.seq == (self._device_seq + 1) & 0xFFFF
+            booted = isinstance(item, wire.Event) and item.was == State.BOOT
+            self.breaks += not (expected or booted)
+            self._device_seq, self.state = item.seq, item.state
+            if isinstance(item, wire.Status):
+                self.status = item
+                continue
+            if isinstance(item, wire.Pong):
+                self.pong = item
+            if isinstance(item, wire.ConfigReply):
+                self.nonce, self.config_crc = item.nonce, item.config_crc
+            if isinstance(item, wire.HelloReply):
+                self.facts = item
+            self._heard.append(item)
+
+    def reopen(self, after_ms: float = 0) -> None:
+        """Close and reopen the port; frames lost on the line are not counted as errors."""
+        self.line.reopen(after_ms)
+        self._pending, self._device_seq, self._fresh = b"", None, True
+        self._heard.clear()
 
     @property
     def known(self) -> wire.HelloReply:
@@ -152,3 +308,14 @@ class Host(Conversation):
             if until is not None and any(map(until, came)):
                 break
         return came
+
+
+def only(kind: type[M], came: list[wire.Message]) -> M:
+    """Return the only message of this kind.
+
+    Raises Broken if there is no message of this kind, or more than one message.
+    """
+    found = [m for m in came if isinstance(m, kind)]
+    if len(found) != 1:
+        raise Broken(f"{len(found)} {kind.__name__} among {len(came)} frames instead of one")
+    return found[0]

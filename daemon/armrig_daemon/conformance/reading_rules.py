@@ -6,9 +6,8 @@ from armrig_protocol import messages as wire
 from armrig_protocol.messages import TYPES, Capability, Code, Flag, State
 
 from armrig_daemon.conformance.configuration_rules import ts_min_us
-from armrig_daemon.conformance.conversation import PATIENCE_MS, Broken, only
 from armrig_daemon.conformance.exchange_rules import elapsed, trigger
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import PATIENCE_MS, Broken, Host, only
 from armrig_daemon.conformance.rule import NotTried, codes, expect, rule, shown
 
 _SAMPLE_LIMIT_MS = 30

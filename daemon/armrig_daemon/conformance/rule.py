@@ -9,8 +9,7 @@ from typing import NamedTuple
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import Cause, Code, State
 
-from armrig_daemon.conformance.conversation import Broken, only
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import Broken, Host, only
 
 
 class NotTried(Exception):  # noqa: N818 - not an error

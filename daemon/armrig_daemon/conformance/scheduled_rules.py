@@ -18,9 +18,8 @@ from armrig_protocol.messages import (
     Underrun,
 )
 
-from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.exchange_rules import elapsed, expect_watchdog
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import Broken, Host, only
 from armrig_daemon.conformance.rule import NotTried, codes, expect, expect_trip, kinds, rule
 
 TS_US = 5_000

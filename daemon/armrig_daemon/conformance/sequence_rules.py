@@ -6,8 +6,7 @@ from armrig_protocol import messages as wire
 from armrig_protocol.messages import SCHEMA_HASH, TYPES, VERSION, Code, State
 
 from armrig_daemon.conformance.byte_rules import UNKNOWN_TYPE, framed, header, next_status
-from armrig_daemon.conformance.conversation import only
-from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.host import BOOT_MS, Host, only
 from armrig_daemon.conformance.rule import NotTried, codes, expect, kinds, rule
 
 _HELLO = {"version": VERSION, "schema": SCHEMA_HASH}

@@ -8,8 +8,7 @@ from typing import Any
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import Capability, Cause, Code, Flag, Mode, State
 
-from armrig_daemon.conformance.conversation import only
-from armrig_daemon.conformance.host import CONFIG, Host
+from armrig_daemon.conformance.host import CONFIG, Host, only
 from armrig_daemon.conformance.rule import Rule, codes, expect, kinds, rule
 
 STATES = (State.IDLE, State.READY, State.ARMED, State.RUN, State.FAULT, State.ESTOP)

@@ -28,8 +28,7 @@ from armrig_daemon.conformance import (
     sequence_rules,
     state_rules,
 )
-from armrig_daemon.conformance.conversation import Broken, EndlessError
-from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.host import BOOT_MS, Broken, EndlessError, Host
 from armrig_daemon.conformance.rule import NotTried, Result, Rule, expect, rule
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 

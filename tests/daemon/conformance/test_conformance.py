@@ -11,8 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig_daemon.conformance.conversation import Broken, Conversation, EndlessError
-from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.host import BOOT_MS, Broken, EndlessError, Host
 from armrig_daemon.conformance.line import VirtualLine
 from armrig_daemon.conformance.rule import Result, Rule
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, pin_rules, run
@@ -264,7 +263,7 @@ class Numbered:
     [([7, 8, 9], 0), ([65_534, 65_535, 0, 1], 0), ([7, 9, 10], 1), ([5, 0, 0, 7, 6], 4)],
 )
 def test_each_frame_out_of_sequence_is_a_violation(numbers: list[int], breaks: int) -> None:
-    conversation = Conversation(Numbered(numbers))
+    conversation = Host(Numbered(numbers))
 
     conversation.listen(5)
 
@@ -313,7 +312,7 @@ def test_the_rest_of_a_frame_at_the_opening_of_the_port_is_not_spoilt() -> None:
     rest, whole = b"\x05abc\0", encode(Ack(State.IDLE, 9, 0, 0, 0))
     pieces = [rest + whole, rest, b"\x07a", rest + whole, rest + rest]
     line = SimpleNamespace(now_ns=lambda: 0, receive=lambda ms: pieces.pop(0), reopen=id)
-    conversation = Conversation(line)
+    conversation = Host(line)
     spoilt = []
 
     for opens in (False, False, False, True, False):
@@ -328,7 +327,7 @@ def test_the_rest_of_a_frame_at_the_opening_of_the_port_is_not_spoilt() -> None:
 
 def test_a_limit_counts_from_the_time_at_which_it_was_set() -> None:
     line = Numbered(range(1))
-    conversation = Conversation(line)
+    conversation = Host(line)
     conversation.listen(5)
     length = len(encode(Ack(State.IDLE, 0, 0, 0, 0)))
     conversation.limit(100, received=2 * length)

@@ -14,8 +14,7 @@ from select import EPOLLHUP, EPOLLIN, EPOLLOUT
 
 import pytest
 from armrig_core.errors import OperationError
-from armrig_daemon.conformance.conversation import only
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import Host, only
 from armrig_daemon.conformance.serial_line import SerialLine
 from armrig_daemon.emulator.line import Line, Terminal, _watch
 from armrig_daemon.emulator.real_time import emulate
