@@ -582,7 +582,6 @@ def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _fields_of(table: str) -> dict[str, Any]:
-    """Return the type of each key of a table; {} for an unknown table."""
     for field in msgspec.structs.fields(Config):
         if field.name == table:
             kind: Any = field.type

@@ -362,7 +362,6 @@ def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray
 
 
 def _reason(rig: Rig, err: RigError, way_out: str) -> str:
-    """Return the reason why a collection failed."""
     # After a safety trip, `err` reports only the loss of the lease.
     try:
         status = rig.status()

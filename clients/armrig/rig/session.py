@@ -91,8 +91,6 @@ class Connection(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """A possible connection to a daemon."""
-
     endpoint: str
     name: str = ""
     proof: tuple[tuple[str, Any], ...] = ()

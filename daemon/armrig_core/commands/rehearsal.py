@@ -25,8 +25,6 @@ _MAX_STEPS = 1000  # points in one sampling interval
 
 
 class _Limits(NamedTuple):
-    """Limits of an output."""
-
     unit: str = "rad"
     low: float = -inf
     high: float = inf

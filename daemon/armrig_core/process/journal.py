@@ -20,17 +20,11 @@ def priority(level: str) -> int:
 
 
 def log_prefix(level: str, fd: int = 2) -> str | None:
-    """Return the prefix of a line of this level; None if the journal does not read `fd`."""
-    stream = os.environ.get("JOURNAL_STREAM", "")
-    return journal_prefix(level, os.fstat(fd), stream) if stream else None
+    """Return the prefix of a line of this level; None if the journal does not read `fd`.
 
-
-def journal_prefix(level: str, stderr: os.stat_result, stream: str) -> str | None:
-    """Return the prefix with the priority of a line; None if the journal does not read `stderr`.
-
-    `level` is the level of the log line, and `stderr` the state of standard error, from fstat.
-    `stream` is $JOURNAL_STREAM: device and inode of the stream that the journal reads.
+    $JOURNAL_STREAM contains device and inode of the stream that the journal reads.
     """
-    if stream != f"{stderr.st_dev}:{stderr.st_ino}":
+    if not (stream := os.environ.get("JOURNAL_STREAM", "")):
         return None
-    return f"<{priority(level)}>"
+    found = os.fstat(fd)
+    return f"<{priority(level)}>" if stream == f"{found.st_dev}:{found.st_ino}" else None

@@ -229,7 +229,6 @@ class Part:
             raise ChangedError(errno.EIO, msg)
 
     def _is_at(self, path: Path) -> bool:
-        """Return whether `path` is the open file."""
         try:
             found = os.lstat(path)
         except (FileNotFoundError, NotADirectoryError):

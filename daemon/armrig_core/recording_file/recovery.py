@@ -192,8 +192,6 @@ class Recovery:
 
 
 class _Tally:
-    """Counts of the copied samples and of the gaps between them."""
-
     def __init__(self) -> None:
         self.samples = 0
         self._gaps: list[range] = []
@@ -238,7 +236,6 @@ _R = TypeVar("_R", Manifest, Outcome, Recovered)
 
 
 def _checked(path: Path, kind: type[_R], metadata: dict[str, str]) -> _R:
-    """Return the checked contents of a metadata record of armrig."""
     try:
         record = kind.of(metadata)
         check_whole_numbers(record)

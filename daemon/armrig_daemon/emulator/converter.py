@@ -94,7 +94,6 @@ class Converter:
         return messages
 
     def _trigger(self, device_ns: int, conversions: int) -> None:
-        """Start the first conversion and compute the times of the others."""
         clock = self._fw.clock
         self._codes = ([], [])
         self._trigger_ns, self._held, self._conversions = device_ns, 0, conversions

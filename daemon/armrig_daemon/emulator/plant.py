@@ -142,7 +142,6 @@ def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
 
 
 def _is_held(plant: Plant, x: State, torque: float) -> bool:
-    """Return whether static friction holds the chassis."""
     return x[2] == 0 and 0 < plant.coulomb_nm >= abs(torque)
 
 

@@ -162,7 +162,6 @@ def _run(
 
 
 def _print_violation(port: Path, violated: Violated) -> None:
-    """Print the first violation of a kind."""
     ms = violated.cycle / CYCLES_PER_US / 1000
     with suppress(OSError):
         text = f"{port}: {violated.what.sentence}, {ms:.2f} ms after power-on"

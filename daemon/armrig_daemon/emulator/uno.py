@@ -200,7 +200,6 @@ class Uno:
         return int(self._rng.integers(1 << ADC_BITS))  # an open pin: noise
 
     def _hold(self, cycle: int) -> None:
-        """Note a hold of the first channel."""
         self._pins.hold(cycle)
 
     def _is_first(self, cycle: int) -> bool:

@@ -54,8 +54,6 @@ _SQUARE = str.maketrans("()", "[]")
 
 
 class _Waiting(NamedTuple):
-    """A command that the loop has not answered yet."""
-
     command: Command
     until: float
     order: Orders

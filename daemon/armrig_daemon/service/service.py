@@ -186,7 +186,6 @@ class Service:
         return 0 if self._quitting and code == 0 and not self._runs.has_lost else 1
 
     def _connect(self, loop: child.LoopChild, session: Session) -> None:
-        """Connect a loop and a session."""
         self._loop, self._session = loop, session
         self._guard: NetworkGuard | None = None
         if listen := self._config.access.listen:
@@ -324,7 +323,6 @@ class Service:
         return about | log.fields
 
     def _say(self, level: str, message: str, **fields: str) -> None:
-        """Log a line with its fields."""
         now_ns = realtime.now_ns()
         self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
 

@@ -50,13 +50,11 @@ class SocketFile:
         return self._open_again()
 
     def _noted(self) -> list[_Inode]:
-        """Write the facts, and return the files."""
         with suppress(OSError):  # such as a full disk: then a client knows less about a silence
             write_facts(self._socket, self._facts)
         return self._find()
 
     def _find(self) -> list[_Inode]:
-        """Return device and inode of socket and lock file."""
         return [_inode(self._socket), _inode(lock_path(self._socket))]
 
 

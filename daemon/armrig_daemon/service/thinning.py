@@ -17,8 +17,6 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 class _Repeated(NamedTuple):
-    """State of one kind of repeated lines."""
-
     ns: int
     """Time of the last logged line of this kind."""
     held: int = 0

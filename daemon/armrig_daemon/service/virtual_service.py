@@ -142,7 +142,6 @@ class VirtualService:
             self._rig.records.clear()
 
     def _take(self, records: list[bytes | Record]) -> None:
-        """Record the loop's reports."""
         batch: list[Outgoing] = []
         for record in records:
             match record:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from armrig_core.process.journal import journal_prefix
+from armrig_core.process.journal import log_prefix
 from armrig_daemon.service import sentences
 from armrig_daemon.service.host.systemd import journal_entry, send_to_journal
 from armrig_daemon.service.sentences import (
@@ -30,16 +30,15 @@ def test_a_log_message_with_control_characters_is_one_line(
 @pytest.mark.parametrize(
     ("level", "prefix"), [("error", "<3>"), ("warning", "<4>"), ("info", "<6>"), ("new", "<5>")]
 )
-def test_a_line_for_the_journal_begins_with_its_priority(level: str, prefix: str) -> None:
+def test_a_line_for_the_journal_begins_with_its_priority(
+    level: str, prefix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     stderr = os.fstat(2)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
+    assert log_prefix(level) == prefix
 
-    assert journal_prefix(level, stderr, f"{stderr.st_dev}:{stderr.st_ino}") == prefix
-
-
-def test_a_line_outside_the_journal_has_no_priority() -> None:
-    stderr = os.fstat(2)
-
-    assert journal_prefix("error", stderr, f"{stderr.st_dev}:{stderr.st_ino + 1}") is None
+    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino + 1}")
+    assert log_prefix(level) is None
 
 
 def _fields(entry: bytes) -> dict[str, str]:
