@@ -24,10 +24,9 @@ from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.access.credential import Credential, read_credential
-from armrig_core.process.open_files import MOST_FILES
+from armrig_core.process.open_files import MAX_IDLE_FILES, MOST_FILES, SHUT_S
 from armrig_core.rig.description import shipped
 from armrig_daemon.config import EX_CONFIG
-from armrig_daemon.service.network_guard import MAX_IDLE_FILES, SHUT_S
 
 from tests.integration.driving import bring_to_rest, samples
 from tests.integration.fork_server import ForkServer

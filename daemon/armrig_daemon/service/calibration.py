@@ -58,9 +58,3 @@ def checked_calibration(
             )
     # The calibration came from a client: the daemon has read no file.
     return replace(calibration, made=replace(made, file=""))
-
-
-def taken(calibration: Calibration) -> str:
-    """Return the sentence about a calibration from a client, for the status."""
-    date = calibration.made.date if calibration.made else ""
-    return f"sent by `armrig calibrate`, made {date}; in force until armrigd ends"

@@ -32,10 +32,9 @@ from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.host.child import LoopChild
 from armrig_daemon.service.listener import Command
-from armrig_daemon.service.played_input import checked
 from armrig_daemon.service.publish import TOO_MANY, Kind, Session
 from armrig_daemon.service.rig_view import RigView
-from armrig_daemon.service.runs import Runs
+from armrig_daemon.service.runs import Runs, checked
 
 ANSWER_S = 3.0
 """Longest time for the loop to answer a command, in s."""

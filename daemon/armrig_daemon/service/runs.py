@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
 from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands.commands import (
     CommandRefusedError,
@@ -22,6 +23,7 @@ from armrig_core.commands.commands import (
     RunAccepted,
     refused,
 )
+from armrig_core.errors import InputError
 from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CALIBRATION_RAW,
@@ -37,13 +39,13 @@ from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.volts import codes_of
 from armrig_core.telemetry.telemetry import Outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
+from numpy.typing import NDArray
 
 from armrig_daemon import pipe
-from armrig_daemon.config import Config
+from armrig_daemon.config import Config, Limits
 from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
 from armrig_daemon.service.host.host_facts import HostFacts, check_directory, of_this_host
-from armrig_daemon.service.played_input import checked, one_a_line
 
 _BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed
 _BYTES_PER_SECOND = 4000  # of the core's inputs and its reports, which do not depend on Ts
@@ -353,6 +355,35 @@ class Runs:
             description_sha256=self._description.sha256,
             rehearsal=planned.rehearsal,
         )
+
+
+def one_a_line(volts: NDArray[np.float64]) -> bytes:
+    """Return the input (N,) as text for the recording: a heading, then a voltage per line."""
+    # msgspec takes a tenth of the time of repr. For millions of samples, repr would take so long
+    # that the loop would consider the service frozen.
+    text = msgspec.json.encode(volts.tolist())
+    return b"u_v\n" + text[1:-1].replace(b",", b"\n") + b"\n"
+
+
+def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
+    """Return the voltages of an experiment, (N,) in V.
+
+    Raises ValueError if a voltage is outside the limits, or a step is too large; the message names
+    the first index.
+    """
+    volts = np.asarray(u, dtype=np.float64)
+    low, high, slew = limits.u_min_v, limits.u_max_v, limits.slew_v
+    outside = ~((volts >= low) & (volts <= high))
+    if outside.any():
+        i = int(np.argmax(outside))
+        raise InputError(f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V")
+    steps = np.abs(np.diff(volts, prepend=0.0))
+    # The tolerance allows for the rounding error in the difference of two decimal numbers.
+    far = steps > slew * (1 + 1e-9)
+    if slew and far.any():
+        i = int(np.argmax(far))
+        raise InputError(f"u[{i}] steps by {steps[i]:.4g} V: at most {slew:.4g} V in a sample")
+    return volts
 
 
 def _most_bytes(samples: int, Ts: float) -> int:

@@ -54,7 +54,6 @@ from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.host import child, pressure
 from armrig_daemon.service.host.startup_recovery import StartupRecovery
 from armrig_daemon.service.host.systemd import Notifier
-from armrig_daemon.service.network_guard import NetworkGuard
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import NetworkError, Session
 from armrig_daemon.service.rig_view import RigView
@@ -187,10 +186,12 @@ class Service:
 
     def _connect(self, loop: child.LoopChild, session: Session) -> None:
         self._loop, self._session = loop, session
-        self._guard: NetworkGuard | None = None
+        self._guard: open_files.NetworkGuard | None = None
         if listen := self._config.access.listen:
             open_again = partial(_open_network, session, listen)
-            self._guard = NetworkGuard(open_files.count, session.shut_network, open_again)
+            self._guard = open_files.NetworkGuard(
+                open_files.count, session.shut_network, open_again
+            )
         device = self._config.device
         facts = DaemonFacts(pid=os.getpid(), port=absolute(device.port), baud=device.baud)
         path = Path(self._endpoint.partition("/")[2])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_daemon.service.network_guard import MAX_FILES, MAX_IDLE_FILES, SHUT_S, NetworkGuard
+from armrig_core.process.open_files import MAX_FILES, MAX_IDLE_FILES, SHUT_S, NetworkGuard
 
 
 class Network:
