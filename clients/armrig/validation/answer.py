@@ -51,8 +51,7 @@ def answer(
     if validation is None or tests is None:
         untested = all(isnan(q.white.p_value) for q in fit.quality)
         return said if untested else f"{said}\n{_MORE_TESTS}"
-    simulated = f"to {simulated_to(validation[0])}" if fit.ny == 1 else simulation(validation.rows)
-    said += f"\nSimulated on the validation data it fits {simulated}."
+    said += f"\nSimulated on the validation data it fits {simulation(validation.rows)}."
     return f"{said}\n{tests_sentence(tests)}."
 
 
@@ -77,11 +76,6 @@ def closest(table: ComparisonTable) -> str:
         of.setdefault(rows[best].name, []).append(output)
     said = [f"{name} has the least error of {listed(outputs)}" for name, outputs in of.items()]
     return f"{how}, {listed(said)}."
-
-
-def simulated_to(row: Comparison) -> str:
-    """Return the fit of a simulation as text, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
-    return _errors(row) + _ON_OWN_DATA * row.on_estimation_data
 
 
 def _errors(row: Comparison) -> str:

@@ -135,9 +135,7 @@ def _hopeless(row: Comparison, reference: Comparison, *, brief: bool) -> str:
     if brief:
         return f"{said}."
     if row.channel.structure == "arx":
-        said += ". ARX assumes noise that passes through 1/A; a potentiometer adds noise to the "
-        said += "output, which biases the ARX model: "
-        return said + "take OE."
+        return f"{said}. ARX assumes noise through 1/A; noise at the output biases it: take OE."
     return f"{said}. Look at its orders and its delay."
 
 

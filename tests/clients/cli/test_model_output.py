@@ -11,7 +11,7 @@ from armrig.cli import model_output
 from armrig.data.finding import Finding, warning
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import answer as answers
-from armrig.validation.answer import answer, simulated_to
+from armrig.validation.answer import answer, simulation
 from armrig.validation.residual_test import ResidualTest
 
 
@@ -151,13 +151,14 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
         findings=(),
     )
     row: Any = SimpleNamespace(
+        output="alpha",
         fit_percent=80.0,
         rms_error=0.01234,
         unit="rad",
         velocity_fit_percent=70.126,
         on_estimation_data=False,
     )
-    table: Any = [row]
+    table: Any = SimpleNamespace(rows=[row])
 
     alone = answer(of, None, None, [])
     validated = answer(of, table, _tests(), [])
@@ -166,8 +167,8 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     head = "ARX fits alpha to 91.24 % one step ahead; residuals white (p = 0.400, T): trust σ."
     assert alone.startswith(f"{head}\nA p below 0.01 rejects; --validate F2 tests the residuals")
     assert validated.startswith(
-        f"{head}\nSimulated on the validation data it fits to 80.00 % (rms 0.01234 rad, velocity "
-        "70.13 %).\nIts residuals pass: "
+        f"{head}\nSimulated on the validation data it fits alpha to 80.00 % (rms 0.01234 rad, "
+        "velocity 70.13 %).\nIts residuals pass: "
     )
     data_first = "trust σ robust, not σ; correct the data first"
     assert data_first in answer(of, None, None, [_finding("outliers")])
@@ -176,7 +177,7 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     of.findings = [_finding("gaps")]
     assert "trust σ robust, not σ; raise the orders" in answer(of, None, None, [])
     row.velocity_fit_percent, row.unit = None, ""
-    assert simulated_to(row) == "80.00 % (rms 0.01234)"
+    assert simulation([row]) == "alpha to 80.00 % (rms 0.01234)"
 
 
 @pytest.mark.parametrize(
