@@ -206,8 +206,11 @@ def _tested(data: Signals, *, level: float) -> Linearity | ByChannel[Linearity]:
     # In closed loop, u(t) contains e(t).
     model = _long_model(data, first=int(closed and not direct))
     p, (at, rails) = _p_value(model), rails_of(one.y)
-    found = _kind(model) if rails or p < level else {}
-    if found:
+    found: dict[str, Any] = {}
+    if rails or p < level:
+        gains = [*_gains(model)]
+        best = min([*gains, *_thresholds(model)], key=itemgetter(0))  # of the least BIC
+        found = min(gains, key=itemgetter(0))[1] | best[1]
         found["gain_of"] = u if found["gain_of"] == "u" else y
         slow = pole_test(data, 0)
         if slow is not None and slow.possible:  # a pole that may be 1 leaves no static gain
@@ -311,13 +314,6 @@ def _p_value(model: _LongModel) -> float:
 def _sign(v: Array) -> Array:
     """Return the sign of v, which is smooth near 0; v has the standard deviation 1."""
     return np.asarray(v / np.sqrt(v**2 + 0.25))
-
-
-def _kind(model: _LongModel) -> dict[str, Any]:
-    """Return the kind with the least BIC, its numbers, and the gain by level."""
-    gains = [*_gains(model)]
-    best = min([*gains, *_thresholds(model)], key=itemgetter(0))
-    return min(gains, key=itemgetter(0))[1] | best[1]
 
 
 def _gains(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:

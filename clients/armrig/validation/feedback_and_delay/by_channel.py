@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import wraps
-from types import MappingProxyType
-from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast
+from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -25,34 +24,21 @@ _ORDERS = (1, 2, 3, 4, 6, 8, 12, 16)  # of the ARX model of all inputs
 _ROWS_PER_PARAMETER = 5
 
 
-class Explained(Protocol):
-    """Result with an explanation."""
-
-    def explain(self) -> str:
-        """Return the result and its reasons as text."""
-
-
 R = TypeVar("R")
-Result = TypeVar("Result", bound=Explained)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class ByChannel(Generic[Result]):
+class ByChannel(Generic[R]):
     """Results of a test for each channel: `found["y", "u"]`."""
 
-    results: Mapping[Name, Result]
+    results: Mapping[Name, Any]
     """Result for each output and input."""
     refused: Mapping[Name, str]
     """Reason why there is no result, for each channel without a result."""
     together: str = ""
     """Result for all channels as text."""
 
-    def __post_init__(self) -> None:
-        """Make the mappings read-only."""
-        for name in ("results", "refused"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
-
-    def __getitem__(self, channel: Name) -> Result:
+    def __getitem__(self, channel: Name) -> R:
         """Return the result of one output and input.
 
         Raises
@@ -65,7 +51,8 @@ class ByChannel(Generic[Result]):
         if channel not in self.results:
             known = ", ".join(str(name) for name in (*self.results, *self.refused))
             raise InputError(f"{channel!r}: there is no such channel; there are {known}")
-        return self.results[channel]
+        found: R = self.results[channel]
+        return found
 
     def __iter__(self) -> Iterator[Name]:
         """Iterate over the channels with a result."""
