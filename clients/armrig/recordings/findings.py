@@ -203,18 +203,9 @@ class HiddenStep:
     """Time of the last sample before the interval, in s from the step."""
     ends_s: float
     """Time of the first sample after the interval, in s from the step."""
-    at_s: float
-    """Recommended time of the step in the next run, in s, if nobody turns the chassis until then.
-
-    NaN if the chassis rests before the step: the time then has no effect.
-    """
-    seconds: float
-    """Recommended length of the next run in s; the time after the step stays the same."""
-
-    @property
-    def options(self) -> str:
-        """Options of `armrig collect step` for the next run; "" if the chassis rests."""
-        return "" if np.isnan(self.at_s) else f"--at {self.at_s:g} --seconds {self.seconds:g}"
+    options: str
+    """Options of `armrig collect step` for the next run, if nobody turns the chassis until then: a
+    later step, and as much time after it; "" if the chassis rests before the step."""
 
 
 def hidden_step(r: Recording) -> HiddenStep | None:
@@ -225,8 +216,7 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     computed without samples of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
-    turns = r.description.channels[0].turns
-    if r.manifest.kind != "step" or edges.size != 1 or not turns:
+    if r.manifest.kind != "step" or edges.size != 1 or not r.description.channels[0].turns:
         return None
     y = r[r.first]
     at = int(edges[0]) + 1
@@ -244,16 +234,13 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     gap = max(gaps, key=lambda g: g.stop - g.start, default=None)
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:
         return None
-    # The chassis turns from where this run ended to `_MARGIN_RAD` after the dead band.
-    begin = y[gap.stop] + np.copysign(_MARGIN_RAD, v0)
-    way = (begin - y[known][-1] - v1 * lag) % (2 * np.pi)
-    turns = abs(v0) > _MIN_SPEED_RAD_S
-    later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0 if turns else float("nan")
-    later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_STEP_S else later
-    moment = float(np.ceil(10 * later) / 10) if turns else float("nan")
-    return HiddenStep(
-        begins_s=float((gap.start - 1 - at) * r.Ts),
-        ends_s=float((gap.stop - at) * r.Ts),
-        at_s=moment,
-        seconds=float(np.ceil(moment + (r.N - at) * r.Ts)) if turns else float("nan"),
-    )
+    begins_s, ends_s, options = (gap.start - 1 - at) * r.Ts, (gap.stop - at) * r.Ts, ""
+    if abs(v0) > _MIN_SPEED_RAD_S:
+        # The chassis turns from where this run ended to `_MARGIN_RAD` after the dead band.
+        begin = y[gap.stop] + np.copysign(_MARGIN_RAD, v0)
+        way = (begin - y[known][-1] - v1 * lag) % (2 * np.pi)
+        later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0
+        later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_STEP_S else later
+        moment = np.ceil(10 * later) / 10
+        options = f"--at {moment:g} --seconds {np.ceil(moment + (r.N - at) * r.Ts):g}"
+    return HiddenStep(begins_s=begins_s, ends_s=ends_s, options=options)

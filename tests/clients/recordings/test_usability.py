@@ -130,9 +130,10 @@ def test_a_step_hidden_by_the_dead_band_is_reported_with_the_time_to_step(
     for first, found in hidden:
         verdict = data_verdict(first)
         assert levels(verdict)["step"] == "warning"
-        assert f"--at {found.at_s:g} --seconds {found.seconds:g}" in verdict.summary
+        assert found.options in verdict.summary
+        _, at, _, seconds = found.options.split()
         rest = first.theta_1[first.valid][-1] + 0.6  # the motor brakes it within a few 0.1 s
-        assert hidden_step(stepped(tmp_path, rest, found.at_s, found.seconds)) is None
+        assert hidden_step(stepped(tmp_path, rest, float(at), float(seconds))) is None
     assert 2 <= len(hidden) <= 10
 
 
