@@ -9,9 +9,9 @@ from armrig_protocol.messages import Capability, Cause, Code, Flag, State
 from armrig_daemon.conformance.host import Broken, Host, only
 from armrig_daemon.conformance.rule import expect, expect_trip, rule, shown
 
-_SAMPLE_LIMIT_MS = 30
+SAMPLE_LIMIT_MS = 30
 """Time to wait for a sample, in ms; every sample arrives within this time."""
-_ROUNDED_US = 3
+ROUNDED_US = 3
 _MAX_EARLY_MS, _MAX_LATE_MS = 0.1, 1.0
 """Tolerances of the watchdog's time, in ms of the device's clock."""
 
@@ -55,7 +55,7 @@ def trigger(host: Host, m: int) -> tuple[int, int]:
 def _time(host: Host) -> None:
     for _ in range(10):
         at, end = trigger(host, 1)
-        in_time = -_ROUNDED_US <= at <= end + _ROUNDED_US
+        in_time = -ROUNDED_US <= at <= end + ROUNDED_US
         expect(in_time, f"alpha {at} us after a PING, the next PING at {end} us")
 
 
@@ -113,7 +113,7 @@ def _slew(host: Host) -> None:
 
 
 def _trips(host: Host, u: int, cause: Cause) -> None:
-    came = [host.exchange(u), *host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
+    came = [host.exchange(u), *host.listen(SAMPLE_LIMIT_MS), *host.fence()]
     expect_trip(came, State.RUN, cause, u)
     sample = host.sample(0)
     expect((sample.u_k, sample.state) == (0, State.FAULT), [sample])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Cause, Flag, State
 
@@ -67,13 +70,15 @@ def _still(host: Host) -> None:
         expect(sample.state == State.RUN and not is_flagged, [sample])
 
 
-def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") -> list[wire.Message]:
-    """Wait for FAULT(WATCHDOG) and check its time; return the messages up to this fault."""
+def _bites(
+    host: Host, watchdog_ms: int, fed_us: int, send: Callable[[], object] | None = None
+) -> list[wire.Message]:
+    """Wait for FAULT(WATCHDOG), sending again and again; return the messages up to this fault."""
     came: list[wire.Message] = []
     for _ in range(40 + watchdog_ms // 2):
-        if meanwhile:
-            host.write(meanwhile)
-        came += host.listen(8 if meanwhile else 50)
+        if send is not None:
+            send()
+        came += host.listen(50 if send is None else 8)
         if any(isinstance(m, wire.Event) for m in came):
             break
     else:
@@ -103,27 +108,15 @@ def _unfed(host: Host) -> None:
         host.enter(State.RUN, watchdog_ms=60)
         fed_us, newest = host.rx_us, host.seq
         ahead = (newest + 1) & 0xFFFF
-        data = {
-            "HELLO": b"",
-            "spoilt": spoilt_frames(host)[0],
-            "stale": framed(header(0x13, newest)),
-            "unknown": framed(header(UNKNOWN_TYPE, ahead)),
-        }[what]
-        if data:
-            _bites(host, 60, fed_us, data)
-        else:
-            _hellos(host, fed_us)
-
-
-def _hellos(host: Host, fed_us: int) -> None:
-    came: list[wire.Message] = []
-    for _ in range(60):
-        host.put(wire.Hello, version=VERSION, schema=SCHEMA_HASH)
-        came += host.listen(8)
-        if any(isinstance(m, wire.Event) for m in came):
-            break
-    expect_watchdog(only(wire.Event, came), fed_us, 60)
-    expect(any(isinstance(m, wire.HelloReply) for m in came), "no HELLO_R")
+        sends: dict[str, Callable[[], object]] = {
+            "HELLO": partial(host.put, wire.Hello, version=VERSION, schema=SCHEMA_HASH),
+            "spoilt": partial(host.write, spoilt_frames(host)[0]),
+            "stale": partial(host.write, framed(header(0x13, newest))),
+            "unknown": partial(host.write, framed(header(UNKNOWN_TYPE, ahead))),
+        }
+        came = _bites(host, 60, fed_us, sends[what])
+        replied = any(isinstance(m, wire.HelloReply) for m in came)
+        expect(replied == (what == "HELLO"), f"{what}: {'a' if replied else 'no'} HELLO_R")
 
 
 @rule(7, "In IDLE and READY, at 0 V, the watchdog is off", silent=True)

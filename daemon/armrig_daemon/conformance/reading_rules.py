@@ -6,13 +6,10 @@ from armrig_protocol import messages as wire
 from armrig_protocol.messages import TYPES, Capability, Code, Flag, State
 
 from armrig_daemon.conformance.configuration_rules import ts_min_us
-from armrig_daemon.conformance.exchange_rules import elapsed, trigger
+from armrig_daemon.conformance.exchange_rules import ROUNDED_US, SAMPLE_LIMIT_MS, elapsed, trigger
 from armrig_daemon.conformance.host import PATIENCE_MS, Broken, Host, only
 from armrig_daemon.conformance.rule import NotTried, codes, expect, rule, shown
 
-_SAMPLE_LIMIT_MS = 30
-"""Time to wait for a sample, in ms; every sample arrives within this time."""
-_ROUNDED_US = 3
 _MAX_OVERSAMPLING = 32
 
 
@@ -33,7 +30,7 @@ def _mean_time(host: Host) -> None:
         m = _oversample(host)
         at, end = trigger(host, m)
         # `skew_us` is rounded up by less than 1 us.
-        in_time = -_ROUNDED_US - 2 * m <= at <= end + _ROUNDED_US
+        in_time = -ROUNDED_US - 2 * m <= at <= end + ROUNDED_US
         expect(in_time, f"the first {at} us after a PING, the next PING at {end} us; m={m}")
 
 
@@ -46,7 +43,7 @@ def _waiting(host: Host) -> None:
         k = host.sample().k
         host.k += 3
         host.put_together([wire.Exchange(0, 0, k + i, 0) for i in (1, 2, 3)])
-        came = [*host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
+        came = [*host.listen(SAMPLE_LIMIT_MS), *host.fence()]
         got = [x for x in came if isinstance(x, wire.Sample)]
         if [bool(x.flags & Flag.TICK_LATE) for x in got] == [False, True]:
             apart = elapsed(got[0].t_us, got[1].t_us)
@@ -66,7 +63,7 @@ def _overtaken(host: Host) -> None:
         host.enter(State.RUN, **config)
         host.k += 1
         host.put_together([wire.Exchange(0, 0, host.k, 30_000), wire.Stop(0, 0)])
-        came = [*host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
+        came = [*host.listen(SAMPLE_LIMIT_MS), *host.fence()]
         sample = only(wire.Sample, came)
         if sample.state == State.RUN:
             continue  # the line separated the frames
