@@ -113,6 +113,7 @@ def run(
         _refuse(str(err), EX_CONFIG)
     with held_back():  # Python may ignore an exception during an import
         from armrig_core.process.realtime import end_with_parent
+        from armrig_core.recording_file.recording_directory import directory_of
         from armrig_core.rig.description import require_model
 
         from armrig_daemon import config as configuration
@@ -128,7 +129,7 @@ def run(
     try:
         loaded = load()
         described = configuration.description_of(loaded)
-        directory = configuration.recordings(loaded)
+        directory = directory_of(loaded.recording.directory)
         if emulate and not described.arm:
             require_model(described)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
@@ -337,9 +338,9 @@ def show_config(
 
 def _check_file(file: Path) -> None:
     """Print a configuration's rig and networks; after an error, exit with the daemon's code."""
-    from armrig_core.recording_file.recording_directory import SYSTEM
+    from armrig_core.recording_file.recording_directory import SYSTEM, directory_of
 
-    from armrig_daemon.config import load, load_installed, recordings
+    from armrig_daemon.config import load, load_installed
     from armrig_daemon.service.access import networks_of
     from armrig_daemon.service.sentences import line_and_limits, reached
 
@@ -350,7 +351,7 @@ def _check_file(file: Path) -> None:
             config = load_installed({}, {"rig": {"id": path.stem}}, system=True)
         else:
             config = load([file], os.environ, {})
-        recordings(config)
+        directory_of(config.recording.directory)
         ways = [reached(way, datetime.now(UTC)) for way in networks_of(config) if way is not None]
     except ValueError as err:
         _refuse(str(err), EX_CONFIG)

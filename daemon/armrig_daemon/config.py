@@ -23,7 +23,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.process.printable import printable
 from armrig_core.process.toml_file import convert, toml_tables
-from armrig_core.recording_file.recording_directory import SYSTEM, directory_of, installed, of_rig
+from armrig_core.recording_file.recording_directory import SYSTEM, installed, of_rig
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import tables_of
 from armrig_core.rig.channels import Channel
@@ -390,11 +390,6 @@ def description_of(config: Config) -> Description:
         return read_description(Path(config.rig.file))
     except FileError as err:
         raise InputError(f"[rig] file: {err}") from err
-
-
-def recordings(config: Config) -> Path:
-    """Return the directory of the recordings; raise InputError for the home of an unknown user."""
-    return directory_of(config.recording.directory)
 
 
 def load(

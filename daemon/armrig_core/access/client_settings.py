@@ -37,13 +37,13 @@ def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> Client
     """
     settings: dict[str, str] = {}
     for path in paths:
-        settings |= _checked(_table(path), str(path))
+        settings |= _checked(_table(path), path.absolute().parent, str(path))
     given = {
         key.removeprefix(_PREFIX).lower(): value
         for key, value in environ.items()
         if key.startswith(_PREFIX)
     }
-    settings |= _checked(_anchored(given, Path.cwd()), "environment")
+    settings |= _checked(given, Path.cwd(), "environment")
     return ClientSettings(**settings)
 
 
@@ -54,20 +54,17 @@ def _table(path: Path) -> Any:
         if isinstance(err.__cause__, PermissionError):
             return {}
         raise
-    return _anchored(tables.get("client", {}), path.absolute().parent)
-
-
-def _anchored(table: Any, directory: Path) -> Any:
-    return anchored({"client": table}, directory)["client"]
+    return tables.get("client", {})
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True):
     client: ClientSettings
 
 
-def _checked(table: Any, where: str) -> dict[str, str]:
+def _checked(table: Any, directory: Path, where: str) -> dict[str, str]:
+    tables = anchored({"client": table}, directory)
     try:
-        convert({"client": table}, _File)
+        convert(tables, _File)
     except InputError as err:
         raise InputError(f"{where}: {err}") from err
-    return dict(table)
+    return dict(tables["client"])

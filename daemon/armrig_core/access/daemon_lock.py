@@ -15,6 +15,7 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
+from armrig_core.access.emulator_socket import lock_path
 from armrig_core.access.endpoint import SERVICE_USER, require_trusted
 from armrig_core.errors import InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_bounded
@@ -34,11 +35,6 @@ class DaemonFacts(msgspec.Struct, frozen=True, kw_only=True):
     port: str
     baud: int
     is_alive: bool = True
-
-
-def lock_path(socket: Path) -> Path:
-    """Return the path of the lock file of a socket."""
-    return socket.with_name(f"{socket.name}.lock")
 
 
 def absolute(port: str) -> str:

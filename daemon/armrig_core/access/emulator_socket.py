@@ -35,13 +35,8 @@ def socket_path(port: str) -> Path | None:
     return Path(text)
 
 
-def port_of(path: Path) -> str:
-    """Return the port whose socket is `path`."""
-    return f"{SOCKET_PREFIX}{path}"
-
-
 def lock_path(path: Path) -> Path:
-    """Return the path of the file that a program locks when it opens the port."""
+    """Return the path of the file that is locked while a program uses a socket."""
     return path.with_name(f"{path.name}.lock")
 
 

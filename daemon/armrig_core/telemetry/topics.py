@@ -25,7 +25,8 @@ def is_rig_id(text: str) -> bool:
 
 def check_rig_id(rig: str) -> str:
     """Return `rig`; raise ValueError if it cannot be part of a key."""
-    _require_text(rig)
+    if not isinstance(rig, str):
+        raise InputTypeError(f"rig id {rig!r} is not text: give the id in quotes, such as '{rig}'")
     if not is_rig_id(rig):
         raise InputError(f"rig id {rig!r}: use 1 to {_MAX_LENGTH} characters, each a-z, 0-9 or -")
     return rig
@@ -42,11 +43,6 @@ def check_own_id(rig: str) -> str:
 def played_id(rig: str) -> str:
     """Return the id under which a recording of `rig` is played again, such as played-1."""
     return rig if rig.startswith(PLAYED) else f"{PLAYED}{rig}"[:_MAX_LENGTH]
-
-
-def _require_text(rig: object) -> None:
-    if not isinstance(rig, str):
-        raise InputTypeError(f"rig id {rig!r} is not text: give the id in quotes, such as '{rig}'")
 
 
 def stream_key(rig: str, stream: str) -> str:
@@ -81,10 +77,8 @@ def alive_key(rig: str) -> str:
 
 def rig_of_alive(key: str) -> str:
     """Return the rig whose liveliness token has this key; "" for any other key."""
-    parts = key.split("/")
-    return (
-        parts[1] if len(parts) == 3 and is_rig_id(parts[1]) and key == alive_key(parts[1]) else ""
-    )
+    rig = key.removeprefix("rig/").removesuffix("/alive")
+    return rig if is_rig_id(rig) and key == alive_key(rig) else ""
 
 
 def topic(rig: str, stream: str) -> str:

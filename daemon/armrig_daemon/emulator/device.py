@@ -171,7 +171,7 @@ class Device:
             self._tx.begin(t_ns)
             self._tx.send(fw, t_ns, [fw.enter(t_ns, State.IDLE, fw.cause)])
         elif fw.watchdog_ns == t_ns:
-            self._tx.send(fw, t_ns, fw.trip_on_silence(t_ns))
+            self._tx.send(fw, t_ns, [fw.enter(t_ns, State.FAULT, Cause.WATCHDOG)])
         elif converter.due_ns == t_ns:
             made = converter.step(t_ns)
             if made:  # two of three steps create no message

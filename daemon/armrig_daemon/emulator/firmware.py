@@ -228,10 +228,6 @@ class Firmware:
             detail=detail,
         )
 
-    def trip_on_silence(self, now_ns: int) -> list[Message]:
-        """Trip the watchdog."""
-        return [self.enter(now_ns, State.FAULT, Cause.WATCHDOG)]
-
     def answer(self, number: int, of_seq: int, code: Code) -> Message:
         """Return the ACK of a frame; if the frame was refused, count the frame."""
         if code is not Code.OK:

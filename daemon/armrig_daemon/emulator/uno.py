@@ -7,7 +7,6 @@ measured at the PWM pin.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -82,7 +81,7 @@ class Uno:
         self._line_free_ns = self._byte_ns = now_ns
         self._deaf = OPTIBOOT_NS * CYCLES_PER_US // 1000 if boot_loader else 0
         self._frame = bytearray()
-        self._frames: deque[tuple[int, bytes]] = deque()
+        self._frames: list[tuple[int, bytes]] = []
         self.harness = Harness(program, image, baud=settings.baud, pwm=layout.pwm, trace=trace)
         finalize(self, self.harness.close)
         self.state = State.BOOT
@@ -138,33 +137,29 @@ class Uno:
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Advance to a time; return the sent frames, each with the time of its last byte."""
-        self._run(now_ns, until_frame=False)
-        frames = list(self._frames)
-        self._frames.clear()
-        return frames
+        return self._run(now_ns, until_frame=False)
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
         """Advance to `limit_ns` or, if earlier, to a sent frame; return the time and the frames."""
-        self._run(limit_ns, until_frame=True)
-        frames = list(self._frames)
-        self._frames.clear()
+        frames = self._run(limit_ns, until_frame=True)
         return (min(limit_ns, frames[-1][0]) if frames else limit_ns), frames
 
-    def _run(self, now_ns: int, *, until_frame: bool) -> None:
+    def _run(self, now_ns: int, *, until_frame: bool) -> list[tuple[int, bytes]]:
         target = self.cycle(now_ns)
-        if target <= self.harness.cycle:
-            return
-        for record in self.harness.advance(target, self._reading, until_frame=until_frame):
-            match record:
-                case Left(cycle, byte):
-                    self._frame.append(byte)
-                    if not byte:
-                        self._take_frame(self.ns(cycle))
-                case Duty():
-                    self._apply(record)
-                case Violated():
-                    self.violations.append(record)
-        self._pins.look(self.harness.cycle)
+        if target > self.harness.cycle:
+            for record in self.harness.advance(target, self._reading, until_frame=until_frame):
+                match record:
+                    case Left(cycle, byte):
+                        self._frame.append(byte)
+                        if not byte:
+                            self._take_frame(self.ns(cycle))
+                    case Duty():
+                        self._apply(record)
+                    case Violated():
+                        self.violations.append(record)
+            self._pins.look(self.harness.cycle)
+        frames, self._frames = self._frames, []
+        return frames
 
     def _take_frame(self, t_ns: int) -> None:
         wire = bytes(self._frame)

@@ -18,15 +18,11 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
     time in the message of a log record.
     """
     match record:
-        case Gap():
-            message = protobuf.message_class(protobuf.GAP)(**_fields(record))
-            return _out("gap", record.t_to_ns, message.SerializeToString())
-        case Clock():
-            message = protobuf.message_class(protobuf.CLOCK)(**_fields(record))
-            return _out("clock", record.t_host_ns, message.SerializeToString())
-        case Trace():
-            message = protobuf.message_class(protobuf.TRACE)(**_fields(record))
-            return _out("trace", record.t_host_ns, message.SerializeToString())
+        case Gap() | Clock() | Trace():
+            stream = type(record).__name__.lower()
+            message = protobuf.message_class(protobuf.OF_STREAM[stream])(**_fields(record))
+            t_ns = record.t_to_ns if isinstance(record, Gap) else record.t_host_ns
+            return _out(stream, t_ns, message.SerializeToString())
         case Timing():
             return _out("timing", record.t_host_ns, _timing(record))
         case State():

@@ -22,7 +22,7 @@ from armrig_core.telemetry.history import REPLY_LIMIT, encode_past
 from armrig_daemon.service import admission
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.listener import Command, Listener
-from armrig_daemon.service.sentences import endpoint_error
+from armrig_daemon.service.sentences import endpoint_error, network_error
 from armrig_daemon.service.uplink import Uplink
 
 TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
@@ -90,12 +90,9 @@ class Session:
         self._listen = partial(Listener, channels=channels)
         self._listeners = [self._listen(endpoint, rig, self._admit, self._past)]
         self._deleted: list[Listener] = []  # their sockets are deleted, their clients are connected
-        if network is not None:
-            try:
-                self.open_network()
-            except NetworkError:
-                self._listeners[0].close()
-                raise
+        if why := self.open_network():
+            self._listeners[0].close()
+            raise NetworkError(why)
         self.uplink: Uplink | None = None
         """Connection to a router; None without a configured router."""
         if router is not None:
@@ -125,19 +122,16 @@ class Session:
         self._listeners[0] = again
         return ""
 
-    def open_network(self) -> None:
-        """Listen also at the endpoint of the network.
-
-        Raises NetworkError if the endpoint is in use or cannot be opened.
-        """
-        if self._network is None:
-            return
-        where = self._network.endpoint
-        try:
-            remote = self._listen(where, self._rig, self._admit, self._past, self._network)
-        except zenoh.ZError as err:
-            raise NetworkError(str(err)) from err
-        self._listeners.append(remote)
+    def open_network(self) -> str:
+        """Listen also at the endpoint of the network; return why it failed, or ""."""
+        if self._network is not None:
+            where = self._network.endpoint
+            try:
+                remote = self._listen(where, self._rig, self._admit, self._past, self._network)
+            except zenoh.ZError as err:
+                return network_error(where, err)
+            self._listeners.append(remote)
+        return ""
 
     def shut_network(self) -> None:
         """End all links of the network and stop listening, in other threads; return at once."""

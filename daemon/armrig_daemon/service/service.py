@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 import zenoh
@@ -28,7 +27,7 @@ from armrig_core.process.standstill import Standstill
 from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.emulated import held_up
-from armrig_core.telemetry.telemetry import Outgoing, Sample, decode_sample
+from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import EX_CONFIG, Config
@@ -61,7 +60,6 @@ from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.sentences import (
     endpoint_error,
     log_line,
-    network_error,
     print_line,
     reached,
     served,
@@ -167,7 +165,7 @@ class Service:
             print_line("error", endpoint_error(self._endpoint, config.rig.id, err))
             return EX_CONFIG
         except NetworkError as err:
-            print_line("error", network_error(config.access.listen, err))
+            print_line("error", str(err))
             return EX_CONFIG
         finally:
             code = loop.end()
@@ -187,10 +185,9 @@ class Service:
     def _connect(self, loop: child.LoopChild, session: Session) -> None:
         self._loop, self._session = loop, session
         self._guard: open_files.NetworkGuard | None = None
-        if listen := self._config.access.listen:
-            open_again = partial(_open_network, session, listen)
+        if self._config.access.listen:
             self._guard = open_files.NetworkGuard(
-                open_files.count, session.shut_network, open_again
+                open_files.count, session.shut_network, session.open_network
             )
         device = self._config.device
         facts = DaemonFacts(pid=os.getpid(), port=absolute(device.port), baud=device.baud)
@@ -261,7 +258,9 @@ class Service:
             match record:
                 case bytes():
                     self._session.put("sample", record)  # first: subscribers wait for it
-                    sample = _decoded(record)
+                    sample = decode_sample(record)
+                    if sample is None:
+                        raise RuntimeError("the loop sent a sample of another layout")
                     self._rig.note_sample(sample)
                     if self._runs.includes_sample(sample.k):
                         times = sample.t_host_ns, sample.t_sched_ns
@@ -437,19 +436,3 @@ class Service:
 
     def _anchor_clock(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
-
-
-def _open_network(session: Session, endpoint: str) -> str:
-    """Let a session listen at the network again; return the reason of a failure, or ""."""
-    try:
-        session.open_network()
-    except NetworkError as err:
-        return network_error(endpoint, err)
-    return ""
-
-
-def _decoded(data: bytes) -> Sample:
-    sample = decode_sample(data)
-    if sample is None:
-        raise RuntimeError("the loop sent a sample of another layout")
-    return sample

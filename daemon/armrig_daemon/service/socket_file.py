@@ -9,7 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from armrig_core.access.daemon_lock import DaemonFacts, lock_path, write_facts
+from armrig_core.access.daemon_lock import DaemonFacts, write_facts
+from armrig_core.access.emulator_socket import lock_path
 
 _Inode = tuple[int, int] | None
 

@@ -24,9 +24,9 @@ from armrig_core.access.daemon_lock import (
     DaemonFacts,
     daemon_at,
     living_daemon,
-    lock_path,
     write_facts,
 )
+from armrig_core.access.emulator_socket import lock_path
 from armrig_core.access.endpoint import endpoint
 from armrig_core.commands.commands import StatusReport
 from armrig_core.telemetry.history import Past

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from armrig.rig.session import open_session
-from armrig_core.access.daemon_lock import DaemonFacts, lock_path, read_facts
+from armrig_core.access.daemon_lock import DaemonFacts, read_facts
+from armrig_core.access.emulator_socket import lock_path
 from armrig_core.telemetry.topics import stream_key
 from armrig_daemon.service.publish import MAX_DELETED, Session
 from armrig_daemon.service.socket_file import SocketFile

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
-from armrig_core.access.emulator_socket import port_of
 from armrig_core.errors import OperationError
 from armrig_core.process.signal_pipe import held_back
+from armrig_core.rig.emulated import SOCKET_PREFIX
 
 from armrig_daemon.config import Config
 
@@ -32,8 +32,9 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     Raises OperationError if the emulator ended, or took too long to start.
     """
     path = directory / f"{config.rig.id}-{os.getpid()}.line"
+    port = f"{SOCKET_PREFIX}{path}"
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
-    program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", port_of(path)]
+    program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", port]
     program += ["--settings", msgspec.json.encode(settings).decode()]
     if config.rig.file:
         program += ["--rig-file", config.rig.file]
@@ -53,7 +54,7 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
             if child.poll() is not None or time.monotonic() > until:
                 raise OperationError(f"the emulator did not start at {path}")
             time.sleep(0.01)
-        device = msgspec.structs.replace(config.device, port=port_of(path))
+        device = msgspec.structs.replace(config.device, port=port)
         yield msgspec.structs.replace(config, device=device), stalls_out
     finally:
         child.terminate()
