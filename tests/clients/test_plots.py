@@ -429,6 +429,29 @@ def test_symbols_and_powers_of_ten_are_in_mathtext() -> None:
     assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
 
 
+@pytest.mark.parametrize("name", [r"$\frac$", "a_{ $", r"$\alpha_{$"])
+def test_a_bad_formula_in_a_name_is_drawn_as_text(name: str, tmp_path: Path) -> None:
+    u = np.tile([0.0, 0.0, 1.0, 1.0, 1.0], 40)
+    y = filtered([0, 0.1], [1, -0.9], u) + 0.1 * np.random.default_rng(0).standard_normal(200)
+    data = Dataset(u=u, y=y, Ts=0.1, output=name, unit=name)
+    fits = (armrig.arx(data, na=1, nb=1), armrig.arx(data, na=2, nb=2))
+
+    for figure in (data.plot(), armrig.compare(data, *fits, labels=(name, "b")).plot()):
+        save(figure, tmp_path / "figure.svg")
+
+        assert name.replace("$", r"\$") in figure.axes[0].get_ylabel()
+
+
+@pytest.mark.parametrize(("name", "text"), [("alpha", "dead band or "), ("light", "")])
+def test_only_a_rig_with_a_dead_band_has_it_in_the_legend(name: str, text: str) -> None:
+    y = np.arange(40.0)
+    y[5:8] = np.nan
+
+    ax = plots.plot_data(Dataset(u=np.zeros(40), y=y, Ts=0.1, output=name, unit="V"))
+
+    assert said(ax) == [f"{text}missing sample"]
+
+
 def test_a_magnitude_of_zero_has_minus_300_decibels() -> None:
     np.testing.assert_allclose(
         decibels(np.array([10.0, -0.1, 3j, 0.0])), [20, -20, 20 * np.log10(3), -300]

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.numerics.quantities import NBSP, minus
 from armrig.plots.captions import labelled, legend, named, sign
@@ -88,7 +89,8 @@ def plot_data(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None)
     for k, panel in enumerate(every):
         if data.Ts is not None:
             of = slice(k, k + 1) if k < data.ny else slice(None)
-            shade(panel, np.logical_or.reduce(data.valid[:, of], axis=1), data.Ts)
+            valid = np.logical_or.reduce(data.valid[:, of], axis=1)
+            shade(panel, valid, data.Ts, dead_band=not ARM_OUTPUTS.isdisjoint(data.outputs))
         for start in data.starts[1:]:
             panel.axvline(t[start], color=INK, lw=0.6, ls=(0, (4, 2)))
     every[-1].set_xlabel("$t$ [s]")

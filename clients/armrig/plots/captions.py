@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from armrig_core.telemetry.channels import SYMBOLS
 
-from armrig.plots.layout import GREY
+from armrig.plots.layout import GREY, drawable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,7 +96,8 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
     def folded(text: str, room: float) -> str:
         return fill(text, max(12, int(len(text) * room / max(width(text), 1.0))))
 
-    names = [in_mathtext(n) for n in names]
+    names = [in_mathtext(drawable(n)) for n in names]
+    notes = tuple(map(drawable, notes))
     names = [folded(n, room - 3 * size) if width(n) > room - 3 * size else n for n in names]
     widths = [width(n) + 3 * size for n in names]
     columns = next((k for k in range(len(names), 1, -1) if _fits(widths, k, room, size)), 1)

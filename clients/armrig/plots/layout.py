@@ -177,8 +177,10 @@ def _place(ax: Axes) -> SubplotSpec:
 
 
 def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
-    """Apply the common style and `xlim` to panels, and align their labels."""
+    """Apply the common style and `xlim` to panels whose axes have labels, and align the labels."""
     for ax in panels:
+        for label in (ax.xaxis.label, ax.yaxis.label):
+            label.set_text(drawable(label.get_text()))
         ax.grid(visible=True, which="major", color="#DDDDDD", lw=0.5)
         ax.set_axisbelow(True)
         for side in ("top", "right"):
@@ -186,6 +188,23 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
         if xlim:
             ax.set_xlim(*xlim)
     panels[0].figure.align_ylabels(panels)
+
+
+def drawable(text: str) -> str:
+    """Return a text whose formulas can be drawn; a name or a unit of a file may have a bad one."""
+    lines = (x if _has_right_formulas(x) else x.replace("$", r"\$") for x in text.split("\n"))
+    return "\n".join(lines)
+
+
+def _has_right_formulas(line: str) -> bool:
+    from matplotlib.mathtext import MathTextParser
+
+    try:
+        if "$" in line:
+            MathTextParser("path").parse(line)
+    except ValueError:
+        return False
+    return line.replace(r"\$", "").count("$") % 2 == 0
 
 
 def save(figure: Figure, path: Path, **options: Any) -> None:
@@ -201,14 +220,17 @@ def save(figure: Figure, path: Path, **options: Any) -> None:
         figure.savefig(path, metadata=undated.get(path.suffix.lower()), **options)
 
 
-def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) -> None:
+def shade(
+    ax: Axes, valid: NDArray[np.bool_], Ts: float, *, dead_band: bool, first: float = 0.0
+) -> None:
     """Shade the times without a valid value, and label the shade for the legend.
 
-    `valid` (N,) is False where the value is missing. `first` is the time of the first sample in s.
+    `valid` (N,) is False where the value is missing; `dead_band` is True if a dead band of the rig
+    may be the reason. `first` is the time of the first sample in s.
     """
     # Orange, since the grid is grey. With the edge, a gap of a few samples in thousands is visible.
     look: dict[str, Any] = {"facecolor": ORANGE, "edgecolor": ORANGE, "alpha": 0.35, "lw": 0.5}
-    label = "dead band or missing sample"
+    label = f"{'dead band or ' * dead_band}missing sample"
     for gap in stretches(~valid):
         begin, end = (first + (k - 0.5) * Ts for k in (gap.start, gap.stop))
         ax.axvspan(begin, end, label=label, zorder=0.5, **look)

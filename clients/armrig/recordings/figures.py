@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -128,12 +128,14 @@ def plot_overview(
     every = rows(ax, 1 + len(signals))
     ax, first, last = every[0], float(rec.t[0]), float(rec.t[-1])
     ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
-    shade(ax, np.logical_and.reduce([valid for *_, valid in signals]), rec.Ts, first=first)
+    turns = any(channel.turns for channel in rec.description.channels)
+    how: dict[str, Any] = {"first": first, "dead_band": turns}
+    shade(ax, np.logical_and.reduce([valid for *_, valid in signals]), rec.Ts, **how)
     ax.set_ylabel("$u$ [V]")
     for panel, (name, unit, y, valid) in zip(every[1:], signals, strict=True):
         panel.plot(rec.t, y, color=BLUE, lw=0.7)
         panel.set_ylabel(f"{labelled(name)} [{unit}]")
-        shade(panel, valid, rec.Ts, first=first)
+        shade(panel, valid, rec.Ts, **how)
         _ring(panel, rec.t, y, outliers.get(name, np.zeros(0)))
     every[-1].set_xlabel("$t$ [s]")
     finish(*every, xlim=(first, last if last > first else first + 1.0))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.data.dataset import Signals
 from armrig.data.figures import without_ramp
@@ -24,6 +25,7 @@ from armrig.plots.layout import (
     axes,
     decibel_ticks,
     decibels,
+    drawable,
     finish,
     hertz,
     high_axes,
@@ -104,7 +106,7 @@ def plot_compare(table: ComparisonTable, *, ax: Axes | None = None) -> Axes:
     unit = f" {data.unit}" if data.unit else ""
     legend(below, *([f"scale logarithmic beyond ±{linear:g}{unit}, dotted"] if linear else []))
     for panel in (ax, below):  # the upper legend names the shading
-        shade(panel, data.valid, data.Ts)
+        shade(panel, data.valid, data.Ts, dead_band=data.output in ARM_OUTPUTS)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
     return sign(ax, data.source, above=legend(ax, *notes))
 
@@ -248,7 +250,7 @@ def _plot_rows(test: ResidualTest, ax: Axes | None) -> Axes:
 def _head(panel: Axes, text: str) -> None:
     """Write the p values above a panel, to the right of its letter."""
     panel.annotate(
-        text,
+        drawable(text),
         (0.0, 1.0),
         xycoords="axes fraction",
         xytext=(4.0, 3.0),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
@@ -51,7 +52,7 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
     below.set_ylabel(f"error [{data.unit or '–'}]")
     below.set_xlabel("$t$ [s]")
     for panel in (ax, below):
-        shade(panel, data.valid, data.Ts)
+        shade(panel, data.valid, data.Ts, dead_band=data.output in ARM_OUTPUTS)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
     return sign(ax, data.source, above=legend(ax, *notes))
 
