@@ -164,6 +164,8 @@ class Quantities(dict[str, Quantity]):
         width = max(map(len, self), default=0)
         return "\n".join(
             f"{name:{width}}  {q.value:.5g} ± {q.std:.2g} {q.unit}".rstrip()
+            if np.isfinite(q.value)
+            else f"{name:{width}}  not determined: a pole may be 0; estimate with an integrator"
             for name, q in self.items()
         )
 
@@ -193,7 +195,10 @@ def quantities(fit: Fit) -> Quantities:
 
 
 def _gain(fit: Fit, form: TransferFunction) -> _Row:
-    """Return B(0)/F(0), or that of the rate of an integrating output."""
+    """Return B(0)/F(0), or that of the rate of an integrating output.
+
+    The gain is NaN if F(0) is smaller than its standard deviation: the pole may be 0.
+    """
     theta, f = form.theta, form.slice_of("f")
     at_b, at_f = form.slice_of("b").stop - 1, f.stop - 1 - int(form.integrators[0])
     gradient = np.zeros(theta.size)
@@ -203,6 +208,8 @@ def _gain(fit: Fit, form: TransferFunction) -> _Row:
         gradient[at_b] = 1 / below
         if at_f >= f.start:
             gradient[at_f] = -value / below
+            if abs(below) < np.sqrt(fit.trusted_covariance[at_f, at_f]):
+                value = np.nan
     rate = "/s" if form.integrators[0] else ""
     unit = f"{fit.unit}{rate}/{fit.input_unit}" if fit.unit and fit.input_unit else ""
     return "gain (rate)" if rate else "gain", value, gradient, unit

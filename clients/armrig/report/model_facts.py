@@ -71,7 +71,8 @@ def _coefficients(fit: Fit, reference: Fit | None) -> Iterator[tuple[str, ...]]:
             row += (fixed(float(theirs[name]), decimals) if name in theirs else "–",)
         yield row
     physical = fit.quantities().values() if fit.Ts == 0 else ()
-    for q in (q for q in physical if q.name not in fit.names):  # the delay has a row
+    known = (q for q in physical if np.isfinite(q.value))
+    for q in (q for q in known if q.name not in fit.names):  # the delay has a row
         value, std = (fixed(x, places(q.std)) for x in (q.value, q.std))
         trusted = ("–", std) if fit.trusts_robust else (std, "–")
         yield (f"{q.name} [{q.unit or '–'}]", value, *trusted)

@@ -7,6 +7,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from armrig.data.dataset import Dataset
 from armrig.estimation.polynomial_structures import armax, oe
 from armrig.estimation.transfer_functions import tf
 from armrig.models.fit import Fit
@@ -14,6 +15,7 @@ from armrig.models.model_file import load_fit
 from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from armrig_core.errors import InputError
+from scipy.signal import lfilter
 
 from tests.clients.estimation.test_transfer_functions import TS, data
 
@@ -111,6 +113,20 @@ def test_the_numbers_of_a_plant_have_the_deviations_of_their_derivatives() -> No
             gradient.append((a - b) / (2 * h * abs(value)))
         std = np.sqrt(gradient @ fit.covariance @ gradient)
         assert found.std == pytest.approx(std, rel=1e-4), name
+
+
+def test_the_gain_of_a_model_with_a_pole_that_may_be_0_is_not_determined() -> None:
+    """The response is a ramp, and the model has no integrator."""
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.choice([1.0, 3.0], 100), 10)
+    y = 0.05 * np.cumsum(lfilter([0, 0.2], [1, -0.8], u)) + 0.01 * rng.standard_normal(u.size)
+
+    found = tf(Dataset(u=u, y=y, Ts=0.05), poles=2, zeros=0).quantities()
+
+    assert np.isnan(found["gain"].value)
+    first, second = repr(found).splitlines()
+    assert first == "gain           not determined: a pole may be 0; estimate with an integrator"
+    assert second.startswith("time constant  0.2")
 
 
 def test_a_file_contains_the_model_with_all_digits(fit: Fit, tmp_path: Path) -> None:
