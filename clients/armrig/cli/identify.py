@@ -58,8 +58,7 @@ if TYPE_CHECKING:
     from armrig.estimation.nonparametric.sampling_time import SamplingTime
     from armrig.estimation.nonparametric.step_analysis import StepAnalysis
     from armrig.models.fit import Fit
-    from armrig.report.batch.batch import Batch
-    from armrig.report.batch.tasks import Task
+    from armrig.report.batch.tasks import Row, Task
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.residual_test import ResidualTest
     from armrig.validation.structure_hints import StructureHints
@@ -643,7 +642,7 @@ def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> N
     if scheduler is not None:
         executor, at_once = partial(cluster, scheduler), _CLUSTER_TASKS
     with spinner("processing") as count:
-        done = processed(
+        rows, done_before = processed(
             folder.resolve(),
             task,
             output,
@@ -654,12 +653,12 @@ def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> N
             anew=selection.force,
             count=count,
         )
-    _say_batch(done, json=selection.json)
+    _say_batch(output, rows, done_before, json=selection.json)
 
 
-def _say_batch(done: Batch, *, json: bool) -> None:
+def _say_batch(table: Path, rows: list[Row], done_before: int, *, json: bool) -> None:
     failed, damaged, without = dict[str, str](), dict[str, str](), dict[str, str]()
-    for row in done.rows:
+    for row in rows:
         name = row["recording"]
         if row["problem"]:
             without[name] = row["problem"]
@@ -667,11 +666,11 @@ def _say_batch(done: Batch, *, json: bool) -> None:
             failed[name] = _failed_checks(row)
         elif row["damage"] and not row["problem"]:
             damaged[name] = f"the result covers the undamaged part: {row['damage']}"
-    facts = {"table": done.table, "rows": len(done.rows), "done_before": done.done_before}
-    before = f", {done.done_before} of them processed before" if done.done_before else ""
+    facts = {"table": table, "rows": len(rows), "done_before": done_before}
+    before = f", {done_before} of them processed before" if done_before else ""
     print_result(
         facts | {"problems": without, "damaged": damaged, "failed": failed},
-        f"{done.table}: {len(done.rows)} recordings{before}; {len(without)} without a result",
+        f"{table}: {len(rows)} recordings{before}; {len(without)} without a result",
         *_first(without, "column problem contains"),
         *_first(damaged, "column damage contains"),
         *_first(failed, "columns of the checks contain"),

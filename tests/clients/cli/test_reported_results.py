@@ -18,7 +18,6 @@ from armrig.cli import demo, main
 from armrig.data.finding import warning
 from armrig.excitation.demonstration import Pace, experiments
 from armrig.lab.fleet_recorder import RigRecorded
-from armrig.report.batch.batch import Batch
 from armrig.report.batch.tasks import CHECKS
 from armrig_daemon.config import load
 
@@ -81,8 +80,7 @@ def test_a_batch_reports_missing_results_damage_and_failed_checks(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    table = Path("t.parquet")
-    done = Batch(table=table, rows=tuple(rows), done_before=facts.get("done_before", 0))
+    done = rows, facts.get("done_before", 0)
     monkeypatch.setattr("armrig.report.batch.batch.batch", lambda *_, **__: done)
 
     assert main(["batch", "verify", ".", "-o", "t.parquet"]) == code

@@ -15,7 +15,6 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -34,7 +33,6 @@ from armrig.report.batch.tasks import (
     Task,
     Validate,
     columns_of,
-    digest,
     empty_row,
     items_in,
     name_of,
@@ -58,18 +56,6 @@ KEY = b"armrig.batch"
 """Key of the header in the table's metadata."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Batch:
-    """Result of a batch."""
-
-    table: Path
-    """Path of the Parquet file."""
-    rows: tuple[Row, ...]
-    """Rows of the table, one for each run, sorted by the run's name."""
-    done_before: int
-    """Number of rows that were kept from earlier starts because their files have not changed."""
-
-
 def batch(
     folder: Path,
     task: Task,
@@ -81,11 +67,12 @@ def batch(
     kinds: Collection[str] = (),
     anew: bool = False,
     count: Count = lambda done, total, name: None,
-) -> Batch:
+) -> tuple[list[Row], int]:
     """Do a task for each run of a folder, and write the results as one table.
 
     Results of an earlier start are kept if their files have not changed. A new start therefore
-    continues a batch that was killed, and adds new recordings to a complete table.
+    continues a batch that was killed, and adds new recordings to a complete table. Returns the
+    rows, one for each run, sorted by the run's name, and the number of rows that were kept.
 
     Parameters
     ----------
@@ -130,8 +117,7 @@ def batch(
             count(len(rows) - done_before, len(left), item.name)
         write_table(table, task, header, rows.values())
         progress.remove()
-    ordered = tuple(rows[item.name] for item in items)
-    return Batch(table=table, rows=ordered, done_before=done_before)
+    return [rows[item.name] for item in items], done_before
 
 
 def results(
@@ -193,7 +179,6 @@ def header_of(
     return {
         "task": name_of(task),
         "options": msgspec.json.encode(options).decode(),
-        "digest": digest(task),
         "folder": shown_path(folder.resolve()),
         "rigs": " ".join(sorted(rigs)),
         "kinds": " ".join(sorted(kinds)),

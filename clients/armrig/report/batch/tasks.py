@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.part_names import PART, part_number
-from armrig_core.telemetry.channels import CHANNELS
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
@@ -68,18 +67,6 @@ Task = Identify | Validate | Verify | Report
 def name_of(task: Task) -> str:
     """Return the name of a task on the command line."""
     return str(type(task).__struct_config__.tag)
-
-
-def digest(task: Task) -> str:
-    """Return a hash of the task and its options; results with another hash are not reused.
-
-    An option that is None is left out, so that a new field does not change earlier hashes. Only the
-    signal is not: earlier releases put the name of the arm's first output into the hash.
-    """
-    asked = {name: x for name, x in msgspec.to_builtins(task).items() if x is not None}
-    if isinstance(task, Identify):
-        asked.setdefault("signal", CHANNELS[0].name)
-    return sha256(msgspec.json.encode(asked, order="sorted").decode())
 
 
 def sha256(text: str) -> str:
