@@ -7,7 +7,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 from armrig_core.errors import InputError, ParameterError
@@ -87,7 +87,7 @@ class RigRoutes:
             return await self._stop(request, by="" if self._stream.may_command else _VISITOR)
 
         return [
-            *(Route(path, _page_file(file)) for path, file in PAGE_FILES.items()),
+            *(Route(path, _page_file(name)) for path, name in PAGE_FILES.items()),
             Route("/api/stream", stream),
             Route("/api/stop", stop, methods=["POST"]),
         ]
@@ -190,9 +190,9 @@ def error(status: int, why: str) -> Response:
     return Response(body, status, media_type="application/json")
 
 
-def _page_file(file: PageFile) -> Answer:
+def _page_file(name: str) -> Answer:
     async def answer(_: Request) -> Response:
-        return Response(file.read(), media_type=file.media_type)
+        return Response((_PAGE / name).read_bytes(), media_type=_TYPES[name.rpartition(".")[2]])
 
     return answer
 
@@ -203,21 +203,6 @@ async def _after(first: bytes, messages: AsyncIterator[bytes]) -> AsyncIterator[
         yield message
 
 
-class PageFile(NamedTuple):
-    """A file of the page."""
-
-    name: str
-
-    @property
-    def media_type(self) -> str:
-        """Media type of the file."""
-        return _TYPES[self.name.rpartition(".")[2]]
-
-    def read(self) -> bytes:
-        """Return the bytes of the file."""
-        return (_PAGE / self.name).read_bytes()
-
-
 _FOUND = sorted(str(path.relative_to(_PAGE)) for path in _PAGE.rglob("*") if path.is_file())
-PAGE_FILES = {"/" if name == "index.html" else f"/{name}": PageFile(name) for name in _FOUND}
-"""Files of the page by path; the server delivers no other file."""
+PAGE_FILES = {"/" if name == "index.html" else f"/{name}": name for name in _FOUND}
+"""Names of the page's files by path; the server delivers no other file."""

@@ -10,7 +10,7 @@ from io import BytesIO
 from itertools import cycle
 from math import tau
 from string import ascii_lowercase
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from armrig.numerics.stretches import stretches
 
@@ -330,14 +330,7 @@ def bare_minor(*shown: Axis) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-class Plotted(Protocol):
-    """A result that has a figure."""
-
-    def plot(self) -> Figure:
-        """Return the figure."""
-
-
-def html(result: Plotted) -> str:
+def html(result: Any) -> str:
     """Return a result's text and figure as HTML, for a notebook's `_repr_html_`."""
     from matplotlib import pyplot as plt
 

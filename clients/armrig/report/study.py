@@ -253,7 +253,10 @@ def study(
         found = _recommended(each[0])
         orders = found if orders == Orders() else replace(orders, integrator=found.integrator)
     for one in each[0]:
-        _require_sensible(one, orders.of(one.output))
+        own = orders.of(one.output)
+        size: dict[str, Any] = {"samples": one.N - one.missing, "nk": own.nk, "nb": own.nb}
+        require_sensible(na=own.na, **size)
+        require_sensible(**size, nf=own.nf, integrator=own.integrator)
     whole, tests = _fits(estimation, orders, of_arm=of_arm), dict[str, ResidualTest]()
     fits = [whole]
     if several:
@@ -285,14 +288,6 @@ def _recommended(data: Sequence[Dataset]) -> Orders:
     form = hints[0].process if len(hints) == 1 else ""
     nk = min(found.nk for found in hints)
     return Orders(na=nf, nb=nb, nf=nf, nk=nk, integrator=integrator, form=form)
-
-
-def _require_sensible(data: Dataset, orders: Orders) -> None:
-    samples, nk = data.N - data.missing, orders.nk
-    require_sensible(samples=samples, nk=nk, na=orders.na, nb=orders.nb)
-    require_sensible(
-        samples=samples, nk=nk, integrator=orders.integrator, nb=orders.nb, nf=orders.nf
-    )
 
 
 def _fits(data: Dataset | Signals, orders: Orders, *, of_arm: bool) -> dict[str, Fit]:
