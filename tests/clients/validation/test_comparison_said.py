@@ -115,7 +115,7 @@ def test_the_differences_of_a_poor_model_are_not_explained() -> None:
     ]
 
     assert said[0].startswith("a has 5.1 times the error of b: its characteristics differ because")
-    assert said[0].endswith("which biases the ARX model: take OE.")
+    assert said[0].endswith("noise at the output biases it: take OE.")
     assert said[1].endswith("because the model is poor. Look at its orders and its delay.")
     assert said[2].startswith("a and b: no characteristic differs")
 
