@@ -130,7 +130,7 @@ def run(
         loaded = load()
         described = configuration.description_of(loaded)
         directory = directory_of(loaded.recording.directory)
-        if emulate and not described.arm:
+        if emulate and not (described.arm or described.equations):
             require_model(described)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
         _check_no_file(Path(where.partition("/")[2]))

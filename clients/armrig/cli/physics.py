@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import traceback
 from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
 from functools import partial
@@ -224,21 +223,10 @@ def greybox(
 
 def own_equations(path: Path) -> armrig.Ode:
     """Execute a model file, and return its `model`."""
-    import runpy
+    from armrig_core.rig.equations_file import load_equations
 
     tell(f"executing {path}")
-    try:
-        found = runpy.run_path(str(path)).get("model")
-    except OSError as err:
-        raise InputError(f"{path}: {err.strerror}") from err
-    except (Exception, SystemExit) as err:
-        frames = reversed(traceback.extract_tb(err.__traceback__))
-        line = next((f.lineno for f in frames if f.filename == str(path)), None)
-        where = f", line {line}" if line else ""
-        raise InputError(f"{path}{where}: {type(err).__name__}: {err}") from err
-    if not isinstance(found, armrig.Ode):
-        raise InputError(f"{path} defines no `model`; write model = armrig.Ode(f=…, …)")
-    return found
+    return load_equations(path)
 
 
 def _grey_facts(fit: armrig.GreyFit) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from armrig_core.process.options import argument, chosen
 from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import until_signal
 from armrig_core.rig.channels import Channel, channel
+from armrig_core.rig.emulated import SOCKET_PREFIX
 from armrig_core.telemetry.topics import PLAYED
 
 import armrig
@@ -361,7 +362,7 @@ def _show(
                 status, asked_s = rig.status(), time.monotonic()
             sample = (newest() or [sample])[-1]
             how = f"{status.phase} {status.reason} {status.line}"
-            now = how if json else _sentence(status, what, url, after)
+            now = how if json else _sentence(status, what, url, after, log)
             if now and now != told:
                 say(status if json else now)
                 told = now
@@ -371,7 +372,7 @@ def _show(
             time.sleep(_VIEW_INTERVAL_S)
 
 
-def _sentence(status: StatusReport, what: str, url: str, after: str) -> str:
+def _sentence(status: StatusReport, what: str, url: str, after: str, log: Path) -> str:
     """Return a message: the rig is ready, or has a problem; "" if the rig is not yet ready."""
     if status.phase == "safe":
         alone = "; the arm is removed ([arm] removed)" if status.arm_removed else ""
@@ -385,7 +386,9 @@ def _sentence(status: StatusReport, what: str, url: str, after: str) -> str:
         from armrig.rig.replies import reset_command
 
         return f"{status.reason}; {status.remedy}, then {reset_command(status.rig, None)}"
-    return f"not ready: {status.line}; Ctrl-C ends the lab" if status.line else ""
+    # The emulator prints there why it ended, such as a wrong model file.
+    why = f"; {log} says why" if status.line.startswith(SOCKET_PREFIX) else ""
+    return f"not ready: {status.line}{why}; Ctrl-C ends the lab" if status.line else ""
 
 
 def _lines(status: StatusReport, sample: Any) -> str:

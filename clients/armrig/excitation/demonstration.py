@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from armrig_core.rig.description import Description, require_model
+from armrig_core.rig.description import Description, Model, require_model
+from armrig_core.rig.saved_model import System
 from numpy.typing import NDArray
 
 from armrig.excitation.binary import telegraph
@@ -38,6 +39,8 @@ def pace_of(described: Description, seconds: float | None) -> Pace:
     if described.arm:
         return Pace() if seconds is None else Pace(seconds=seconds)
     model, system = require_model(described)
+    if system.process is not None:
+        system.process.close()
     poles = np.linalg.eigvals(np.array(system.A)).astype(complex)
     rates = np.abs(poles.real if system.Ts is None else np.log(np.abs(poles)) / system.Ts)
     rates = rates[rates > 1e-9] if np.any(rates > 1e-9) else np.ones(1)
@@ -48,13 +51,12 @@ def pace_of(described: Description, seconds: float | None) -> Pace:
         seconds=seconds or max(30.0, float(np.ceil(_SLOWEST * slow + model.delay_s))),
         switch=float(np.clip(2 * Ts / slow, 0.01, 0.5)),
         step_s=max(3.0, float(np.ceil(5 * slow + 2 * model.delay_s))),
-        high=_highest_level(described),
+        high=_highest_level(described, model, system),
     )
 
 
-def _highest_level(described: Description) -> float:
+def _highest_level(described: Description, model: Model, system: System) -> float:
     """Return the highest voltage, at most 4.5 V, at which each output stays within its limits."""
-    model, system = require_model(described)
     A, B = np.array(system.A), np.array(system.B)
     still = np.linalg.pinv((np.eye(len(A)) if system.Ts else 0.0) - A) @ B
     highest = min(_HIGH_V, _SHARE * described.input.u_max_v)

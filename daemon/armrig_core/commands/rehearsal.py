@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from math import ceil, inf, sqrt, tau
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -99,8 +100,9 @@ def rehearse_outputs(
 ) -> Rehearsal:
     """Return the response of a described rig to `u`, from its values at u = 0.
 
-    The states at the samples are exact; a dead time is rounded to whole samples. The last three
-    arguments are those of `rehearse`, and belong to a rig whose model is that of the arm.
+    The states at the samples are exact, and a dead time is rounded to whole samples. Own equations
+    are simulated in a process of their own, and only at the samples. The last three arguments are
+    those of `rehearse`, and belong to a rig whose model is that of the arm.
 
     Raises
     ------
@@ -124,11 +126,17 @@ def rehearse_outputs(
     volts = np.asarray(u, dtype=np.float64)
     late = min(round(model.delay_s / Ts), volts.size)
     delayed = np.concatenate([np.zeros(late), volts[: volts.size - late]])
-    A, B, C = (np.array(matrix) for matrix in system[:3])
-    poles = np.linalg.eigvals(A)
-    swing = None if system.Ts else float(np.abs(poles[np.abs(poles.imag) > 0]).max(initial=0.0))
-    ends = _extremes(A, B, C, delayed, Ts, swing)
     rest = np.array(model.offset or [0.0] * len(limits))
+    if system.process is not None:
+        with closing(system.process):
+            y = system.process.run(delayed.tolist(), Ts)
+        ends = y, y, y[-1]
+    else:
+        A, B, C = (np.array(matrix) for matrix in system[:3])
+        poles = np.linalg.eigvals(A)
+        swings = np.abs(poles[np.abs(poles.imag) > 0])
+        swing = None if system.Ts else float(swings.max(initial=0.0))
+        ends = _extremes(A, B, C, delayed, Ts, swing)
     lowest, highest = _checked(limits, ends, rest, Ts)
     ranges = zip(limits.items(), lowest.tolist(), highest.tolist(), strict=True)
     return Rehearsal(outputs={name: (low, high, o.unit) for (name, o), low, high in ranges})

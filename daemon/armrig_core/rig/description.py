@@ -209,7 +209,7 @@ class Model(_Table, frozen=True, kw_only=True):
     B: Matrix = []
     C: Matrix = []
     offset: list[float] = []
-    """Values of the outputs at rest; default: 0."""
+    """Values of the outputs at rest; default: 0, or those of a saved model with an offset."""
     noise: list[float] = []
     """Standard deviations of the outputs' noise; default: 0."""
     delay_s: Annotated[float, Meta(ge=0, le=_MAX_DELAY_S)] = 0.0
@@ -217,7 +217,8 @@ class Model(_Table, frozen=True, kw_only=True):
     unstable: bool = False
     """True to allow a pole in the right half-plane."""
     file: str = ""
-    """Model that `armrig identify --save` wrote; relative to the description."""
+    """Model that `armrig identify --save` wrote, or a Python file with own equations, whose states
+    are 0 at first; relative to the description."""
     kind: ArmModel = ""
 
     def __post_init__(self) -> None:
@@ -259,6 +260,9 @@ class Description:
     """Contents of the file, as attached to recordings."""
     system: System | None = None
     """Matrices that the emulator and the rehearsal simulate; None for the arm, or without any."""
+    equations: Path | None = None
+    """File with own equations that the emulator and the rehearsal simulate, if a person has named
+    the description on this machine; None for the description of a recording."""
 
     @property
     def sha256(self) -> str:
@@ -405,13 +409,25 @@ def path_of(file: Path) -> Path:
 
 
 def require_model(description: Description) -> tuple[Model, System]:
-    """Return the matrices of a rig; raise InputError if it has none."""
-    if description.model is None or description.system is None:
+    """Return the model of a rig with its matrices, or with a new process of its own equations.
+
+    Raises InputError if the rig has no model.
+    """
+    model, system = description.model, description.system
+    if model is not None and description.equations:
+        from armrig_core.rig.equations_file import EquationsProcess
+
+        process = EquationsProcess(description.equations, [*description.outputs])
+        offset = model.offset or [0.0] * len(process.rest)
+        rest = [a + b for a, b in zip(offset, process.rest, strict=True)]
+        A, B, C = process.matrices
+        return msgspec.structs.replace(model, offset=rest), System(A, B, C, None, process=process)
+    if model is None or system is None:
         raise InputError(
             f"rig {description.rig.name} cannot be emulated without [model]: give A, B and C, or "
-            "the file of a model from `armrig identify --save`"
+            "the file of a model from `armrig identify --save`, or of own equations"
         )
-    return description.model, description.system
+    return model, system
 
 
 def read_description(path: Path) -> Description:
@@ -420,14 +436,20 @@ def read_description(path: Path) -> Description:
         described = Description.of(read_bounded(path, LIMIT_BYTES))
         if described.model is None or not described.model.file:
             return described
-        system = saved_system(path.parent / described.model.file, tuple(described.outputs))
+        file = path.parent / described.model.file
+        if file.suffix == ".py":
+            if not file.is_file():
+                raise InputError(f"model.file = '{file}': no regular file")
+            return replace(described, equations=file)
+        system = saved_system(file, tuple(described.outputs))
         if not described.model.unstable:
             _check_stable("model.file", system.A, discrete=system.Ts is not None)
-        delay_s = described.model.delay_s + system.delay_s
-        described = replace(
-            described, model=msgspec.structs.replace(described.model, delay_s=delay_s)
+        model = msgspec.structs.replace(
+            described.model,
+            delay_s=described.model.delay_s + system.delay_s,
+            offset=described.model.offset or [*system.rest],
         )
-        return replace(described, system=system)
+        return replace(described, model=model, system=system)
     except OSError as err:
         raise FileError(f"{path}: {err.strerror}") from err
     except InputError as err:

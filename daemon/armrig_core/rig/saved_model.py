@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf, isfinite
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import msgspec
 
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_text
+
+if TYPE_CHECKING:
+    from armrig_core.rig.equations_file import EquationsProcess
 
 Matrix = list[list[float]]
 _Rows = list[list[list[float]]]
@@ -19,6 +22,7 @@ _MAX_BYTES = 1 << 24
 _MAX_STATES = 400  # a delay of n samples needs n states
 _MIN_TS_S = 1e-4  # the emulator makes each step of the model
 _MAX_DELAY_S = 3600.0
+_MAX_CONDITION = 1e12  # of I - A, or of A in continuous time; larger with an integrator
 
 
 class System(NamedTuple):
@@ -31,6 +35,10 @@ class System(NamedTuple):
     """Sampling time of a model in discrete time, in s; None for continuous time."""
     delay_s: float = 0.0
     """Dead time of the input, in s."""
+    process: EquationsProcess | None = None
+    """Process of own equations, whose small motions the matrices describe; otherwise None."""
+    rest: Sequence[float] = ()
+    """Outputs at u = 0 of a model with an input offset; otherwise empty."""
 
 
 class _Matrices(msgspec.Struct, tag_field="kind", tag="matrices"):
@@ -59,6 +67,10 @@ class _TransferFunction(msgspec.Struct, tag_field="kind", tag="transfer function
     delay: float
 
 
+class _Free(msgspec.Struct):
+    offset: float = 0.0
+
+
 class _Saved(msgspec.Struct):
     """The fields of the file that are used."""
 
@@ -67,6 +79,7 @@ class _Saved(msgspec.Struct):
     input_units: list[str]
     Ts: float
     form: _Matrices | _Polynomials | _TransferFunction
+    free: list[_Free] = []
 
 
 def saved_system(path: Path, outputs: Sequence[str]) -> System:
@@ -119,7 +132,15 @@ def _system(text: str, outputs: tuple[str, ...]) -> System:
     finite = all(isfinite(x) for M, *_ in shapes for row in M for x in row)
     if not (fits and finite and 0 <= delay_s <= _MAX_DELAY_S):
         raise InputError("its fields do not match each other")
-    return System(A, B, C, Ts, delay_s)
+    rest: list[float] = []
+    if saved.free and saved.free[0].offset:
+        import numpy as np
+
+        M = -np.array(A) if Ts is None else np.eye(len(A)) - np.array(A)
+        if np.linalg.cond(M) < _MAX_CONDITION:
+            u = -saved.free[0].offset
+            rest = (np.array(C) @ np.linalg.solve(M, np.array(B)[:, 0] * u)).tolist()
+    return System(A, B, C, Ts, delay_s, rest=rest)
 
 
 def _check_states(n: int) -> None:

@@ -1,7 +1,8 @@
 """A rig whose description has a model: x' = A x + B u(t - delay_s), y = C x + offset.
 
 Between changes of the input the states are exact except for rounding, as those of the arm. A model
-in discrete time makes a step at the first reading after its sampling time.
+in discrete time makes a step at the first reading after its sampling time. A process of its own
+integrates own equations.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ class DescribedRig:
         self._since_ns = 0  # since the last step of a model in discrete time
         self._offset = model.offset or [0.0] * len(self._outputs)
         self._noise = model.noise or [0.0] * len(self._outputs)
-        self._powers = [] if system.Ts else plant.digit_powers(self._A, self._B)
+        self._process = system.process
+        self._y = np.zeros(len(self._outputs))  # of own equations, without the offset
+        is_exact = system.process is None and not system.Ts
+        self._powers = plant.digit_powers(self._A, self._B) if is_exact else []
         self._xu = np.zeros(len(system.A) + 1)  # the states and, last, the delayed input
         self._delay_ns = round(model.delay_s * 1e9)
         self._changes = deque([(0, 0.0)])  # inputs that are delayed, with their times
@@ -65,13 +69,16 @@ class DescribedRig:
         if channel >= len(self._outputs):
             return 0.5  # an unused input of the converter
         output = self._outputs[channel]
-        y = float(self._C[channel] @ self._xu[:-1]) + self._offset[channel]
+        own = self._C[channel] @ self._xu[:-1] if self._process is None else self._y[channel]
+        y = float(own) + self._offset[channel]
         if self._noise[channel]:
             y += self._noise[channel] * self._rng.standard_normal()
         return _fraction(output, y)
 
     def _flow(self, dt_ns: int) -> None:
-        if self._Ts_ns:
+        if self._process is not None:
+            self._y = self._process.run([float(self._xu[-1])], dt_ns * 1e-9)[-1]
+        elif self._Ts_ns:
             self._since_ns += dt_ns
             # At the nearest sample: the device's clock is not exactly the model's.
             steps = (self._since_ns + self._Ts_ns // 2) // self._Ts_ns
@@ -79,6 +86,7 @@ class DescribedRig:
                 self._xu[:-1] = self._A @ self._xu[:-1] + self._B[:, 0] * self._xu[-1]
             if steps:
                 self._since_ns = 0
+        if not self._powers:
             return
         while dt_ns > plant.MAX_STEP_NS:
             self._flow(plant.MAX_STEP_NS)

@@ -179,12 +179,17 @@ READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"
             ["link lost; plug it in, then `armrig reset --rig 7`"],
         ),
         ({"phase": "init", "line": "no rig"}, ["not ready: no rig; Ctrl-C ends the lab"]),
+        (
+            {"phase": "init", "line": "unix:/a is gone"},
+            ["not ready: unix:/a is gone; lab.log says why; Ctrl-C ends the lab"],
+        ),
         ({"phase": "init"}, []),
     ],
 )
 def test_a_lab_reports_a_ready_rig_or_the_reason(changes: dict[str, Any], lines: list[str]) -> None:
-    assert _sentence(status_report(**changes), "/dev/a", "U", "N").splitlines() == lines
-    without_page = _sentence(status_report(**changes), "/dev/a", "", "N").splitlines()
+    given, log = status_report(**changes), Path("lab.log")
+    assert _sentence(given, "/dev/a", "U", "N", log).splitlines() == lines
+    without_page = _sentence(given, "/dev/a", "", "N", log).splitlines()
     assert without_page == [line for line in lines if "in a browser" not in line]
 
 

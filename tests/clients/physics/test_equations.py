@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -205,6 +206,10 @@ def test_the_command_estimates_the_equations_of_a_file(
         equations.write_text(text)
         assert main(command) != 0
         assert message in capsys.readouterr().err
+    equations.unlink()
+    os.mkfifo(equations)
+    assert main(command) != 0
+    assert "rc.py: no regular file" in capsys.readouterr().err
 
 
 def test_friction_has_the_curve_of_stribeck() -> None:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig_core.commands.rehearsal import rehearse_outputs
-from armrig_core.errors import FileError, InputError
-from armrig_core.rig.description import Description, read_description, shipped
+from armrig_core.errors import FileError, InputError, OperationError
+from armrig_core.rig.description import Description, read_description, require_model, shipped
 from armrig_core.rig.saved_model import saved_system
 from armrig_daemon.emulator.described_rig import DescribedRig
 
@@ -106,6 +106,98 @@ def test_a_saved_model_is_emulated_at_its_own_sampling_time(tmp_path: Path) -> N
     assert y == pytest.approx([1.0, 1.5, 1.75, 1.875])
     with pytest.raises(InputError, match=r"model\.json has Ts = 0\.01 s"):
         rehearse_outputs([1.0] * 5, 0.02, own)
+
+
+def test_a_model_saved_with_an_offset_is_emulated_with_its_values_at_rest(tmp_path: Path) -> None:
+    """With u0 = -2 V and the gain 0.5 the output rests at 1."""
+    saved(tmp_path / "model.json", free=[{"transients": [0.0], "offset": -2.0}])
+    text = RC.text.partition(b"[model]")[0] + b'[model]\nfile = "model.json"\n'
+    (tmp_path / "own.toml").write_bytes(text)
+    own = read_description(tmp_path / "own.toml")
+
+    assert moved(own, [4.0] * 4, 10 * MS) == pytest.approx([2.0, 2.5, 2.75, 2.875])
+    assert rehearse_outputs([0.0] * 5, 0.01, own).outputs["y"][:2] == (1.0, 1.0)
+
+
+EQUATIONS = """
+import armrig, os, sys, time
+import numpy as np
+
+def late(t, does):
+    if np.any(t > 0.06): does()
+
+def f(t, x, u, p):
+    return [(u[0] - x[0]) / p.tau]
+
+tau = armrig.Parameter(0.1, "s", low=0)
+model = armrig.Ode(f=f, output=lambda t, x, u, p: x[0], states=["v"], parameters={"tau": tau})
+"""
+
+
+def own_equations(folder: Path, old: str = "", new: str = "") -> Path:
+    """Write a description with own equations, in which `new` replaces `old`."""
+    (folder / "rc.py").write_text(EQUATIONS.replace(old, new, 1))
+    text = RC.text.partition(b"[model]")[0] + b'[model]\nfile = "rc.py"\noffset = [0.5]\n'
+    (folder / "own.toml").write_bytes(text)
+    return folder / "own.toml"
+
+
+def test_own_equations_are_emulated_and_rehearsed(tmp_path: Path) -> None:
+    own = read_description(own_equations(tmp_path))
+
+    y = moved(own, [2.0] * 4, 50 * MS)
+    rehearsal = rehearse_outputs([2.0] * 4, 0.05, own)
+
+    exact = 0.5 + 2 * (1 - np.exp(-0.5 * np.arange(1, 5)))
+    assert y == pytest.approx(exact, abs=1e-5)
+    assert rehearsal.outputs["y"][:2] == pytest.approx((0.5, exact[-1]), abs=1e-5)
+    model, system = require_model(own)
+    assert system.process is not None
+    system.process.close()
+    assert (model.offset, system.A[0][0]) == ([0.5], pytest.approx(-10.0))
+
+
+def test_the_description_of_a_recording_runs_no_code(tmp_path: Path) -> None:
+    own = own_equations(tmp_path, "import armrig", "open('ran', 'w')\nimport armrig")
+
+    attached = Description.of(own.read_bytes())
+
+    with pytest.raises(InputError, match="cannot be emulated without"):
+        require_model(attached)
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        ("tau = ", "1 / 0\ntau = ", "line 11: ZeroDivisionError"),
+        ("tau = ", "sys.exit(3)\ntau = ", "line 11: SystemExit: 3"),
+        ("tau = ", "raise KeyboardInterrupt\ntau = ", "line 11: KeyboardInterrupt"),
+        ("tau = ", "os._exit(3)\ntau = ", "the process ended after t = 0 s"),
+        ("tau = ", "time.sleep(99)\ntau = ", "took more than 2 s"),
+        (
+            "    return",
+            "    if np.any(t > 0.06): 1 / 0\n    return",
+            r"at t = 0\.05 s, x = \[0\.78",
+        ),
+        ("    return", "    if np.any(t > 0.06): sys.exit()\n    return", "raised SystemExit"),
+        (
+            "    return",
+            "    if np.any(t > 0.06): time.sleep(99)\n    return",
+            r"from t = 0\.05 s on",
+        ),
+        ("x[0]) / p", "np.where(t > 0.06, np.nan, x[0])) / p", r"at t = 0\.05 s.*do not follow"),
+        ("p: x[0]", "p: [x[0], x[0]]", "returns 2 values; the rig has 1 outputs, y"),
+    ],
+)
+def test_a_bad_model_file_ends_in_a_sentence(
+    old: str, new: str, error: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armrig_core.rig.equations_file._START_S", 2.0 if "sleep" in new else 30.0)
+    own = read_description(own_equations(tmp_path, old, new))
+
+    with pytest.raises((InputError, OperationError), match=error):
+        moved(own, [2.0] * 4, 50 * MS)
 
 
 MATRICES = {

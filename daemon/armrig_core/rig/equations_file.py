@@ -1,0 +1,173 @@
+"""A Python file with own equations, `model = armrig.Ode(…)`, and the process that runs it.
+
+The file is code, so it is executed only if a person names it on this machine, never from the
+description that is attached to a recording. The daemon and the emulator do not execute it: a
+process of its own integrates the equations and ends with its parent. Each request is a line of JSON
+with inputs and the time for which each is held; the answer contains the outputs.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+import select
+import subprocess
+import sys
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from weakref import finalize
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig_core.errors import InputError, OperationError
+from armrig_core.process.realtime import end_with_parent, leave_fifo
+from armrig_core.rig.equations import Course, Ode, checked_derivative, checked_outputs, integrated
+
+_START_S, _ANSWER_S, _RUN_S = 30.0, 2.0, 10.0  # largest times to answer
+_TOLERANCE = 1e-6  # relative change of the states if the steps are doubled
+_MAX_STEPS = 4096  # of one interval
+
+
+def load_equations(path: Path) -> Ode:
+    """Execute a model file, and return its `model`; raise InputError with the line of an error."""
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: no regular file")
+        found = runpy.run_path(str(path)).get("model")
+    except InputError:
+        raise
+    except BaseException as err:  # a file may also raise SystemExit
+        frames = traceback.extract_tb(err.__traceback__)[::-1]
+        line = next((f.lineno for f in frames if f.filename == str(path)), None)
+        if line is None and isinstance(err, OSError):
+            raise InputError(f"{path}: {err.strerror}") from err
+        where = f", line {line}" if line else ""
+        raise InputError(f"{path}{where}: {type(err).__name__}: {err}") from err
+    if not isinstance(found, Ode):
+        raise InputError(f"{path} defines no `model`; write model = armrig.Ode(f=…, …)")
+    return found
+
+
+class EquationsProcess:
+    """The process of a model file; the states are 0 at first."""
+
+    def __init__(self, path: Path, outputs: Sequence[str]) -> None:
+        """Start the process; raise InputError if the model has other outputs."""
+        self._path, self._t = path, 0.0
+        program = [sys.executable, "-m", __name__, str(path), str(os.getpid())]
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(program, stdin=pipe, stdout=pipe, start_new_session=True)
+        self.close = finalize(self, _end, self._process)
+        """End the process."""
+        *self.matrices, self.rest = self._answer(_START_S)
+        """A, B and C of small motions about the states 0; and the outputs there."""
+        if len(self.rest) != len(outputs):
+            self.close()
+            raise InputError(
+                f"{path}: output returns {len(self.rest)} values; the rig has {len(outputs)} "
+                f"outputs, {', '.join(outputs)}"
+            )
+
+    def run(self, u: Sequence[float], dt: float) -> NDArray[np.float64]:
+        """Hold each input for dt seconds; return the outputs (N, ny) after each, without rest."""
+        if self._process.stdin is not None:
+            with suppress(BrokenPipeError):  # the process has ended, as its answer says
+                self._process.stdin.write(msgspec.json.encode((u, dt)) + b"\n")
+                self._process.stdin.flush()
+        y = np.array(self._answer(_RUN_S if len(u) > 1 else _ANSWER_S))
+        self._t += len(u) * dt
+        return np.asarray(y - self.rest)
+
+    def _answer(self, limit_s: float) -> list[Any]:
+        out = self._process.stdout
+        if out is None or not select.select([out], [], [], limit_s)[0]:
+            self.close()
+            at = f"from t = {self._t:g} s on"
+            raise OperationError(f"{self._path}: {at} the equations took more than {limit_s:g} s")
+        line = out.readline()
+        answer = msgspec.json.decode(line) if line else f"the process ended after t = {self._t:g} s"
+        if isinstance(answer, str):
+            self.close()
+            raise InputError(f"{self._path}: {answer}")
+        return list(answer)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.communicate()
+
+
+class _Motion:
+    """Motion of the states from 0."""
+
+    def __init__(self, ode: Ode) -> None:
+        self.ode, self.x, self.t, self.step_s = ode, np.zeros((len(ode.states), 1, 1)), 0.0, np.inf
+
+    def linear(self) -> list[Any]:
+        """Return A, B, C of small motions about the states 0, and the outputs there."""
+        n, ode, h = len(self.ode.states), self.ode, 1e-6
+        derivative, p = checked_derivative(ode, (1, 1)), ode.point(**ode.values)
+
+        def at(z: NDArray[np.float64]) -> NDArray[np.float64]:
+            t, x, u = np.zeros((1, 1)), z[:n, None, None].copy(), z[n:, None, None]
+            y = checked_outputs(ode, t, x, u, p, (1, 1))
+            return np.concatenate([derivative(t, x, u, p), y])[:, 0, 0]
+
+        with np.errstate(all="ignore"):
+            slopes = [(at(step) - at(-step)) / (2 * h) for step in h * np.eye(n + 1)]
+            M, rest = np.nan_to_num(slopes).T, at(np.zeros(n + 1))[n:]
+        return [M[:n, :n].tolist(), M[:n, n:].tolist(), M[n:, :n].tolist(), rest.tolist()]
+
+    def held(self, u: float, dt: float) -> list[float]:
+        """Hold an input for a time; return the outputs at its end."""
+        t = self.t + np.array([[0.0], [dt]])
+        course = Course(u=np.full((2, 1, 1), u), t=t, Ts=dt, linear=(False,))
+        steps = max(1, int(np.ceil(dt / self.step_s)))
+        try:
+            with np.errstate(all="ignore"):
+                found = integrated(self.ode, course, self.x, self.ode.values, steps)
+                while steps <= _MAX_STEPS:
+                    coarse = found
+                    found = integrated(self.ode, course, self.x, self.ode.values, 2 * steps)
+                    size = np.abs(found.end) + np.abs(self.x) + _TOLERANCE
+                    if np.all(np.abs(found.end - coarse.end) <= _TOLERANCE * size):
+                        self.x, self.t = found.end, self.t + dt
+                        # Longer at first in the next interval; a short one says nothing.
+                        self.step_s = 2 * dt / steps if steps > 1 else max(self.step_s, dt)
+                        return [float(y) for y in found.y[1, :, 0, 0]]
+                    steps *= 2
+            raise InputError(f"{_MAX_STEPS} steps in {dt:.2g} s do not follow the equations")
+        except InputError as err:
+            state = ", ".join(f"{x:.4g}" for x in self.x.ravel())
+            raise InputError(f"at t = {self.t:.4g} s, x = [{state}], u = {u:.3g} V: {err}") from err
+
+
+def _serve(path: Path, parent: int) -> None:
+    """Answer the requests on standard input until it ends."""
+    leave_fifo()  # the emulator may be at SCHED_FIFO
+    end_with_parent(parent)
+    print(f"executing {path}", file=sys.stderr, flush=True)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # the file may print
+
+    def answer(value: object) -> None:
+        answers.write(msgspec.json.encode(value) + b"\n")
+        answers.flush()
+
+    try:
+        motion = _Motion(load_equations(path))
+        answer(motion.linear())
+        for line in sys.stdin.buffer:
+            u, dt = msgspec.json.decode(line)
+            answer([motion.held(volts, dt) for volts in u])
+    except ValueError as err:
+        answer(str(err).removeprefix(f"{path}: "))
+
+
+if __name__ == "__main__":
+    _serve(Path(sys.argv[1]), int(sys.argv[2]))
