@@ -534,7 +534,6 @@ Table = Annotated[
     Path, option("-o --output PARQUET", "Table to write; an existing table is continued.")
 ]
 _TASKS_PER_WORKER = 2  # one runs, one waits
-_CLUSTER_TASKS = 256  # a cluster may grow
 _MAX_NAMES = 3  # recordings in a message
 
 
@@ -546,9 +545,6 @@ class _Selection:
     kind: list[str] | None = chosen(None, "Kind of experiment to include; repeatable.", "all")
     workers: int | None = chosen(
         None, "Number of processes on this machine.", "one for each core", min=1
-    )
-    scheduler: str | None = chosen(
-        None, "Address of a Dask scheduler whose workers process the recordings.", metavar="ADDRESS"
     )
     force: bool = chosen(False, "Process all recordings again and replace the table.")
     json: Json = False
@@ -629,25 +625,17 @@ def report_each(
 def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> None:
     """Run the task and print the result; exit with 1 after a problem or a failed check."""
     from armrig.report.batch.batch import batch as processed
-    from armrig.report.batch.workers import cluster, processes
+    from armrig.report.batch.workers import processes
 
     results.check_output(output, (), "-o", "a table is a Parquet file", ".parquet")
-    scheduler, workers = selection.scheduler, selection.workers
-    if scheduler is not None and workers is not None:
-        raise typer.BadParameter(
-            "--workers applies to processes on this machine; a Dask cluster has its own workers"
-        )
-    many = workers or os.cpu_count() or 1
-    executor, at_once = partial(processes, many), _TASKS_PER_WORKER * many
-    if scheduler is not None:
-        executor, at_once = partial(cluster, scheduler), _CLUSTER_TASKS
+    many = selection.workers or os.cpu_count() or 1
     with spinner("processing") as count:
         rows, done_before = processed(
             folder.resolve(),
             task,
             output,
-            open_executor=executor,
-            at_once=at_once,
+            open_executor=partial(processes, many),
+            at_once=_TASKS_PER_WORKER * many,
             rigs=tuple(selection.rig or ()),
             kinds=tuple(selection.kind or ()),
             anew=selection.force,

@@ -9,7 +9,6 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, 
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
-    CancelledError,
     Executor,
     Future,
     wait,
@@ -129,11 +128,6 @@ def results(
     if the executor raised one, or if the item was abandoned. If a worker dies, a new executor is
     opened. The executor does not report which item killed the worker. Therefore all items that ran
     when the worker died are repeated, one at a time.
-
-    Raises
-    ------
-    OperationError
-        The executor cancelled its work.
     """
     waiting, alone, deaths = deque(items), deque[T](), Counter[T]()
     while waiting or alone:
@@ -145,10 +139,11 @@ def results(
                     future = workers.submit(function, source[0])
                     running[future] = source.popleft()
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(done, key=lambda f: isinstance(_error(f), BrokenExecutor)):
-                    result = _error(future) or future.result()
-                    if isinstance(result, BrokenExecutor):
-                        raise result
+                for future in sorted(done, key=lambda f: isinstance(f.exception(), BrokenExecutor)):
+                    error = future.exception()
+                    if isinstance(error, BrokenExecutor):
+                        raise error
+                    result = error if isinstance(error, Exception) else future.result()
                     yield running.pop(future), result
         left = [*running.values()]
         if len(left) == 1:
@@ -157,16 +152,6 @@ def results(
                 text = f"its process died {MOST_DEATHS} times: it was killed or ran out of memory"
                 yield left.pop(), RuntimeError(text)
         alone.extend(left)
-
-
-def _error(future: Future[Any]) -> Exception | None:
-    try:
-        return future.exception()  # type: ignore[return-value]  # of a worker: no BaseException
-    except CancelledError as err:
-        msg = "the cluster dropped its work: its scheduler or all workers are gone. Results so far "
-        raise OperationError(
-            f"{msg}are kept, and the same command continues from these results"
-        ) from err
 
 
 def header_of(

@@ -1,8 +1,7 @@
-"""Executors for a batch: processes on this machine, or a Dask cluster."""
+"""Worker processes of a batch."""
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import os
 import signal
@@ -10,12 +9,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import Any
-
-from armrig_core.errors import OperationError
-from armrig_core.process.imports import imported
-
-_CONNECT_TIMEOUT_S = 10.0
 
 
 @contextmanager
@@ -38,35 +31,6 @@ def processes(count: int) -> Iterator[Executor]:
         raise
     finally:
         executor.shutdown(wait=True, cancel_futures=True)
-
-
-@contextmanager
-def cluster(address: str) -> Iterator[Executor]:
-    """Yield an executor of a Dask cluster; its workers need armrig and access to the same folders.
-
-    Raises
-    ------
-    ImportError
-        dask.distributed is not installed.
-    OperationError
-        No scheduler answers.
-    """
-    distributed = imported("distributed", "dask")
-    # distributed logs a traceback for each lost connection. It raises serious failures anyway.
-    logging.disable(logging.CRITICAL)
-    try:
-        with _connected(distributed, address) as client:
-            yield client.get_executor(pure=False)
-    finally:
-        logging.disable(logging.NOTSET)
-
-
-def _connected(distributed: Any, address: str) -> Any:
-    try:
-        return distributed.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as err:
-        msg = f"--scheduler {address}: no Dask scheduler answers; `dask scheduler` starts one and "
-        raise OperationError(f"{msg}prints its address, such as tcp://127.0.0.1:8786") from err
 
 
 def begin_worker() -> None:
