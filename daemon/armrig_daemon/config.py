@@ -17,12 +17,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
+from armrig_core.access.client_settings import ClientSettings
 from armrig_core.access.emulator_socket import socket_path
 from armrig_core.access.endpoint import anchored, check_listen, network_address
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.process.printable import printable
-from armrig_core.process.toml_file import convert, toml_tables
+from armrig_core.process.toml_file import Table, convert, toml_tables
 from armrig_core.recording_file.recording_directory import SYSTEM, installed, of_rig
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import tables_of
@@ -67,10 +68,6 @@ EX_CONFIG = 78
 _OTHER_VARIABLES = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA", HARNESS}
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
-
-
-class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table of the TOML file."""
 
 
 class Rig(Table, frozen=True, kw_only=True):
@@ -228,15 +225,6 @@ class Access(Table, frozen=True, kw_only=True):
             )
 
 
-class Client(Table, frozen=True, kw_only=True):
-    """`[client]`: the daemon to which `armrig` connects; the daemon itself ignores this table."""
-
-    connect: str = ""
-    """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: the local daemon."""
-    certificate: str = ""
-    """File with your key and certificates for tls/, from `armrig pki operator` or `observer`."""
-
-
 class Config(Table, frozen=True, kw_only=True):
     """The whole configuration."""
 
@@ -247,7 +235,7 @@ class Config(Table, frozen=True, kw_only=True):
     arm: ArmSettings = ArmSettings()
     recording: Recording = Recording()
     access: Access = Access()
-    client: Client = Client()
+    client: ClientSettings = ClientSettings()
     calibration: Calibration = Calibration()
     """`[calibration]`: conversion of readings to angles and of codes to volts, by file or keys."""
     emulator: EmulatorSettings = EmulatorSettings()

@@ -311,24 +311,18 @@ def greeting(port: str, baud: int, within_s: float = WITHIN_S) -> HelloReply | N
     Raises OperationError if the port cannot be opened, or was removed.
     """
     until_s = time.monotonic() + within_s
-    with _opened(port, baud) as line:
-        pending, seq = b"", 0
-        while time.monotonic() < until_s:
-            line.write(b"\0" + encode(Hello(0, seq, VERSION, SCHEMA_HASH)))
-            seq += 1
-            repeat_s = time.monotonic() + _REPEAT_S
-            while time.monotonic() < repeat_s:
-                pending, messages = feed(pending, line.read(1) + line.read(line.in_waiting))
-                for message in messages:
-                    if isinstance(message, HelloReply):
-                        return message
-    return None
-
-
-@contextmanager
-def _opened(port: str, baud: int) -> Iterator[serial.Serial]:
     try:
         with serial.Serial(port, baudrate=baud, timeout=0.02, write_timeout=1.0) as line:
-            yield line
+            pending, seq = b"", 0
+            while time.monotonic() < until_s:
+                line.write(b"\0" + encode(Hello(0, seq, VERSION, SCHEMA_HASH)))
+                seq += 1
+                repeat_s = time.monotonic() + _REPEAT_S
+                while time.monotonic() < repeat_s:
+                    pending, messages = feed(pending, line.read(1) + line.read(line.in_waiting))
+                    for message in messages:
+                        if isinstance(message, HelloReply):
+                            return message
     except (OSError, ValueError) as err:  # also SerialException, if the board is unplugged
         raise OperationError(f"{port}: {' '.join(str(err).split())}") from err
+    return None

@@ -77,17 +77,13 @@ def governors(root: Path) -> list[str]:
 
 def virtual(root: Path) -> bool:
     """Return True if the processors report a hypervisor."""
-    return re.search(r"^flags\s*:.*\bhypervisor\b", cpuinfo(root), re.MULTILINE) is not None
+    cpuinfo = text(root / "proc/cpuinfo")
+    return re.search(r"^flags\s*:.*\bhypervisor\b", cpuinfo, re.MULTILINE) is not None
 
 
 def load(root: Path) -> float:
     """Return the mean load of the last minute; NaN if the system does not report it."""
     return float((text(root / "proc/loadavg").split() or ["nan"])[0])
-
-
-def cpuinfo(root: Path) -> str:
-    """Return the kernel's description of the processors."""
-    return text(root / "proc/cpuinfo")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

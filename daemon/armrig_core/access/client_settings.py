@@ -11,18 +11,18 @@ import msgspec
 from armrig_core.access.endpoint import anchored
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT
-from armrig_core.process.toml_file import convert, read_toml
+from armrig_core.process.toml_file import Table, convert, read_toml
 
 _PREFIX = "ARMRIG_CLIENT_"
 
 
-class ClientSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The configured values; a value that is not configured is empty."""
+class ClientSettings(Table, frozen=True, kw_only=True):
+    """`[client]`: the daemon to which `armrig` connects; the daemon itself ignores this table."""
 
     connect: str = ""
-    """Endpoint of the daemon."""
+    """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: the local daemon."""
     certificate: str = ""
-    """Path of a credential's file."""
+    """File with your key and certificates for tls/, from `armrig pki operator` or `observer`."""
 
 
 def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> ClientSettings:

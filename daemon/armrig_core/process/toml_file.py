@@ -19,7 +19,10 @@ _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
 # Only from the start of a part, so that the time is not that of each character of a long word.
 _DEEP_KEY = re.compile(rf"(?<![\\\w-])(?:{_PART}[ \t]*\.[ \t]*){{{_MAX_KEY_PARTS}}}{_PART}")
 T = TypeVar("T", bound=msgspec.Struct)
-Table = dict[str, Any]
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of a TOML file."""
 
 
 def read_toml(path: Path, most: int) -> dict[str, Any]:
@@ -64,7 +67,7 @@ def _check_depth(tables: dict[str, Any]) -> None:
     raise FileError(f"nested too deeply: at most {_MAX_LEVELS} levels are read")
 
 
-def convert(table: Table, kind: type[T]) -> T:
+def convert(table: dict[str, Any], kind: type[T]) -> T:
     """Return the table as a value of the type `kind`, with each key checked.
 
     Raises InputError if a key is unknown, or a value has a wrong type or is out of its range.
@@ -75,7 +78,7 @@ def convert(table: Table, kind: type[T]) -> T:
         raise InputError(_explain(str(err), table, kind)) from err
 
 
-def _explain(message: str, table: Table, kind: type[msgspec.Struct]) -> str:
+def _explain(message: str, table: dict[str, Any], kind: type[msgspec.Struct]) -> str:
     text, _, place = message.partition(" - at `$")
     keys = [key for key in place.strip("`.").split(".") if key and key != "[...]"]
     came, expected, name = _at(table, keys), _kind_at(kind, keys), ".".join(keys)

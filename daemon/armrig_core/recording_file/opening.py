@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from armrig_core.process.bounded import opened
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC
@@ -68,14 +69,6 @@ def _is_own(link: Path) -> bool:
 def no_link(path: str, flags: int) -> int:
     """Open an untrusted file, but no link; use this function as the `opener` of `open`."""
     return opened(path, flags | getattr(os, "O_NOFOLLOW", 0))
-
-
-def opened(path: str, flags: int) -> int:
-    """Open an untrusted file; use this function as the `opener` of `open`."""
-    # O_NONBLOCK: do not wait until somebody writes to a pipe. Of these flags Windows has only
-    # O_BINARY; without this flag, Windows changes line ends.
-    more = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY")
-    return os.open(path, flags | sum(getattr(os, name, 0) for name in more))
 
 
 def lock(file: IO[bytes]) -> None:

@@ -16,7 +16,7 @@ from msgspec import Meta
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.printable import printable
-from armrig_core.process.toml_file import convert, toml_tables
+from armrig_core.process.toml_file import Table, convert, toml_tables
 from armrig_core.rig.calibration import BODY, CALIBRATED, ArmModel
 from armrig_core.rig.channels import (
     MAX_CHANNELS,
@@ -73,11 +73,7 @@ def check_turns(key: str, turns: float) -> None:
         raise InputError(f"{key} = {turns} must be a whole number of hundredths")
 
 
-class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table of the file."""
-
-
-class RigTable(_Table, frozen=True, kw_only=True):
+class RigTable(Table, frozen=True, kw_only=True):
     """`[rig]`: the names of the rig, and its firmware."""
 
     name: str
@@ -95,7 +91,7 @@ class RigTable(_Table, frozen=True, kw_only=True):
             raise InputError(f"image = {self.image!r}: allowed are {', '.join(IMAGES)}")
 
 
-class Input(_Table, frozen=True, kw_only=True):
+class Input(Table, frozen=True, kw_only=True):
     """`[input]`: the input as people call it; commands and files have it in V."""
 
     name: str = "u"
@@ -113,7 +109,7 @@ class Input(_Table, frozen=True, kw_only=True):
             raise InputError(f"per_volt = {self.per_volt!r} must be finite and not 0")
 
 
-class Output(_Table, frozen=True, kw_only=True):
+class Output(Table, frozen=True, kw_only=True):
     """`[outputs.NAME]`: an output of the rig, in the order of the device's channels."""
 
     unit: str
@@ -199,7 +195,7 @@ class Output(_Table, frozen=True, kw_only=True):
         return self.conversion.value(counts)
 
 
-class Model(_Table, frozen=True, kw_only=True):
+class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[model]`: what the emulator and the rehearsal simulate, by matrices, by file or by kind.
 
     x' = A x + B u(t - delay_s), y = C x + offset, with u in V and y in the units of the outputs.

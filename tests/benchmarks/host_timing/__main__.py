@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from armrig.lab.host import cpuinfo, governors, granted, load, preemption, text, virtual
+from armrig.lab.host import governors, granted, load, preemption, text, virtual
 from armrig_core.errors import ArmrigError
 from rich.console import Console
 
@@ -45,7 +45,8 @@ def main(
 
 def machine(seconds: float, root: Path = Path("/")) -> Iterator[str]:
     """Yield lines that describe the machine and the measurement."""
-    model = re.search(r"^(?:model name|Model)\s*:\s*(.+)$", cpuinfo(root), re.MULTILINE)
+    cpuinfo = text(root / "proc/cpuinfo")
+    model = re.search(r"^(?:model name|Model)\s*:\s*(.+)$", cpuinfo, re.MULTILINE)
     cpus = f"{len(os.sched_getaffinity(0))} to use{', virtual' if virtual(root) else ''}"
     governor = ", ".join(governors(root)) or "none: the kernel scales no frequency"
     yield f"kernel      {text(root / 'proc/sys/kernel/osrelease')}, preemption {preemption(root)}"

@@ -44,9 +44,9 @@ def test_each_unfinished_file_is_recovered_or_reported_independently(tmp_path: P
         left_over.join(30)
 
     lines = list(left_over.lines())
-    assert [line.level for line in lines] == ["warning", "warning", "info"]
+    assert [line[0] for line in lines] == ["warning", "warning", "info"]
     for line, text in zip(lines, ("not a regular", "0 B", f"recovered, {N} samples"), strict=True):
-        assert text in line.text
+        assert text in line[1]
     assert len(changed) == len(lines)
     assert _names(tmp_path) == [
         *("1-a.mcap.active", "1-b.mcap.active", "1-d.mcap.active", "1-e.mcap", "2-c.mcap.active")
@@ -87,7 +87,7 @@ def test_a_file_name_of_arbitrary_bytes_is_reported_as_text(tmp_path: Path) -> N
     left_over.join(30)
 
     (line,) = left_over.lines()
-    assert "1-\N{REPLACEMENT CHARACTER}.mcap.active" in line.text
+    assert "1-\N{REPLACEMENT CHARACTER}.mcap.active" in line[1]
 
 
 def test_an_unexpected_error_in_one_file_does_not_stop_the_recovery_of_others(
@@ -111,10 +111,10 @@ def test_an_unexpected_error_in_one_file_does_not_stop_the_recovery_of_others(
     left_over.join(30)
 
     first, second = left_over.lines()
-    assert first.level == "error"
-    assert "unexpected" in first.text
-    assert second.level == "info"
-    assert f"{tmp_path}/1-b.mcap: recovered, {N} samples, 0.3 s of 0.3 s" in second.text
+    assert first[0] == "error"
+    assert "unexpected" in first[1]
+    assert second[0] == "info"
+    assert f"{tmp_path}/1-b.mcap: recovered, {N} samples, 0.3 s of 0.3 s" in second[1]
     assert _names(tmp_path) == ["1-a.mcap.active", "1-b.mcap"]
 
 
@@ -131,7 +131,7 @@ def test_an_incomplete_copy_is_removed_unless_it_is_locked(tmp_path: Path) -> No
 
     assert _names(tmp_path) == ["1-a.part-0001.mcap", "1-b.mcap.compact", "1-c.mcap.compact"]
     (line,) = left_over.lines()
-    assert line.text == f"{whole}.compact: incomplete copy of a complete recording, removed"
+    assert line[1] == f"{whole}.compact: incomplete copy of a complete recording, removed"
 
 
 def test_the_oldest_runs_are_removed_if_the_total_size_exceeds_its_limit(tmp_path: Path) -> None:
@@ -149,6 +149,6 @@ def test_the_oldest_runs_are_removed_if_the_total_size_exceeds_its_limit(tmp_pat
 
     assert said.wait(30)
     (line,) = left_over.lines()
-    assert line.level == "info"
-    assert f"the recordings of rig 1 take more than {most_gb:g} GB" in line.text
+    assert line[0] == "info"
+    assert f"the recordings of rig 1 take more than {most_gb:g} GB" in line[1]
     assert _names(tmp_path) == ["1-b.mcap", "1-c.mcap"]

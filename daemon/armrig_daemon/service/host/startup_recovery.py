@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 from armrig_core.recording_file.recovery import Recovery, sentence
 from armrig_core.recording_file.retention import Retention
@@ -28,13 +27,6 @@ from armrig_core.recording_file.unfinished import (
 from armrig_daemon.config import Recording
 
 _RETENTION_PERIOD_S = 3600.0
-
-
-class Line(NamedTuple):
-    """Line of the log about a file."""
-
-    level: str
-    text: str
 
 
 class StartupRecovery:
@@ -51,7 +43,7 @@ class StartupRecovery:
         self._directory = directory
         self._rig = rig
         self._changed = changed
-        self._lines: queue.SimpleQueue[Line] = queue.SimpleQueue()
+        self._lines: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
         self._may_go_on = threading.Event()
         self._may_go_on.set()
         self._is_due = threading.Event()
@@ -78,8 +70,8 @@ class StartupRecovery:
         """Continue after a pause."""
         self._may_go_on.set()
 
-    def lines(self) -> Iterator[Line]:
-        """Yield the lines for the log that are new since the last call."""
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Yield level and text of the lines for the log that are new since the last call."""
         while not self._lines.empty():
             yield self._lines.get()
 
@@ -97,9 +89,9 @@ class StartupRecovery:
             self._breath()
             try:
                 for is_removed, text in self._retention.apply(time.time()):
-                    self._tell(Line("info" if is_removed else "warning", text))
+                    self._tell("info" if is_removed else "warning", text)
             except Exception as err:  # the next attempt may succeed
-                self._tell(Line("error", f"recordings are kept longer than configured: {err!r}"))
+                self._tell("error", f"recordings are kept longer than configured: {err!r}")
             self._is_due.wait(_RETENTION_PERIOD_S)
 
     def _recover(self) -> None:
@@ -112,18 +104,18 @@ class StartupRecovery:
         )
         for path in unfinished(self._directory, self._rig):
             try:
-                line = Line("info", sentence(recovery.recover(path)))
+                line = "info", sentence(recovery.recover(path))
             except NotOursError:
                 continue
             except RecoveryError as err:
-                line = Line("warning", str(err))
+                line = "warning", str(err)
             except Exception as err:  # one file must not prevent the recovery of the others
-                line = Line("error", f"{path}: {err!r}; the file stays as it is")
-            self._tell(line)
+                line = "error", f"{path}: {err!r}; the file stays as it is"
+            self._tell(*line)
         for path in remove_copies(self._directory, self._rig, os.geteuid()):
-            self._tell(Line("info", f"{path}: incomplete copy of a complete recording, removed"))
+            self._tell("info", f"{path}: incomplete copy of a complete recording, removed")
 
-    def _tell(self, line: Line) -> None:
+    def _tell(self, level: str, text: str) -> None:
         # A path may have any bytes, a message is UTF-8.
-        self._lines.put(Line(line.level, os.fsencode(line.text).decode(errors="replace")))
+        self._lines.put((level, os.fsencode(text).decode(errors="replace")))
         self._changed()
