@@ -246,9 +246,8 @@ def _planned(
         both = integration(as_dataset(whole), mark).undecided
         poles = (False, True) if both else (decided.integrates,)
         if families is None:
-            open_loop = not known.closed
             rows = [(name, row) for name, row in OFFERED.items() if row.searched]
-            families = [name for name, row in rows if open_loop or row.closed_loop]
+            families = [name for name, row in rows if row.closed_loop or not known.closed]
         offered = several_of("families", families, _SEARCHABLE)
         if not decided.integrates:
             offset, notes = _offset(data, as_dataset(validation), offset, offered)

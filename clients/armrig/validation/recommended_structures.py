@@ -99,6 +99,11 @@ class Fitted:
         F = np.append(1.0, self.f)
         return np.convolve(F, [1.0, -1.0]) if self.structure.integrator else F
 
+    def G(self, omega: Vector, Ts: float) -> NDArray[np.complex128]:
+        """Return the frequency response."""
+        z = np.exp(-1j * omega * Ts)
+        return np.asarray(np.polyval(self.B[::-1], z) / np.polyval(self.F[::-1], z))
+
     def residuals(self) -> list[Vector]:
         """Return the residuals of each experiment, NaN if unknown."""
         found = self.problem.solve(self.f)
@@ -150,29 +155,10 @@ class _Record:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recommendation:
-    """The recommended structures, and the model of the first structure."""
-
-    structures: tuple[Recommended, ...]
-    """Structures, best first."""
-    shown: bool
-    """True if the description length confirms the decision on the integrator."""
-    B: Vector
-    """Numerator of the model, from lag 0 on."""
-    F: Vector
-    """Denominator of the model."""
-
-    def G(self, omega: Vector, Ts: float) -> NDArray[np.complex128]:
-        """Return the model's frequency response."""
-        z = np.exp(-1j * omega * Ts)
-        return np.asarray(np.polyval(self.B[::-1], z) / np.polyval(self.F[::-1], z))
-
-
 def recommended(
     data: Dataset, lags: Iterable[int], *, integrates: bool, decide: bool
-) -> Recommendation:
-    """Return at most three structures, from signals that are filtered to whiten the noise.
+) -> tuple[list[Fitted], bool]:
+    """Return at most three models, best first, and whether the data decide on the integrator.
 
     An autoregression 1/D describes the residuals of a first model, so that the noise of the
     filtered signals D u and D y is white. The output-error estimate then maximises the likelihood,
@@ -199,13 +185,12 @@ def recommended(
     if C.size > 1:
         scans = [_refined(record.filtered(np.convolve(D, C)), s) for s in scans]
     ranked = _joined(scans)
-    best = ranked[0]
     other = min((m.bits for m in ranked if m.structure.integrator != integrates), default=np.inf)
-    shown = other - best.bits >= BARE
-    chosen = [m.structure for m in _chosen(scans, shown=shown)]
+    shown = other - ranked[0].bits >= BARE
+    chosen = _chosen(scans, shown=shown)
     if not shown:
-        chosen[:2] = sorted(chosen[:2], key=lambda s: s.integrator != integrates)
-    return Recommendation(structures=tuple(chosen), shown=shown, B=best.B, F=best.F)
+        chosen[:2] = sorted(chosen[:2], key=lambda m: m.structure.integrator != integrates)
+    return chosen, shown
 
 
 def _chosen(scans: list[list[Fitted]], *, shown: bool) -> list[Fitted]:

@@ -31,7 +31,7 @@ from armrig.validation.data_advice import poor_input
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
-from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
+from armrig.validation.recommended_structures import Fitted, Recommended, recommended
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 SURE = 3.0  # standard deviations by which |G| at an extreme must differ from |G| at its bases
@@ -217,22 +217,22 @@ def structure_hints(
     rate = spa(data, "log", integrator=True).rate()
     slope, low = low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
-    best = recommended(data, lags, integrates=integrates, decide=decided.undecided)
-    first = best.structures[0]
+    models, shown = recommended(data, lags, integrates=integrates, decide=decided.undecided)
+    best, first = models[0], models[0].structure
     integrates, nk = first.integrator, first.nk
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
     believed = _believed(spectrum, needed=late is None)
     response = long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1))
-    order = int(np.count_nonzero(values > threshold)) + (integrates and best.shown)
+    order = int(np.count_nonzero(values > threshold)) + (integrates and shown)
     high = spectrum.omega[high_band(spectrum, believed)]
     fall = high_slope(spectrum, believed)
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
     return StructureHints(
-        structures=best.structures,
+        structures=tuple(model.structure for model in models),
         integrator=integrates,
-        integrator_shown=best.shown,
+        integrator_shown=shown,
         low_slope=_agreed(slope - 20, best, low, data.Ts),
         flat=_is_flat(best, data.Ts),
         high_slope=_agreed(fall, best, high, data.Ts),
@@ -261,15 +261,15 @@ def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
         return np.zeros(0, dtype=np.int_)
 
 
-def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
+def _agreed(slope: float, best: Fitted, omega: Vector, Ts: float) -> float | None:
     """Return `slope` if the slope of the first structure at `omega` is nearly equal, else None."""
     other = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
 
-def _is_flat(best: Recommendation, Ts: float) -> bool:
+def _is_flat(best: Fitted, Ts: float) -> bool:
     """Return whether the gain of the first structure is constant a decade below its poles."""
-    integrator = best.structures[0].integrator
+    integrator = best.structure.integrator
     with np.errstate(divide="ignore"):
         rates = np.sort(np.abs(np.log(np.roots(best.F).astype(np.complex128))))[int(integrator) :]
     if not rates.size or rates[0] < _ROUNDING:  # a pole at 1 that may be a slow one
@@ -279,7 +279,7 @@ def _is_flat(best: Recommendation, Ts: float) -> bool:
 
 
 def _confirmed(
-    found: tuple[float, ...], best: Recommendation, Ts: float, *, dips: bool
+    found: tuple[float, ...], best: Fitted, Ts: float, *, dips: bool
 ) -> tuple[float, ...]:
     """Return the extremes near which the first structure has complex roots or an extreme."""
     roots = np.roots(np.trim_zeros(best.B, "f")) if dips else np.roots(best.F)
@@ -288,7 +288,7 @@ def _confirmed(
     def extreme(w: float) -> bool:
         near = w * np.linspace(1 - AGREED_PEAK, 1 + AGREED_PEAK, 50)
         G = np.abs(best.G(near, Ts))
-        if best.structures[0].integrator:
+        if best.structure.integrator:
             G *= np.abs(1 - np.exp(-1j * near * Ts))
         return 0 < int(np.argmin(G) if dips else np.argmax(G)) < near.size - 1
 

@@ -14,7 +14,7 @@ from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
 from armrig.validation.model_search import _ranked
-from armrig.validation.recommended_structures import Recommendation, Recommended, _busiest
+from armrig.validation.recommended_structures import Fitted, Recommended, _busiest
 from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
 from armrig.validation.structure_hints import _agreed, _confirmed
 
@@ -163,14 +163,16 @@ def test_of_equally_good_simulations_the_best_predictor_is_chosen(rate: float, c
     assert (told in found.reasons) == (index == 0)
 
 
-def recommendation(B: Any, F: Any, *, integrator: bool = False) -> Recommendation:
-    s = Recommended(nb=1, nf=1, nk=1, integrator=integrator)
-    return Recommendation(structures=(s,), shown=True, B=np.array(B, float), F=np.array(F, float))
+def fitted(B: Any, F: Any, *, integrator: bool = False) -> Fitted:
+    """Return a model of nk = 0; F is without the integrator."""
+    problem: Any = SimpleNamespace(solve=lambda _: SimpleNamespace(ab=np.array(B)))
+    s = Recommended(nb=1, nf=1, nk=0, integrator=integrator)
+    return Fitted(structure=s, problem=problem, f=np.array(F[1:]), cost=1.0, past=0, N=1)
 
 
 def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
     """An integrator of Ts 0.01 s: -20 dB a decade at 1 to 3 rad/s."""
-    best, omega = recommendation([0, 0.01], [1, -1]), np.array([1.0, 2.0, 3.0])
+    best, omega = fitted([0, 0.01], [1.0], integrator=True), np.array([1.0, 2.0, 3.0])
 
     assert _agreed(-17.1, best, omega, 0.01) == -17.1
     assert _agreed(-22.9, best, omega, 0.01) == -22.9
@@ -182,9 +184,8 @@ def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
 @pytest.mark.parametrize("integrator", [False, True])
 def test_an_extreme_is_reported_if_the_model_has_roots_within_12_percent(integrator: bool) -> None:
     poles, zeros = (np.exp(w * 0.01 * 1j) * r for w, r in ((20.0, 0.99), (40.0, 0.995)))
-    B = np.real(np.poly([zeros, zeros.conjugate()]))
-    F = np.real(np.poly([poles, poles.conjugate(), *([1.0] if integrator else [])]))
-    best = recommendation([0, 0, *B], F, integrator=integrator)
+    B, F = (np.real(np.poly([z, z.conjugate()])) for z in (zeros, poles))
+    best = fitted([0, 0, *B], F, integrator=integrator)
 
     assert _confirmed((20.0, 22.2, 26.0, 40.0), best, 0.01, dips=False) == (20.0, 22.2)
     assert _confirmed((40.0, 36.0, 20.0), best, 0.01, dips=True) == (40.0, 36.0)
@@ -213,5 +214,4 @@ def test_the_coordinates_of_the_state_do_not_count_as_parameters(direct: bool, f
     )
 
     assert free_parameters(fit) == free
-    oe: Any = SimpleNamespace(structure="oe", theta=np.zeros(7), ny=2, nu=1)
-    assert free_parameters(oe) == 7
+    assert free_parameters(SimpleNamespace(structure="oe", theta=np.zeros(7), ny=2, nu=1)) == 7  # type: ignore[arg-type]

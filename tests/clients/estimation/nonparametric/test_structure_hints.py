@@ -238,9 +238,9 @@ def test_experiments_that_are_too_short_are_refused() -> None:
 
 @pytest.mark.exhaustive
 def test_many_short_experiments_show_the_true_structure() -> None:
-    found = recommended(short_experiments(10, 60), [0, 1, 2], integrates=False, decide=False)
+    models, _ = recommended(short_experiments(10, 60), [0, 1, 2], integrates=False, decide=False)
 
-    first = found.structures[0]
+    first = models[0].structure
     assert (first.nb, first.nf, first.nk) == (2, 2, 1)
 
 
