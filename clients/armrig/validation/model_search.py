@@ -37,6 +37,7 @@ _ALWAYS_TRIED = 5  # highest default order that does not depend on the models of
 _MAX_PROCESSES = 3  # process models that the other models suggest, with 1 to 3 time constants
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
+_SAME_LOSS = 1e-6  # share of a loss by which searches that end in the same minimum may differ
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of u in the data
 _MIN_BATCHES = 7  # fewest batches for a standard error
@@ -441,8 +442,9 @@ def _compared(errors: list[Vector], judged: Dataset | Signals) -> tuple[Vector, 
     while (K := means.shape[1]) >= _MIN_BATCHES * 2:
         means = means[:, : K // 2 * 2].reshape(len(means), -1, 2).mean(axis=2)
         std_of_mean = np.maximum(std_of_mean, standard_error(means))
-    rounding = _ROUNDING**2 * float(np.nanmean((y / std) ** 2))
-    return squared.mean(axis=1), difference.mean(axis=1), np.maximum(std_of_mean, rounding)
+    loss, rounding = squared.mean(axis=1), _ROUNDING**2 * float(np.nanmean((y / std) ** 2))
+    least_std = max(rounding, _SAME_LOSS * float(loss.min()))
+    return loss, difference.mean(axis=1), np.maximum(std_of_mean, least_std)
 
 
 def _estimation_and_validation(
