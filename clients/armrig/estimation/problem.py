@@ -23,7 +23,7 @@ from armrig.models.innovations import (
 from armrig.models.structure import Structure
 from armrig.numerics.covariance import spread, spread_apart
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.levenberg_marquardt import MAX_STEPS, Jacobian, Optimum, levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import Jacobian, Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import (
     INSIDE_MODULUS,
     Array,
@@ -160,8 +160,8 @@ class PolynomialProblem:
     layout: Layout = field(init=False)
     """Places of the coefficients."""
     projects: bool = field(init=False)
-    """True if `projection` applies: one experiment of one input and one output, without A, gaps,
-    an integrator, an offset and a combination."""
+    """True if `projection` applies: one experiment of one input and one output, without gaps, an
+    integrator, an offset and a combination."""
 
     def __post_init__(self) -> None:
         """Find the places of the coefficients."""
@@ -169,7 +169,7 @@ class PolynomialProblem:
         layout = _layout(self.rows, gaps and any(n.na for n in self.rows))
         n = self.rows[0]
         single = len(self.rows) == len(self.experiments) == len(n.nb) == 1
-        projects = single and self.experiments[0][0].whole and n.na == n.trend == 0
+        projects = single and self.experiments[0][0].whole and n.trend == 0
         object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
         free = self.combination is None
         object.__setattr__(self, "projects", projects and free)
@@ -405,23 +405,11 @@ class PolynomialProblem:
             changes.append(total)
         return changes
 
-    def minimise(
-        self,
-        theta: Array,
-        most: int = MAX_STEPS,
-        known: float = np.nan,
-        target: float = np.inf,
-    ) -> Optimum:
+    def minimise(self, theta: Array, **limits: Any) -> Optimum:
         """Return the minimum that a search from theta reaches with stable C and F."""
         circle = self.circle
         return levenberg_marquardt(
-            self._linearise_lazily,
-            theta,
-            admissible=circle.admits,
-            most=most,
-            known=known,
-            target=target,
-            walls=circle,
+            self._linearise_lazily, theta, admissible=circle.admits, walls=circle, **limits
         )
 
     @property
@@ -439,27 +427,26 @@ class UnitCircle:
 
     def admits(self, theta: Array) -> bool:
         """Return whether all roots are inside the circle."""
-        return self._within(1.0, theta)
+        return not self._outside(1.0, theta)
 
-    def _within(self, radius: float, theta: Array) -> bool:
+    def _outside(self, radius: float, theta: Array) -> list[slice]:
+        """Return the slices of the polynomials with a root whose modulus is not below `radius`."""
         a = theta.tolist()
-        return all(stable([1.0, *a[part]], radius) for part in self.parts)
+        return [part for part in self.parts if not stable([1.0, *a[part]], radius)]
 
     def inside(self, theta: Array, previous: Array) -> Array:
         """Move the roots that are outside the circle inside; return theta."""
-        if self._within(INSIDE_MODULUS, theta):
+        if not (outside := self._outside(INSIDE_MODULUS, theta)):
             return theta
         theta = theta.copy()
-        for part in self.parts:
+        for part in outside:
             theta[part] = drawn_to_edge(monic(theta[part]), monic(previous[part]))[1:]
         return theta
 
     def normals(self, theta: Array) -> Array:
         """Return the gradient d|z|/dtheta for each root z on the circle."""
         found = [np.zeros((0, theta.size))]
-        if self._within(INSIDE_MODULUS, theta):
-            return found[0]
-        for part in self.parts:
+        for part in self._outside(INSIDE_MODULUS, theta):
             rows = outward_normals(monic(theta[part]))
             whole = np.zeros((len(rows), theta.size))
             whole[:, part] = rows

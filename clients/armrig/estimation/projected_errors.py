@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dgeqrf, dormqr
 
 from armrig.models.innovations import Experiment, response
 from armrig.models.structure import Structure
-from armrig.numerics.polynomial import Array, filtered, shift_into
+from armrig.numerics.polynomial import Array, filtered, monic, shift_into
 
 # A longer response would contain many denormal numbers, which make a processor ten times slower.
 _MAX_WHOLE_RESPONSE = 1024  # samples
@@ -34,7 +34,7 @@ class Projection:
     D: Array
     F: Array
     W: Array
-    """Effects of z, of x and of B, and the signal D/C y, (N, d + 1)."""
+    """Effects of z, of x, of A and of B, and the signal D/C y, (N, d + 1)."""
     by_input: Array
     """Signal u/(C F), (N,)."""
     by_pulse: Array
@@ -58,10 +58,10 @@ class Projection:
 
     def J(self) -> Array:
         """Return the Jacobian multiplied by Q^T, (N - d, n)."""
-        n, d, N = self.n, self.R.shape[0] - 1, self.x.y.size
+        n, N = self.n, self.x.y.size
+        pulses, begin, first, d = _ends(n)
         solution = np.linalg.solve(self.R[:d, :d], self.R[:d, d])
-        first = d - n.nb[0]
-        state = solution[_pulses(n) : first]
+        state, a = solution[pulses:begin], solution[begin:first]
         # The response B/F u from the estimated state, filtered by 1/C.
         driven = np.convolve(np.append(np.zeros(n.nk[0]), solution[first:]), self.by_input)[:N]
         if state.size:
@@ -72,8 +72,9 @@ class Projection:
             e = self.W[:, d] - self.W[:, :d] @ solution
             shift_into(Psi[:, : n.nc], filtered([1.0], self.C, e))
         if n.nd:
-            shift_into(Psi[:, n.nc : n.nc + n.nd], driven - self.by_output)
-            driven = np.convolve(self.D, driven)[:N]
+            v = np.convolve(monic(a), self.by_output)[:N] if n.na else self.by_output
+            shift_into(Psi[:, n.nc : n.nc + n.nd], driven - v)
+            driven = _times(self.D, driven)[:N]
         if n.nf[0]:
             shift_into(Psi[:, n.nc + n.nd :], filtered([-1.0], self.F, driven))
         Psi, *_ = dormqr("L", "T", self.reflectors, self.tau, Psi, 64 * Psi.shape[1], overwrite_c=1)
@@ -82,18 +83,18 @@ class Projection:
 
 def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> Projection | None:
     """Return the decomposition, or None if the linear parameters are nearly dependent."""
-    N, CF = x.y.size, np.convolve(C, F)
-    pulses, state = _pulses(n), _pulses(n) + n.counts[0]
-    d = state + n.nb[0]
+    N, CF = x.y.size, _times(C, F)
+    pulses, begin, first, d = _ends(n)
     if d >= N:
         return None
     by_input, by_pulse = _with_response(CF, x.u[:, 0])
     by_output, by_past = _with_response(C, x.y) if n.nc else (x.y, x.y)
     W = np.zeros((N, d + 1), order="F")
     shift_into(W[:, :pulses], by_past, 0)
-    shift_into(W[:, pulses:state], np.convolve(D, by_pulse), 0)
-    shift_into(W[:, state:d], np.convolve(D, by_input), n.nk[0])
-    W[:, d] = np.convolve(D, by_output)[:N]
+    shift_into(W[:, pulses:begin], _times(D, by_pulse), 0)
+    W[:, d] = _times(D, by_output)[:N]
+    shift_into(W[:, begin:first], -W[:, d])
+    shift_into(W[:, first:d], _times(D, by_input), n.nk[0])
     reflectors, tau, *_ = dgeqrf(W)
     R = reflectors[: d + 1] * _upper(d + 1)
     norms = np.sqrt(np.einsum("ij,ij->j", R, R))
@@ -125,10 +126,17 @@ def _with_response(P: Array, x: Array) -> tuple[Array, Array]:
     return found, pulse
 
 
+def _times(P: Array, x: Array) -> Array:
+    """Return the product of the polynomials P and x; a leading 1 alone is no factor."""
+    return x if P.size == 1 else np.convolve(P, x)
+
+
 @lru_cache
-def _pulses(n: Structure) -> int:
-    """Return the number of pulses z at the start of the data."""
-    return n.forgotten(0) if n.nc else 0
+def _ends(n: Structure) -> tuple[int, int, int, int]:
+    """Return the ends of the pulses z, of x, of A and of B in the linear parameters."""
+    pulses = n.forgotten(0) if n.nc else 0
+    begin = pulses + n.counts[0]
+    return pulses, begin, begin + n.na, begin + n.na + n.nb[0]
 
 
 @lru_cache

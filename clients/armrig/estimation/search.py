@@ -21,7 +21,7 @@ from armrig.estimation.start_values import filtered_denominators, start_values
 from armrig.models.innovations import completed
 from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
-from armrig.numerics.polynomial import Array, filtered, monic, reduced, roots
+from armrig.numerics.polynomial import Array, filtered, monic, of_roots, reduced, roots
 
 Ends = list[tuple[str, Optimum]]
 """Name of each start value, and the minimum reached by the search from this start value."""
@@ -236,7 +236,7 @@ def _with_mode(
     part = problem.layout.slices[k]
     for z in kind(roots(monic(theta[part]))):
         start = theta.copy()
-        start[part] = np.real(np.poly(z))[1:]
+        start[part] = of_roots(z)[1:]
         yield start
 
 
@@ -258,8 +258,8 @@ def _moved_together(problem: PolynomialProblem, theta: Array) -> Iterator[Array]
             for root, share in product(_REAL_ROOTS, (0.9, 1 / 0.9)):
                 near = np.clip(root * share, -_MAX_REAL_ROOT, _MAX_REAL_ROOT)
                 start = theta.copy()
-                start[of_c] = np.real(np.poly(np.append(z, near)))[1:]
-                start[of_d] = np.real(np.poly(np.append(w, root)))[1:]
+                start[of_c] = of_roots(np.append(z, near))[1:]
+                start[of_d] = of_roots(np.append(w, root))[1:]
                 starts.append(start)
         yield from cheapest(problem, starts)
 

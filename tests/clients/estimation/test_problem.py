@@ -115,6 +115,8 @@ def test_the_reduced_gradient_equals_that_of_the_cost(
         Structure(nb=(3,), nc=1, nd=2, nf=(2,), nk=(0,)),
         Structure(nb=(2,), nc=2, nf=(1,), nk=(2,), at_rest=True),
         Structure(nb=(2,), nc=1, nd=1, nf=(0,), nk=(1,)),
+        ONE_INPUT[2],
+        GENERAL,
     ],
 )
 def test_the_projected_errors_have_the_cost_and_the_gradient_of_the_solution(
