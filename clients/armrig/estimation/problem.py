@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from armrig.estimation.projected_errors import Projection, projection
+from armrig.estimation.projected_errors import projected_errors
 from armrig.models.innovations import (
     Errors,
     Experiment,
@@ -160,8 +160,8 @@ class PolynomialProblem:
     layout: Layout = field(init=False)
     """Places of the coefficients."""
     projects: bool = field(init=False)
-    """True if `projection` applies: one experiment of one input and one output, without gaps, an
-    integrator, an offset and a combination."""
+    """True if `projected_errors` apply: one experiment of one input and one output, without gaps,
+    an integrator, an offset and a combination."""
 
     def __post_init__(self) -> None:
         """Find the places of the coefficients."""
@@ -248,12 +248,8 @@ class PolynomialProblem:
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
         """Return e and J, maybe times one orthogonal matrix, scaled so that |e|² is the cost."""
-        if (one := self._projection(theta)) is not None:
-            return one.e, one.J()
-        found, scale = self.solve_scaled(theta)
-        if scale == 1.0:
-            return found.e, found.J
-        return scale * found.e, scale * found.J
+        e, J = self._linearise_lazily(theta)
+        return e, J() if callable(J) else J
 
     def solve_scaled(self, theta: Array) -> tuple[Solution, float]:
         """Return the solution at theta, and the scale of its errors and derivatives in the cost."""
@@ -262,8 +258,8 @@ class PolynomialProblem:
 
     def cost(self, theta: Array) -> float:
         """Return the sum of squared errors at theta, scaled as the class describes."""
-        if (one := self._projection(theta)) is not None:
-            return float(one.e[0]) ** 2
+        if (found := self._projected(theta)) is not None:
+            return float(found[0][0]) ** 2
         equations = self._equations(theta)
         basis, _, y = equations.projected(self.combination)
         e = basis.without(y)
@@ -271,14 +267,16 @@ class PolynomialProblem:
 
     def _linearise_lazily(self, theta: Array) -> tuple[Array, Jacobian]:
         """Return e and J, or e and a function that computes J."""
-        one = self._projection(theta)
-        return self.linearise(theta) if one is None else (one.e, one.J)
+        if (found := self._projected(theta)) is not None:
+            return found
+        solution, scale = self.solve_scaled(theta)
+        return scale * solution.e, scale * solution.J
 
-    def _projection(self, theta: Array) -> Projection | None:
+    def _projected(self, theta: Array) -> tuple[Array, Jacobian] | None:
         if not self.projects:
             return None
         C, D, F = self.polynomials(theta)
-        return projection(self.experiments[0][0], self.rows[0], C=C, D=D, F=F)
+        return projected_errors(self.experiments[0][0], self.rows[0], C=C, D=D, F=F)
 
     def _equations(self, theta: Array) -> _Equations:
         known = [self._of_row(theta, i) for i in range(len(self.rows))]

@@ -2,14 +2,14 @@
 
 A search evaluates them a thousand times on short data, on which layers of values would take most
 of the time. The equations are those of `models.innovations`. The linear parameters are the pulses
-z and x, and B. A QR decomposition of their columns W and of the signal D/C y projects them out::
+z and x, A and B. A QR decomposition of their columns W and of the signal D/C y projects them out::
 
     [W, D/C y] = Q [R, r; 0, rho],   J = rows d+1 … N of Q^T Psi,   e = (rho, 0 … 0)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -24,70 +24,17 @@ _MAX_WHOLE_RESPONSE = 1024  # samples
 _MIN_COLUMN_REST = 1e-8  # least share of a column that the columns before it do not explain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Projection:
-    """Decomposition of the linear equation of the errors for given C, D and F."""
+def projected_errors(
+    x: Experiment, n: Structure, *, C: Array, D: Array, F: Array
+) -> tuple[Array, Callable[[], Array]] | None:
+    """Return e (N - d,) and a function that returns J (N - d, n), both multiplied by Q^T.
 
-    x: Experiment
-    n: Structure
-    C: Array
-    D: Array
-    F: Array
-    W: Array
-    """Effects of z, of x, of A and of B, and the signal D/C y, (N, d + 1)."""
-    by_input: Array
-    """Signal u/(C F), (N,)."""
-    by_pulse: Array
-    """Impulse response of 1/(C F)."""
-    by_output: Array
-    """Signal y/C, (N,)."""
-    reflectors: Array
-    """Factor of `W` as LAPACK packs it, (N, d + 1)."""
-    tau: Array
-    """Scales of the reflectors, (d + 1,)."""
-    R: Array
-    """Triangular factor (d + 1, d + 1)."""
-
-    @property
-    def e(self) -> Array:
-        """Errors multiplied by Q^T, (N - d,)."""
-        d = self.R.shape[0] - 1
-        e = np.zeros(self.x.y.size - d)
-        e[0] = self.R[d, d]
-        return e
-
-    def J(self) -> Array:
-        """Return the Jacobian multiplied by Q^T, (N - d, n)."""
-        n, N = self.n, self.x.y.size
-        pulses, begin, first, d = _ends(n)
-        solution = np.linalg.solve(self.R[:d, :d], self.R[:d, d])
-        state, a = solution[pulses:begin], solution[begin:first]
-        # The response B/F u from the estimated state, filtered by 1/C.
-        driven = np.convolve(np.append(np.zeros(n.nk[0]), solution[first:]), self.by_input)[:N]
-        if state.size:
-            free = np.convolve(state, self.by_pulse)[:N]
-            driven[: free.size] += free
-        Psi = np.zeros((N, n.nc + n.nd + n.nf[0]), order="F")
-        if n.nc:
-            e = self.W[:, d] - self.W[:, :d] @ solution
-            shift_into(Psi[:, : n.nc], filtered([1.0], self.C, e))
-        if n.nd:
-            v = np.convolve(monic(a), self.by_output)[:N] if n.na else self.by_output
-            shift_into(Psi[:, n.nc : n.nc + n.nd], driven - v)
-            driven = _times(self.D, driven)[:N]
-        if n.nf[0]:
-            shift_into(Psi[:, n.nc + n.nd :], filtered([-1.0], self.F, driven))
-        Psi, *_ = dormqr("L", "T", self.reflectors, self.tau, Psi, 64 * Psi.shape[1], overwrite_c=1)
-        return np.asarray(Psi[d:])
-
-
-def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> Projection | None:
-    """Return the decomposition, or None if the linear parameters are nearly dependent."""
-    N, CF = x.y.size, _times(C, F)
-    pulses, begin, first, d = _ends(n)
+    The result is None if the linear parameters are nearly dependent.
+    """
+    N, (pulses, begin, first, d) = x.y.size, _ends(n)
     if d >= N:
         return None
-    by_input, by_pulse = _with_response(CF, x.u[:, 0])
+    by_input, by_pulse = _with_response(_times(C, F), x.u[:, 0])
     by_output, by_past = _with_response(C, x.y) if n.nc else (x.y, x.y)
     W = np.zeros((N, d + 1), order="F")
     shift_into(W[:, :pulses], by_past, 0)
@@ -100,20 +47,30 @@ def projection(x: Experiment, n: Structure, *, C: Array, D: Array, F: Array) -> 
     norms = np.sqrt(np.einsum("ij,ij->j", R, R))
     if not (np.abs(R.diagonal()[:d]) > _MIN_COLUMN_REST * norms[:d]).all():
         return None
-    return Projection(
-        x=x,
-        n=n,
-        C=C,
-        D=D,
-        F=F,
-        W=W,
-        by_input=by_input,
-        by_pulse=by_pulse,
-        by_output=by_output,
-        reflectors=reflectors,
-        tau=tau,
-        R=R,
-    )
+    e = np.zeros(N - d)
+    e[0] = R[d, d]
+
+    def J() -> Array:
+        solution = np.linalg.solve(R[:d, :d], R[:d, d])
+        state, a = solution[pulses:begin], solution[begin:first]
+        # The response B/F u from the estimated state, filtered by 1/C.
+        driven = np.convolve(np.append(np.zeros(n.nk[0]), solution[first:]), by_input)[:N]
+        if state.size:
+            free = np.convolve(state, by_pulse)[:N]
+            driven[: free.size] += free
+        Psi = np.zeros((N, n.nc + n.nd + n.nf[0]), order="F")
+        if n.nc:
+            shift_into(Psi[:, : n.nc], filtered([1.0], C, W[:, d] - W[:, :d] @ solution))
+        if n.nd:
+            v = np.convolve(monic(a), by_output)[:N] if n.na else by_output
+            shift_into(Psi[:, n.nc : n.nc + n.nd], driven - v)
+            driven = np.convolve(D, driven)[:N]
+        if n.nf[0]:
+            shift_into(Psi[:, n.nc + n.nd :], filtered([-1.0], F, driven))
+        Psi, *_ = dormqr("L", "T", reflectors, tau, Psi, 64 * Psi.shape[1], overwrite_c=1)
+        return np.asarray(Psi[d:])
+
+    return e, J
 
 
 def _with_response(P: Array, x: Array) -> tuple[Array, Array]:
