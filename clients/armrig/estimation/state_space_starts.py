@@ -15,6 +15,7 @@ from armrig.estimation.subspace import (
     realised,
     windows,
 )
+from armrig.models.innovations import interpolated
 from armrig.numerics.polynomial import Array
 
 _MIN_LAGS = 10
@@ -28,7 +29,7 @@ def starts(
     """Return the pairs (Abar, C) of subspace estimates and of reduced ARX models, by name."""
     n = problem.order
     ny = signals[0][1].shape[1]
-    signals = [(u, interpolated(y)) for u, y in signals]
+    signals = [(u, np.apply_along_axis(interpolated, 0, y)) for u, y in signals]
     found: dict[str, tuple[Array, Array]] = {}
     N = sum(u.shape[0] for u, _ in signals)
     width = signals[0][0].shape[1] + ny
@@ -95,20 +96,6 @@ def moved_modes(
         if stable_matrix(moved):
             found[f"mode at {abs(np.angle(z[i])):.2f} moved to {omega:.2f} rad"] = (moved, C)
     return found
-
-
-def interpolated(y: Array) -> Array:
-    """Return y (N, ny) with missing values interpolated."""
-    known = np.isfinite(y)
-    if known.all():
-        return y
-    t = np.arange(y.shape[0])
-    return np.column_stack(
-        [
-            np.interp(t, t[k], x[k]) if k.any() else np.zeros(t.size)
-            for x, k in zip(y.T, known.T, strict=True)
-        ]
-    )
 
 
 def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:

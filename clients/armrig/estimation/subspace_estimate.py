@@ -15,7 +15,6 @@ from armrig.estimation.start_values import noise_start
 from armrig.estimation.state_space_gaps import filtered_parts, scaled_errors
 from armrig.estimation.state_space_problem import StateSpaceProblem, directions, parts_of
 from armrig.estimation.state_space_responses import Part, Predictor
-from armrig.estimation.state_space_starts import interpolated
 from armrig.estimation.subspace import Parts, projection, suggested_order, visible_states
 from armrig.estimation.subspace_horizon import (
     MIN_HORIZON,
@@ -25,6 +24,7 @@ from armrig.estimation.subspace_horizon import (
     innovations_at,
     usable_windows,
 )
+from armrig.models.innovations import interpolated
 from armrig.models.structure_table import Weights
 from armrig.numerics.covariance import pairwise_covariance, patterns
 from armrig.numerics.least_squares import Basis
@@ -142,10 +142,7 @@ def _bridged(signals: Parts, longest: int) -> list[tuple[Array, Array]]:
     """Return the signals with outputs interpolated over gaps of at most `longest` samples."""
     found = []
     for u, y in signals:
-        filled = interpolated(y)
-        if filled is y:
-            found.append((u, y))
-            continue
+        filled = np.apply_along_axis(interpolated, 0, y)
         for k, missing in enumerate(np.isnan(y).T):
             for gap in stretches(missing):
                 if gap.stop - gap.start > longest:

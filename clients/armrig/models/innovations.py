@@ -78,13 +78,22 @@ def prepared(u: Array, y: Array, structure: Structure) -> Experiment:
             rows[s.start : min(s.start + structure.forgotten(s.start), s.stop)] = False
     return Experiment(
         u=np.asfortranarray(u),
-        y=_filled(y, known),
+        y=interpolated(y),
         known=known,
         rows=rows,
         begin=begin,
         gaps=gaps,
         whole=bool(rows.all()),
     )
+
+
+def interpolated(y: Array) -> Array:
+    """Return y (N,) with missing values interpolated; 0 if all are missing."""
+    known = np.isfinite(y)
+    if known.all():
+        return y
+    t = np.arange(y.size)
+    return np.interp(t, t[known], y[known]) if known.any() else np.zeros(y.size)
 
 
 def completed(x: Experiment, structure: Structure, y: Array) -> Experiment:
@@ -404,13 +413,3 @@ def errors(
 
 def _noise(D: Array, C: Array, x: Array) -> Array:
     return x if C.size == D.size == 1 else filtered(D, C, x)
-
-
-def _filled(y: Array, valid: Mask) -> Array:
-    """Return y with missing values interpolated."""
-    if valid.all():
-        return y
-    if not valid.any():
-        return np.zeros(y.size)
-    t = np.arange(y.size)
-    return np.interp(t, t[valid], y[valid])
