@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations, product
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import filtered_denominators, start_values
 from armrig.models.innovations import completed
 from armrig.numerics.covariance import pairwise_covariance, whitening
-from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
+from armrig.numerics.levenberg_marquardt import FIRST_DAMPING, MAX_STEPS, Optimum
 from armrig.numerics.polynomial import Array, filtered, monic, of_roots, reduced, roots
 
 Ends = list[tuple[str, Optimum]]
@@ -41,8 +41,9 @@ _MAX_REAL_ROOT = 0.998
 _REAL_TOLERANCE = 1e-9
 _PAIR_RADII = (0.98, 0.85, 0.6)
 _STARTS_PER_KIND = 6
+_STARTS_IF_AGREED = 3  # likewise, if all searches so far ended in the same minimum
 _ADDED_ROOTS = (0.5, -0.5)  # roots added to F for a model of higher order
-_MAX_LARGER_STEPS = 60  # steps of the search for the model of higher order
+_MAX_LARGER_STEPS = 20  # steps of the search for the model of higher order
 _FIRST_STEPS = 10  # steps of the search for the model that completes data with gaps
 _MAX_STEPS_WITH_GAPS = 30  # steps between two estimates of Lambda, each of which takes long
 _MAX_REWEIGHTINGS = 10
@@ -67,25 +68,26 @@ def searched_minimum(
     continues on all data. If the search is not thorough, it moves only complex pairs of F.
     """
     ends = from_starts(problem) if part is None else _through(part, problem)
-    if not (thorough or _largest_order(problem) >= 2):
-        return ends
-    doubtful = _doubtful(problem, ends, strict=thorough and part is None)
+    movable = thorough or _largest_order(problem) >= 2
+    doubtful = movable and _doubtful(problem, ends, strict=thorough and part is None)
     for _ in range(_MAX_ROUNDS if doubtful else 0):
         best = ends[0][1]
-        lowest = _lowest_without_gaps(problem, best, thorough=thorough)
+        agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
+        most = _STARTS_IF_AGREED if agreed else _STARTS_PER_KIND
+        lowest = _lowest_without_gaps(problem, best, all_kinds=thorough, most=most)
         if same_minimum(problem, lowest.cost, best.cost):
             break
         ends.insert(0, ("mode at another frequency", lowest))
     return ends
 
 
-def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
+def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, **moves: Any) -> Optimum:
     """Return the minimum from the best moved mode, with predicted values of missing outputs."""
     if not _gaps(problem):
-        return _lowest_beside(problem, best, thorough=thorough)
+        return lowest_beside(problem, best, moved_modes(problem, best.theta, **moves))
     whole = _completed(problem, best.theta)
     begin = whole.minimise(_adopted(whole, problem, best.theta))
-    lowest = _lowest_beside(whole, begin, thorough=thorough)
+    lowest = lowest_beside(whole, begin, moved_modes(whole, begin.theta, **moves))
     if same_minimum(whole, lowest.cost, begin.cost):
         return best
     found = problem.minimise(_adopted(problem, whole, lowest.theta), known=best.cost)
@@ -110,28 +112,29 @@ def _completed(problem: PolynomialProblem, theta: Array) -> PolynomialProblem:
 
 def _largest_order(problem: PolynomialProblem) -> int:
     """Return the largest number of roots of an F."""
-    return max((size for n in problem.rows for size in n.sizes), default=0)
-
-
-def _lowest_beside(problem: PolynomialProblem, best: Optimum, *, thorough: bool) -> Optimum:
-    starts = moved_modes(problem, best.theta, all_kinds=thorough)
-    return lowest_beside(problem, best, starts, _STAGES)
+    return max(problem.rows[0].sizes, default=0)
 
 
 def lowest_beside(
-    problem: Problem, best: Optimum, starts: Iterable[Array], stages: Iterable[tuple[int, int]]
+    problem: Problem,
+    best: Optimum,
+    starts: Iterable[Array],
+    stages: Iterable[tuple[int, int]] = _STAGES,
 ) -> Optimum:
     """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
 
     A stage has a number of steps, and the number of searches that continue after these steps.
     """
     target = best.cost * (1 - _RETURN_TOLERANCE)
-    starts = list(starts)
+    searches = [(start, FIRST_DAMPING) for start in starts]
     for steps, kept in stages:
-        ends = [problem.minimise(start, most=steps, target=target) for start in starts]
+        ends = [
+            problem.minimise(theta, most=steps, target=target, best=best.theta, damping=damping)
+            for theta, damping in searches
+        ]
         near = [end for end in ends if end.cost < target or end.iterations == steps]
         near.sort(key=lambda end: end.cost)
-        starts = [end.theta for end in near[:kept]]
+        searches = [(end.theta, end.damping) for end in near[:kept]]
     lowest = min(near, key=lambda end: end.cost, default=best)
     if lowest.cost >= best.cost:
         return best
@@ -201,18 +204,17 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
         return False
     parts = problem.solve(ends[0][1].theta).parts
     noise = variance = 0.0
-    for of, found in zip(problem.experiments, parts, strict=True):
-        for x, p in zip(of, found, strict=True):
-            y = x.y[x.rows]
-            noise += float(np.sum((y - p.driven[x.rows]) ** 2))
-            variance += float(np.sum((y - y.mean()) ** 2)) if y.size else 0.0
+    for (x,), (p,) in zip(problem.experiments, parts, strict=True):
+        y = x.y[x.rows]
+        noise += float(np.sum((y - p.driven[x.rows]) ** 2))
+        variance += float(np.sum((y - y.mean()) ** 2)) if y.size else 0.0
     return noise > _MIN_NOISE_SHARE * variance
 
 
 def moved_modes(
-    problem: PolynomialProblem, theta: Array, *, all_kinds: bool = True
+    problem: PolynomialProblem, theta: Array, *, all_kinds: bool, most: int
 ) -> Iterator[Array]:
-    """Yield start values with one moved mode of C, D or F, up to six for each kind of move.
+    """Yield start values with one moved mode of C, D or F, up to `most` for each kind of move.
 
     A complex pair, or the two smallest real roots, is replaced by another complex pair or by two
     other real roots. A real root is replaced by another real root. For each polynomial and each
@@ -222,11 +224,11 @@ def moved_modes(
     kinds = (other_pairs, _other_reals, other_real) if all_kinds else (other_pairs,)
     for k, letter in enumerate(problem.layout.letters):
         for kind in kinds if all_kinds or letter == "f" else ():
-            yield from cheapest(problem, _with_mode(problem, theta, k, kind))
+            yield from cheapest(problem, _with_mode(problem, theta, k, kind), most)
     if all_kinds:
-        yield from _moved_together(problem, theta)
+        yield from cheapest(problem, _moved_together(problem, theta), most)
         yield from _with_white_noise(problem, theta)
-        yield from _through_a_higher_order(problem, theta)
+        yield from cheapest(problem, _through_a_higher_order(problem, theta), most)
 
 
 def _with_mode(
@@ -240,9 +242,7 @@ def _with_mode(
         yield start
 
 
-def cheapest(
-    problem: Problem, starts: Iterable[Array], most: int = _STARTS_PER_KIND
-) -> list[Array]:
+def cheapest(problem: Problem, starts: Iterable[Array], most: int) -> list[Array]:
     """Return the start values of least cost."""
     priced = sorted(((problem.cost(start), start) for start in starts), key=lambda of: of[0])
     return [start for _, start in priced[:most]]
@@ -250,18 +250,15 @@ def cheapest(
 
 def _moved_together(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
     """Yield start values in which real roots of C and D move to nearly equal values."""
-    for i in range(len(problem.rows)):
-        of_c, of_d = problem.slice_of("c", i), problem.slice_of("d", i)
-        C, D = roots(monic(theta[of_c])), roots(monic(theta[of_d]))
-        starts = []
-        for z, w in product(_without_one_real(C), _without_one_real(D)):
-            for root, share in product(_REAL_ROOTS, (0.9, 1 / 0.9)):
-                near = np.clip(root * share, -_MAX_REAL_ROOT, _MAX_REAL_ROOT)
-                start = theta.copy()
-                start[of_c] = of_roots(np.append(z, near))[1:]
-                start[of_d] = of_roots(np.append(w, root))[1:]
-                starts.append(start)
-        yield from cheapest(problem, starts)
+    of_c, of_d = problem.slice_of("c", 0), problem.slice_of("d", 0)
+    C, D = roots(monic(theta[of_c])), roots(monic(theta[of_d]))
+    for z, w in product(_without_one_real(C), _without_one_real(D)):
+        for root, share in product(_REAL_ROOTS, (0.9, 1 / 0.9)):
+            near = np.clip(root * share, -_MAX_REAL_ROOT, _MAX_REAL_ROOT)
+            start = theta.copy()
+            start[of_c] = of_roots(np.append(z, near))[1:]
+            start[of_d] = of_roots(np.append(w, root))[1:]
+            yield start
 
 
 def _with_white_noise(problem: PolynomialProblem, theta: Array) -> Iterator[Array]:
@@ -269,16 +266,10 @@ def _with_white_noise(problem: PolynomialProblem, theta: Array) -> Iterator[Arra
     at = np.array(problem.letters) == "f"
     if not at.any() or at.all():
         return
-    noise = [
-        [monic(theta[problem.slice_of(letter, i)]) for letter in "dc"]
-        for i in range(len(problem.rows))
-    ]
+    D, C = (monic(theta[problem.slice_of(letter, 0)]) for letter in "dc")
     signals = [
-        [
-            (np.column_stack([filtered(D, C, u) for u in x.u.T]), filtered(D, C, x.y))
-            for x, (D, C) in zip(of, noise, strict=True)
-        ]
-        for of in problem.experiments
+        [(np.column_stack([filtered(D, C, u) for u in x.u.T]), filtered(D, C, x.y))]
+        for (x,) in problem.experiments
     ]
     output_error = replace(problem, rows=tuple(n.output_error for n in problem.rows))
     for f in filtered_denominators(output_error, signals):
@@ -291,18 +282,16 @@ def _through_a_higher_order(problem: PolynomialProblem, theta: Array) -> Iterato
     """Yield start values from an output-error model of higher order, with one mode removed."""
     # In the larger model a mode can pass a frequency where the smaller model has maximal cost.
     n = problem.rows[0]
-    if len(problem.rows) > 1 or len(n.groups) > 1 or not any(n.sizes) or not n.white:
+    if len(n.groups) > 1 or not any(n.sizes) or not n.white:
         return
     nb, nf = (
         tuple(k + 1 if of else 0 for k, of in zip(x, n.nb, strict=True)) for x in (n.nb, n.nf)
     )
     larger = replace(problem, rows=(replace(n, nb=nb, nf=nf),))
-    starts: list[Array] = []
     for root in _ADDED_ROOTS:
-        F = np.convolve(np.append(1.0, theta), [1.0, -root])
+        F = np.convolve(monic(theta), [1.0, -root])
         found = larger.minimise(F[1:], most=_MAX_LARGER_STEPS).theta
-        starts.extend(lower[1:] for lower in reduced(np.append(1.0, found)))
-    yield from cheapest(problem, starts)
+        yield from (lower[1:] for lower in reduced(monic(found)))
 
 
 def other_pairs(z: Array) -> Iterator[Array]:

@@ -16,9 +16,11 @@ from armrig.numerics.polynomial import Array
 TOLERANCE = 1e-10
 MAX_STEPS = 200
 MAX_HALVINGS = 60
+FIRST_DAMPING = 1e-6  # relative to the squared norm of a column of J
 _SAME_COST_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
 _NEAR_TARGET = 1e-5  # relative difference in cost up to which a step decides about the target
 _REACH = 100.0  # farther from the target: largest ratio of later decrease to predicted decrease
+_MISS_SHARE = 0.3  # largest distance between the best minimum and the end of a step to it, in steps
 _GRADIENT_FALL = 0.9  # largest ratio of successive gradients that counts as a decrease
 _MIN_DECREASE = 1e-13  # relative decrease of the cost; a smaller predicted decrease is rounding
 _WALL_RANK_TOLERANCE = 1e-9  # relative singular value above which walls do not coincide
@@ -39,6 +41,8 @@ class Optimum:
     """Number of steps tried."""
     converged: bool
     """True if the change of the cost and the scaled gradient are within the tolerance."""
+    damping: float = FIRST_DAMPING
+    """Damping with which the search continues from theta."""
 
 
 class Walls(Protocol):
@@ -59,6 +63,8 @@ def levenberg_marquardt(
     most: int = MAX_STEPS,
     known: float = np.nan,
     target: float = np.inf,
+    best: Array | None = None,
+    damping: float = FIRST_DAMPING,
     walls: Walls | None = None,
     error: float = 0.0,
 ) -> Optimum:
@@ -75,7 +81,8 @@ def levenberg_marquardt(
 
     `known` is the cost of a minimum found earlier. If the search is near this cost and the
     predicted decrease is small, the search stops to save time. The search also stops if the
-    gradient is so small that a cost below `target` is out of reach.
+    gradient is so small that a cost below `target` is out of reach. It also stops if an undamped
+    step leads to `best`, a minimum found earlier. `damping` is that of the first step.
 
     `error` is the relative error of J. The search does not move along directions in which the
     relative singular value of the scaled J is at most `error`.
@@ -93,7 +100,7 @@ def levenberg_marquardt(
     cost = float(e @ e)
     if theta.size == 0 or cost == 0:
         return Optimum(theta=theta, cost=cost, iterations=0, converged=True)
-    damping, growth = 1e-6, 2.0
+    growth = 2.0
     whole, scale = _compressed(e, J, error)
     normals = _normals(walls, theta, scale)
     change = np.inf
@@ -104,6 +111,8 @@ def levenberg_marquardt(
         predicted = float(z @ z)
         reach = 1.0 if cost <= target * (1 + _NEAR_TARGET) else _REACH
         if cost - reach * predicted > target:
+            break
+        if best is not None and _leads_to(scale * (best - theta), whole, (s, Vt, z)):
             break
         if change <= TOLERANCE and sqrt(predicted / cost) <= TOLERANCE:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
@@ -143,10 +152,18 @@ def levenberg_marquardt(
             damping, growth = max(damping, 1e-12) * growth, 2 * growth
             if damping > 1e12:
                 break
-    return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False)
+    return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False, damping=damping)
 
 
 _Linear = tuple[Array, Array, Array]
+
+
+def _leads_to(way: Array, whole: _Linear, along: _Linear) -> bool:
+    """Return whether an undamped step, maybe along walls, leads to theta + `way` / scale."""
+    (S, V, _), (s, Vt, z) = whole, along
+    step = Vt.T @ np.divide(z, s, where=s > 0, out=np.zeros(s.size))
+    off = S * (V @ (way - step))
+    return bool(off @ off <= _MISS_SHARE**2 * (z @ z))
 
 
 def _admitted(

@@ -89,7 +89,7 @@ def test_a_search_near_a_known_minimum_ends_early() -> None:
 
 
 def test_a_search_ends_early_if_its_target_is_out_of_reach() -> None:
-    """Also if it returns to a minimum whose cost is just above the target."""
+    """Also if it returns to a minimum just above the target, or a step leads to a known minimum."""
     start = np.array([1.0, 0.1])
     whole = levenberg_marquardt(decay, start, admissible=lambda _: True)
 
@@ -98,8 +98,12 @@ def test_a_search_ends_early_if_its_target_is_out_of_reach() -> None:
         for factor in (1.1, 0.5, 1 - 1e-7)
     )
 
-    assert (reached.cost, reached.iterations) == (whole.cost, whole.iterations)
-    for early in (below, returned):
+    led = levenberg_marquardt(decay, start, admissible=lambda _: True, best=whole.theta)
+    not_led = levenberg_marquardt(decay, start, admissible=lambda _: True, best=whole.theta + 3)
+
+    for other in (reached, not_led):
+        assert (other.cost, other.iterations) == (whole.cost, whole.iterations)
+    for early in (below, returned, led):
         assert not early.converged
         assert early.iterations < whole.iterations
 
