@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.report.batch.progress import SUFFIX
+from armrig.report.batch.batch import SUFFIX
 from numpy.typing import NDArray
 
 SHORT, LONG = 400, 5000

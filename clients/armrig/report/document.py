@@ -27,7 +27,6 @@ from armrig.report.typesetting import Places, recorded, source_folder, typeset
 
 MOST_PAGES = 10
 """Number of pages that section 5 of the handout allows, including the cover."""
-_MAX_NAMED_SECTIONS = 3
 
 
 def report(
@@ -109,35 +108,37 @@ def handout_contents(study: HandoutStudy, answers: Answers) -> Contents:
             Section(number="4", title="Numerical simulation"),
             *_answered(numerical_sections(study), answers),
         ),
-        max_pages=MOST_PAGES,
     )
 
 
 def _answered(sections: dict[str, Section], answers: Answers) -> Iterator[Section]:
-    """Yield the sections with their questions, their answers, and references to their figures."""
+    """Yield the sections with their questions, their answers, and references to their figures.
+
+    An empty line begins a paragraph of an answer.
+    """
     for number, section in sections.items():
         tables = tuple(
             replace(table, name=f"table-{number}-{k}") for k, table in enumerate(section.tables, 1)
         )
         shown = [f"<{x.name}>" for x in tables] + [f"<{x.name}>" for x in section.figures]
-        see = f" See {listed(shown)}." if shown else ""
+        paragraphs = section.paragraphs
+        if shown:
+            paragraphs = (*paragraphs[:-1], f"{paragraphs[-1]} See {listed(shown)}.")
         yield replace(
             section,
             number=number,
             title=QUESTIONS[number].title,
             level=2,
             lead="" if section.lack else "Result.",
-            paragraphs=tuple(_ended(section.paragraphs, see)),
+            paragraphs=paragraphs,
             tables=tables,
             asks=QUESTIONS[number].asks,
-            reasons=_paragraphs(answers.reasons.get(number, "")),
+            reasons=tuple(
+                " ".join(part.split())
+                for part in re.split(r"\n\s*\n", answers.reasons.get(number, ""))
+                if part.strip()
+            ),
         )
-
-
-def _ended(paragraphs: tuple[str, ...], end: str) -> Iterator[str]:
-    """Yield the paragraphs, the last with an additional end."""
-    yield from paragraphs[:-1]
-    yield from (f"{last}{end}" for last in paragraphs[-1:])
 
 
 def _cover(answers: Answers) -> Cover:
@@ -189,12 +190,6 @@ def _front(study: HandoutStudy) -> Section:
     )
 
 
-def _paragraphs(text: str) -> tuple[str, ...]:
-    """Split a text into paragraphs at its empty lines, and return each paragraph as one line."""
-    parts = re.split(r"\n\s*\n", text)
-    return tuple(" ".join(part.split()) for part in parts if part.strip())
-
-
 def _written(
     study: Study | HandoutStudy,
     output: str | Path,
@@ -210,24 +205,25 @@ def _written(
         if figures is not None:
             for path in drawn:
                 shutil.copyfile(path, figures / path.name)
-    check_length(places, contents.max_pages)
+    if contents.cover is not None:  # a study may have any length
+        check_length(places)
     output.write_bytes(pdf)
     return output
 
 
-def check_length(places: Places, max_pages: int | None) -> None:
-    """Refuse more than `max_pages` pages with an OperationError that names the longest sections.
+def check_length(places: Places) -> None:
+    """Refuse more than `MOST_PAGES` pages with an OperationError that names the longest sections.
 
     A place is the name of a section and its begin: the number of the page, from 1, plus the share
     of this page above the section. The last entry is the end of the document.
     """
     pages = int(places[-1][1])
-    if max_pages is None or pages <= max_pages:
+    if pages <= MOST_PAGES:
         return
     lengths = {name: end - begin for (name, begin), (_, end) in pairwise(places)}
-    longest = sorted(lengths, key=lambda name: -lengths[name])[:_MAX_NAMED_SECTIONS]
+    longest = sorted(lengths, key=lambda name: -lengths[name])[:3]
     named = ", ".join(f"{name} ({lengths[name]:.1f})" for name in longest)
     raise OperationError(
-        f"the report has {pages} pages, and the handout allows {max_pages}; the longest sections "
+        f"the report has {pages} pages, and the handout allows {MOST_PAGES}; the longest sections "
         f"are {named}: shorten your reasons, or choose lower orders (--na, --nb, --nf)"
     )

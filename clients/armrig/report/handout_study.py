@@ -17,8 +17,8 @@ from armrig.physics.grey_box.split_study import SplitStudy, split_study
 from armrig.physics.integrators.accuracy import Recommendation, Sinusoid, recommend_step, sinusoid
 from armrig.physics.systems import HANDOUT, chassis
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import ended_early
-from armrig.report.study import STAIRCASE, STEP, Orders, Study, best_first, kind_of, study
+from armrig.recordings.usability import NO_MODEL, ended_early
+from armrig.report.study import Orders, Study, best_first, study
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
@@ -26,8 +26,7 @@ from armrig.validation.structure_hints import StructureHints, structure_hints
 
 T = TypeVar("T")
 
-GREYBOX, CALIBRATION, BLA = "greybox", "calibrate", "bla"
-OTHERS = (STEP, STAIRCASE, GREYBOX, CALIBRATION, BLA)
+OTHERS = (*NO_MODEL, "greybox", "calibrate", "bla")
 """Kinds of experiments from which no black-box model is estimated."""
 METHODS = {"4.1": "forward_euler", "4.2": "ab2", "4.3": "trapezoidal", "4.4": "heun"}
 """Integration method of each assignment."""
@@ -40,8 +39,6 @@ class HandoutStudy:
 
     recordings: tuple[Recording, ...]
     """Given recordings, complete recordings first."""
-    parameters: ArmParameters
-    """Parameters of the handout."""
     cases: dict[str, ArmParameters]
     """Sets of parameters that assignment 2.3 compares, by name; the first is the handout's set."""
     problem: Sinusoid
@@ -101,15 +98,19 @@ def handout_study(
 
     # Complete recordings come first: a recording that ended early is used only if it is needed.
     recordings = sorted(recordings, key=ended_early)
-    excited = [r for r in recordings if kind_of(r) not in OTHERS]
-    stepped, alone = _first(recordings, STEP), _first(recordings, GREYBOX)
+    excited = [r for r in recordings if r.manifest.kind not in OTHERS]
+    stepped, alone = _first(recordings, "step"), _first(recordings, "greybox")
     black = tried("black", lambda: best_first(study(excited, orders=orders))) if excited else None
     first = stepped or (excited[0].dataset() if excited else None)
     data = black.estimation if black else excited[0].dataset() if excited else None
     return HandoutStudy(
         recordings=tuple(recordings),
-        parameters=p,
-        cases=cases or _doubled(p),
+        cases=cases
+        or {
+            HANDOUT: p,
+            "J_1 doubled": replace(p, J_1=2 * p.J_1),
+            "K_lin doubled": replace(p, K_lin=2 * p.K_lin),
+        },
         problem=sinusoid(A, B, amplitude=amplitude, omega=omega),
         steps=recommend_step(
             A,
@@ -132,14 +133,5 @@ def handout_study(
     )
 
 
-def _doubled(p: ArmParameters) -> dict[str, ArmParameters]:
-    """Return the handout's parameters, and two variants with one parameter doubled."""
-    return {
-        HANDOUT: p,
-        "J_1 doubled": replace(p, J_1=2 * p.J_1),
-        "K_lin doubled": replace(p, K_lin=2 * p.K_lin),
-    }
-
-
 def _first(recordings: Sequence[Recording], kind: str) -> Dataset | None:
-    return next((r.dataset() for r in recordings if kind_of(r) == kind), None)
+    return next((r.dataset() for r in recordings if r.manifest.kind == kind), None)

@@ -8,6 +8,8 @@ from itertools import zip_longest
 from math import isfinite
 from typing import Any
 
+from armrig_core.rig.arm import ArmParameters
+
 from armrig import plots
 from armrig.estimation.nonparametric.sampling_time import SamplingTime
 from armrig.models.equation import letters, typst_form
@@ -283,7 +285,7 @@ def _figure(x: float, std: float, scale: float) -> str:
 def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:
     assert study.alone is not None  # noqa: S101  # the data of the fit
     J, std = found.values["J_1"], found.std["J_1"]
-    handout = study.parameters.J_1
+    handout = ArmParameters().J_1
     influence = found.influence.get("J_1", {})
     moved = ", ".join(f"{n} {minus(f'{x:+.2f}')}{NBSP}%" for n, x in influence.items())
     fixed_ones = f" An increase of a fixed parameter by 1 % changes $J$: {moved}." if moved else ""

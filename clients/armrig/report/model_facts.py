@@ -227,7 +227,11 @@ MIN_BIASED_RMS_RATIO = 3.0
 
 def conclusions(study: Study) -> list[str]:
     """Return the conclusions of a study, each in a few sentences."""
-    points = [_residual_verdict(m) for m in study.ranked]
+    points = [
+        f"{m.name}{', all outputs together' * bool(m.together)}, on the validation data. "
+        f"{tests_sentence(m.together or m.tests)}."
+        for m in study.ranked
+    ]
     points += dict.fromkeys(text for one in each_output(study) for text in _structure_verdicts(one))
     points += calibration_sentences(study.recordings)
     points += jitter_verdicts(study)
@@ -252,11 +256,6 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
                 "biased, although ARX predicts one step ahead well. For simulation and control "
                 f"use the {best.name} model."
             )
-
-
-def _residual_verdict(m: AssessedFit) -> str:
-    of = f"{m.name}, all outputs together" if m.together else m.name
-    return f"{of}, on the validation data. {tests_sentence(m.together or m.tests)}."
 
 
 def abstract(study: Study) -> str:

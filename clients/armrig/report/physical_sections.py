@@ -25,7 +25,7 @@ from armrig.report.sections import Figure, Section, Table, figure
 
 def physical_sections(study: HandoutStudy) -> dict[str, Section]:
     """Return sections 2.1 to 2.3 by number."""
-    p = study.parameters
+    p = ArmParameters()
     step = _step(characteristics(p), study.cases)
     return {"2.1": _model(p), "2.2": step, "2.3": _other_parameters(study.cases)}
 

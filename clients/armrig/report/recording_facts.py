@@ -22,9 +22,14 @@ from armrig.recordings.jitter import (
     sampling_statistics,
 )
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import calibration_date, doubts_of_calibration, outcome_text
+from armrig.recordings.usability import (
+    NO_MODEL,
+    calibration_date,
+    doubts_of_calibration,
+    outcome_text,
+)
 from armrig.report.sections import plain
-from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
+from armrig.report.study import Study, each_output
 from armrig.validation.linearity import in_open_loop
 
 Rows = tuple[tuple[str, ...], ...]
@@ -34,8 +39,8 @@ _ANGLE_SCALE = f"{CHANNELS[0].name}_rad_per_count"
 
 def role(study: Study, recording: Recording) -> str:
     """Return the use of a recording in the study."""
-    if kind_of(recording) in (STEP, STAIRCASE):
-        return kind_of(recording)
+    if recording.manifest.kind in NO_MODEL:
+        return recording.manifest.kind
     if recording.sha256 == study.estimation.source:
         return "estimation and validation" if study.halves else "estimation"
     return "validation" if recording.sha256 == study.validation.source else "not used"
@@ -61,6 +66,7 @@ def run_facts(r: Recording) -> dict[str, str]:
     """Return the facts about a run by name, as text; "" for a fact that is not known."""
     turns, known = r.description.channels[0].turns, r.description.is_calibrated
     hidden = "in the dead band, or just after" if turns else f"without {r.first}"
+    u = r.u[np.isfinite(r.u)]
     return {
         "run": run_name(r),
         "experiment": r.manifest.experiment,
@@ -69,7 +75,7 @@ def run_facts(r: Recording) -> dict[str, str]:
         "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
         "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
         "length": f"{r.N * r.Ts:.1f} s",
-        "input": _input_range(r),
+        "input": f"{u.min():.2f} to {u.max():.2f} V" if u.size else "",
         "calibrated": calibration_date(r.calibration) if known else "by its description",
         "missing samples": str(r.missing),
         hidden: str(r.hidden),
@@ -98,22 +104,16 @@ def notes(recordings: Sequence[Recording]) -> list[str]:
     return said
 
 
-def _input_range(recording: Recording) -> str:
-    u = recording.u[np.isfinite(recording.u)]
-    return f"{u.min():.2f} to {u.max():.2f} V" if u.size else ""
-
-
-def _listed(value: object) -> str:
-    return " and ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
-
-
 def shared_facts(study: Study) -> list[str]:
     """Return sentences on the device, the host and the versions of the estimation data."""
     manifest = study.recording_of(study.estimation.source).manifest
     said = []
     for what, facts in (("Device", manifest.device), ("Host", manifest.host)):
         known = {k: v for k, v in facts.items() if v not in ("", None, [], {})}
-        text = ", ".join(f"{k} {_listed(v)}" for k, v in known.items())
+        text = ", ".join(
+            f"{k} {' and '.join(map(str, v if isinstance(v, list | tuple) else [v]))}"
+            for k, v in known.items()
+        )
         if text:
             said.append(f"{what}: {text}.")
     said.append(f"Recorded by armrig {manifest.armrig}, protocol {manifest.protocol}.")

@@ -108,8 +108,6 @@ class Contents:
     front: Section
     """Section without a heading before the other sections."""
     sections: tuple[Section, ...]
-    max_pages: int | None = None
-    """Largest number of pages; None for no limit."""
 
 
 def numbered(sections: Iterable[Section], appendix: Iterable[Section]) -> tuple[Section, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -25,20 +24,14 @@ from armrig.models.structure_table import ARM_POLES
 from armrig.physics.systems import physical_model
 from armrig.recordings.findings import second_moves
 from armrig.recordings.recording import Recording
+from armrig.recordings.usability import NO_MODEL
 from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residual_test import ResidualTest
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
-STEP, STAIRCASE = "step", "staircase"
-"""Kinds of experiments that a report shows, but does not use for estimation."""
 OUTPUTS: Final = {name: f"{body} angle" for name, body in BODIES.items()}
 """Names of the arm's outputs in the sentences of a report."""
-
-
-def kind_of(recording: Recording) -> str:
-    """Return the kind of a recording's experiment: the part of the name before the first "-"."""
-    return recording.manifest.experiment.partition("-")[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,12 +164,11 @@ class Study:
 def best_first(study: Study) -> Study:
     """Return the study with its models in the order of `ranked`: the first line is widest."""
     order = [m.name for m in study.ranked]
-
-    def ordered(one: Study) -> Study:
-        models = tuple(sorted(one.estimated, key=lambda m: order.index(m.name)))
-        return replace(one, estimated=models)
-
-    return replace(ordered(study), others=tuple(map(ordered, study.others)))
+    first, *others = (
+        replace(one, estimated=tuple(sorted(one.estimated, key=lambda m: order.index(m.name))))
+        for one in each_output(study)
+    )
+    return replace(first, others=tuple(others))
 
 
 def each_output(study: Study) -> tuple[Study, ...]:
@@ -226,7 +218,7 @@ def study(
         There are no data to estimate from, the orders are too high for the data, or an output does
         not exist, or is a rate.
     """
-    excited = [r for r in recordings if kind_of(r) not in (STEP, STAIRCASE)]
+    excited = [r for r in recordings if r.manifest.kind not in NO_MODEL]
     if not excited:
         raise FileError(
             "nothing to identify from: give a recording whose input is not a single step, such as "
@@ -317,7 +309,7 @@ def assessed(
     fits: Mapping[str, Fit],
     physics: Fit | None,
     validation: Dataset,
-    together: Mapping[str, ResidualTest] = MappingProxyType({}),
+    together: Mapping[str, ResidualTest] | None = None,
 ) -> dict[str, Any]:
     """Compare all models with the validation data; return fields of a `Study`.
 
@@ -336,7 +328,7 @@ def assessed(
             deviation=None
             if G is None
             else np.abs(fit.frequency_response(omega).G - G) / np.abs(G),
-            together=together.get(name),
+            together=(together or {}).get(name),
         )
         for row, (name, fit) in zip(table.rows, fits.items(), strict=False)
     )

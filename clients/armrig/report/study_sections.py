@@ -21,7 +21,7 @@ from armrig.report import model_facts, recording_facts
 from armrig.report.figures import detail_s, plot_velocity
 from armrig.report.recording_facts import run_name, without_turns
 from armrig.report.sections import Contents, Draw, Figure, Section, Table, figure, numbered
-from armrig.report.study import OUTPUTS, STEP, AssessedFit, Study, each_output, kind_of
+from armrig.report.study import OUTPUTS, AssessedFit, Study, each_output
 from armrig.validation.comparison import compare
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def results(study: Study) -> Section:
 
 def data(study: Study) -> Section:
     """Return the section on the data, and on their treatment."""
-    steps = [r for r in study.recordings if kind_of(r) == STEP]
+    steps = [r for r in study.recordings if r.manifest.kind == "step"]
     treated = recording_facts.treatment(study)
     shown = f"{_shows(study, 'data')} the data for the models"
     step: tuple[Figure, ...] = ()

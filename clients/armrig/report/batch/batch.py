@@ -1,7 +1,11 @@
-"""A task for all runs of a folder, and the table of its results."""
+"""A task for all runs of a folder, and the table of its results.
+
+Each computed row is stored at once, so that a later start continues the batch.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 from collections import Counter, deque
@@ -22,10 +26,11 @@ from typing import Any, TypeVar
 import msgspec
 from armrig_core.errors import InputError, OperationError
 from armrig_core.process.imports import imported
+from armrig_core.recording_file.opening import lock
 
 from armrig.recordings.files.recording_summary import shown_path
-from armrig.report.batch.progress import OTHER, SUFFIX, Progress, still_right
 from armrig.report.batch.tasks import (
+    Item,
     Kind,
     Report,
     Row,
@@ -36,7 +41,6 @@ from armrig.report.batch.tasks import (
     items_in,
     name_of,
     row_of,
-    sha256,
 )
 
 Count = Callable[[int, int, str], None]
@@ -51,6 +55,13 @@ MOST_DEATHS = 2
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Open = Callable[[], AbstractContextManager[Executor]]
+OTHER = (
+    "contains results of another folder, task or selection, or of other options or versions; "
+    "choose another -o, or use --force to begin again"
+)
+"""Message if the header of earlier results differs from the header of this start."""
+SUFFIX = ".progress"
+"""Suffix of the file with the rows so far; the file's name begins with the name of the table."""
 KEY = b"armrig.batch"
 """Key of the header in the table's metadata."""
 
@@ -160,7 +171,7 @@ def header_of(
     """Return the metadata by which a later start recognises the table of the same batch."""
     options = msgspec.to_builtins(task)
     if isinstance(task, Validate):
-        options["model"] = f"sha256 {sha256(task.model)}"
+        options["model"] = f"sha256 {hashlib.sha256(task.model.encode()).hexdigest()}"
     return {
         "task": name_of(task),
         "options": msgspec.json.encode(options).decode(),
@@ -241,3 +252,100 @@ def _type(pyarrow: Any, kind: Kind) -> Any:
         "number": pyarrow.float64(),
     }
     return types[kind] if kind in types else pyarrow.list_(types[kind[:-1]])
+
+
+class Progress:
+    """An open file with one row per line; the first line contains the header of the task."""
+
+    def __init__(self, table: Path, header: dict[str, str], *, anew: bool = False) -> None:
+        """Open the file, or create it; with `anew` the rows of an earlier start are discarded.
+
+        Raises
+        ------
+        OperationError
+            The file belongs to another task, is not a regular file, or is used by another process;
+            or the disk is full.
+        OSError
+            The file cannot be opened.
+        """
+        self.path = table.with_name(table.name + SUFFIX)
+        if self.path.exists() and not self.path.is_file():  # such as a link to an endless device
+            raise OperationError(
+                f"{self.path} exists and is not a file; remove it, or give another -o"
+            )
+        self._file = self.path.open("a+b")
+        try:
+            lock(self._file)
+        except BlockingIOError as err:
+            self._file.close()
+            raise OperationError(
+                f"{self.path}: another armrig batch uses it; wait for its end, or give another -o"
+            ) from err
+        self._file.seek(0)
+        content = self._file.read()
+        whole, _, torn = content.rpartition(b"\n")
+        first, *lines = whole.split(b"\n") if whole else [b""]
+        self.rows: list[Row] = []
+        """Rows of an earlier start."""
+        if anew or not first:
+            self._file.truncate(0)
+            self.add(header)
+            return
+        if _decoded(first) != header:
+            self._file.close()
+            raise OperationError(f"{self.path} {OTHER}")
+        if torn:  # the process was killed within a line
+            self._file.truncate(len(content) - len(torn))
+        self.rows = [row for line in lines if (row := _decoded(line)) is not None]
+
+    def add(self, row: Row) -> None:
+        """Store a row; a stored row is not lost if this process dies."""
+        try:
+            self._file.write(msgspec.json.encode(row) + b"\n")
+            self._file.flush()
+        except OSError as err:
+            raise OperationError(
+                f"{self.path}: {err.strerror}; results so far are kept: repeat the command to "
+                "continue"
+            ) from err
+
+    def remove(self) -> None:
+        """Remove the file, because the table is complete."""
+        self.path.unlink()
+
+    def __enter__(self) -> Progress:
+        """Return this object."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the file without removing it."""
+        with suppress(OSError):  # the error of a full disk was reported before
+            self._file.close()
+
+
+def still_right(
+    rows: Iterable[Row], items: Iterable[Item], columns: Collection[str]
+) -> dict[str, Row]:
+    """Return the rows, by name, of the items whose files have not changed.
+
+    An item without a returned row is computed again. A row with a problem is left out, because a
+    killed process or a full disk may have caused the problem. A row without all columns is left
+    out. The row of a report is left out if its validation recording has changed.
+    """
+    state = {item.name: (item.bytes, item.modified_ns) for item in items}
+    validated_by = {item.name: Path(item.validation).name for item in items}
+    return {
+        row["recording"]: row
+        for row in rows
+        if row.keys() == set(columns)
+        and not row["problem"]
+        and state.get(name := str(row["recording"])) == (row["bytes"], row["modified_ns"])
+        and row.get("validated_by", validated_by[name]) == validated_by[name]
+    }
+
+
+def _decoded(line: bytes) -> dict[str, object] | None:
+    try:
+        return msgspec.json.decode(line, type=dict[str, object])
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None

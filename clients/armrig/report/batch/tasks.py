@@ -69,11 +69,6 @@ def name_of(task: Task) -> str:
     return str(type(task).__struct_config__.tag)
 
 
-def sha256(text: str) -> str:
-    """Return the SHA-256 of a text, in hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 class Item(NamedTuple):
     """A run, which was recorded in a single file or in several parts."""
 

@@ -25,8 +25,7 @@ from armrig.cli import main
 from armrig.models.model_writing import model_text
 from armrig.recordings.files.verification import RESULTS, verify
 from armrig.report.batch import workers
-from armrig.report.batch.batch import batch, header_of, results
-from armrig.report.batch.progress import SUFFIX, Progress, still_right
+from armrig.report.batch.batch import SUFFIX, Progress, batch, header_of, results, still_right
 from armrig.report.batch.tasks import (
     OF_THE_FILE,
     OF_THE_RESULT,
