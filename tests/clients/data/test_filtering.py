@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.experiments import Trend
-from armrig.data.merging import merge
 from armrig.data.treatment import prefilter, resample, retrend
 from armrig.estimation.polynomial_structures import oe
 from armrig.excitation import telegraph
@@ -29,8 +28,6 @@ def noise_free(N: int, seed: int = 1) -> Dataset:
         {"band": (0.0, 100.0)},
         {"band": (20.0, np.inf), "order": 2},
         {"band": (20.0, 200.0), "order": 2},
-        {"numerator": [1.0, -0.9]},
-        {"numerator": [0.5], "denominator": [1.0, -0.5]},
     ],
 )
 def test_the_model_of_filtered_data_is_the_same(kind: dict[str, object]) -> None:
@@ -70,19 +67,6 @@ def test_a_missing_sample_never_reaches_a_valid_one(at: int, length: int, level:
     both = treated.valid & whole.valid
     assert not treated.valid[at : at + length].any()
     np.testing.assert_allclose(treated.y[both], whole.y[both], atol=1e-4 * np.ptp(data.y))
-
-
-def test_a_finite_filter_loses_its_length_less_one_after_a_gap() -> None:
-    """Three coefficients cost two samples at the start of each experiment and after each gap."""
-    data = merge([noise_free(20), noise_free(20)])
-    valid = np.ones(40, dtype=np.bool_)
-    valid[30] = False
-
-    treated = prefilter(data.replaced(valid=valid, step=None), [1.0, 1.0, 1.0])
-
-    assert np.flatnonzero(~treated.valid).tolist() == [0, 1, 20, 21, 30, 31, 32]
-    assert "L = [1 1 1]; 6 more samples are missing" in treated.history[-1]
-    np.testing.assert_allclose(treated.y[22:30], (data.y[20:28] + data.y[21:29] + data.y[22:30]))
 
 
 def test_resampling_keeps_straight_lines_and_their_trend() -> None:

@@ -177,7 +177,7 @@ TREATMENTS: dict[str, Any] = {
     "detrend": armrig.detrend,
     "line": lambda data: armrig.detrend(data, 1),
     "resample": lambda data: armrig.resample(data, 0.2),
-    "prefilter": lambda data: armrig.prefilter(data, [0.5, 0.5]),
+    "prefilter": lambda data: armrig.prefilter(data, band=(0, 20.0), order=1),
     "difference": armrig.difference,
 }
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from math import isclose
 
 import numpy as np
 from armrig_core.errors import InputError
-from numpy.typing import ArrayLike
 
 from armrig.data.argument import treats_signals
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
-from armrig.numerics.checks import column, require_integers, require_numbers
-from armrig.numerics.polynomial import filtered, stable
+from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.stretches import Mask
 
 MAX_FORGOTTEN_SHARE = 1e-4  # share of sum |impulse response| after the filter's memory
@@ -24,14 +20,7 @@ _KAISER_BETA = 5.0
 
 
 @treats_signals
-def prefilter(
-    data: Signals,
-    numerator: ArrayLike | None = None,
-    denominator: ArrayLike = (1.0,),
-    *,
-    band: tuple[float, float] | None = None,
-    order: int = 4,
-) -> Signals:
+def prefilter(data: Signals, *, band: tuple[float, float], order: int = 4) -> Signals:
     """Return the data with u and y filtered by the same L(q), which weights frequencies.
 
     From y = G u + v follows L y = G L u + L v: the plant G does not change. L determines at which
@@ -46,12 +35,9 @@ def prefilter(
     ----------
     data : Dataset or Signals
         N samples.
-    numerator, denominator : array_like
-        Coefficients of L in q^-1. Without a denominator, the memory is at most the number of
-        coefficients in the numerator.
-    band : (float, float), optional
-        Edges, in rad/s, of the pass band of a Butterworth filter, instead of coefficients. (0, w)
-        is a low-pass filter, and (w, inf) is a high-pass filter.
+    band : (float, float)
+        Edges, in rad/s, of the pass band of a Butterworth filter. (0, w) is a low-pass filter, and
+        (w, inf) is a high-pass filter.
     order : int, default 4
         Order of the Butterworth filter.
 
@@ -63,8 +49,7 @@ def prefilter(
     Raises
     ------
     ValueError
-        Both or neither of numerator and band are given, the filter is unstable, the band is not
-        inside 0 to pi/Ts, or all samples would be missing.
+        The band is not inside 0 to pi/Ts, or all samples would be missing.
 
     Examples
     --------
@@ -73,29 +58,44 @@ def prefilter(
     >>> print(slow.history[0])
     filtered u and y with a Butterworth low-pass to 50 rad/s of order 4; ...
     """
-    if (numerator is None) == (band is None):
+    from scipy.signal import butter, sosfilt, sosfilt_zi
+
+    low, high = band
+    require_numbers(low=low, high=high)
+    require_integers(order=(order, 1))
+    nyquist = np.pi / data.equidistant()
+    if not (0 <= low < high and low < nyquist) or (low == 0 and high >= nyquist):
         raise InputError(
-            "give either numerator (and denominator) of the filter, or band=(low, high) in rad/s"
+            f"band=({low:g}, {high:g}) rad/s must be inside 0 to {nyquist:g} rad/s (pi/Ts), with "
+            "low < high, and not the whole range"
         )
-    if band is not None:
-        L = _butterworth(band, order, data.equidistant())
+    edges: float | tuple[float, float]
+    if low == 0:
+        kind, edges, passed = "lowpass", high / nyquist, f"low-pass to {high:g}"
+    elif high >= nyquist:
+        kind, edges, passed = "highpass", low / nyquist, f"high-pass from {low:g}"
     else:
-        L = _rational(numerator, denominator)
-    memory = _memory(L)
+        kind, edges = "bandpass", (low / nyquist, high / nyquist)
+        passed = f"band-pass from {low:g} to {high:g}"
+    name = f"a Butterworth {passed} rad/s of order {order}"
+    # Second-order sections: in a polynomial, rounding would move the poles of a low, narrow band.
+    sections = butter(order, edges, kind, output="sos")
+    steady, memory = sosfilt_zi(sections)[..., None], _memory(sections)
     u, y, valid = np.empty(data.u.shape), np.empty(data.y.shape), np.empty_like(data.valid)
     for part, start in zip(data.experiments(), data.starts, strict=True):
         rows = slice(start, start + part.N)
-        held = [_held(x, there) for x, there in zip(part.y.T, part.valid.T, strict=True)]
-        u[rows] = np.column_stack([_from_steady(L, x) for x in part.u.T])
-        y[rows] = np.column_stack([_from_steady(L, x) for x in held])
+        pairs = zip(part.y.T, part.valid.T, strict=True)
+        held = np.column_stack([_held(x, there) for x, there in pairs])
+        for filtered, x in ((u, part.u), (y, held)):
+            filtered[rows], _ = sosfilt(sections, x, axis=0, zi=steady * x[0])
         valid[rows] = _known_for(part.valid, memory)
     if not valid.any(axis=0).all():
         raise InputError(
-            f"{L.name} remembers {memory} samples, and no stretch of y without a gap is as long; "
-            "use a shorter filter (a wider band, a lower order, or a numerator alone)"
+            f"{name} remembers {memory} samples, and no stretch of y without a gap is as long; "
+            "use a shorter filter (a wider band, or a lower order)"
         )
     lost = int(np.count_nonzero(data.valid & ~valid))
-    step = f"filtered u and y with {L.name}; {lost} more samples are missing, within the "
+    step = f"filtered u and y with {name}; {lost} more samples are missing, within the "
     step += f"filter's memory of {memory} samples after the start or a gap"
     return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
 
@@ -196,69 +196,13 @@ def _decimated(part: Signals, h: Vector, factor: int) -> tuple[Matrix, Matrix, M
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Filter:
-    """A filter L(q), and its name in the history."""
-
-    apply: Callable[[Vector], Vector]
-    """Function that filters a signal, with zero initial state."""
-    gain: float
-    """Gain L(1)."""
-    name: str
-
-
-def _rational(numerator: ArrayLike | None, denominator: ArrayLike) -> _Filter:
-    b = column("numerator", () if numerator is None else numerator)
-    a = column("denominator", denominator)
-    if a[0] == 0 or not stable(a):
-        raise InputError(
-            f"the filter's denominator {a.tolist()} must begin with a number other than 0 and have "
-            "its roots inside the unit circle; for differences use difference(data)"
-        )
-    name = f"L = {_listed(b)}" + (f" / {_listed(a)}" if a.size > 1 or a[0] != 1 else "")
-    return _Filter(apply=lambda x: filtered(b, a, x), gain=float(np.sum(b) / np.sum(a)), name=name)
-
-
-def _listed(p: Vector) -> str:
-    return f"[{' '.join(f'{c:.4g}' for c in p)}]"
-
-
-def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
-    from scipy.signal import butter, sosfilt
-
-    low, high = band
-    require_numbers(low=low, high=high)
-    require_integers(order=(order, 1))
-    nyquist = np.pi / Ts
-    if not (0 <= low < high and low < nyquist) or (low == 0 and high >= nyquist):
-        raise InputError(
-            f"band=({low:g}, {high:g}) rad/s must be inside 0 to {nyquist:g} rad/s (pi/Ts), with "
-            "low < high, and not the whole range"
-        )
-    edges: float | tuple[float, float]
-    if low == 0:
-        kind, edges, name = "lowpass", high / nyquist, f"low-pass to {high:g}"
-    elif high >= nyquist:
-        kind, edges, name = "highpass", low / nyquist, f"high-pass from {low:g}"
-    else:
-        kind, edges = "bandpass", (low / nyquist, high / nyquist)
-        name = f"band-pass from {low:g} to {high:g}"
-    # Second-order sections: in a polynomial, rounding would move the poles of a low, narrow band.
-    sections = butter(order, edges, kind, output="sos")
-    return _Filter(
-        apply=lambda x: np.asarray(sosfilt(sections, x)),
-        gain=float(np.prod(sections[:, :3].sum(axis=1) / sections[:, 3:].sum(axis=1))),
-        name=f"a Butterworth {name} rad/s of order {order}",
-    )
-
-
-def _memory(L: _Filter) -> int:
+def _memory(sections: Matrix) -> int:
     """Return the number of samples until 1e-4 of the impulse response's absolute sum is left."""
+    from scipy.signal import sosfilt
+
     length = 256
     while True:
-        pulse = np.zeros(length)
-        pulse[0] = 1.0
-        weight = np.abs(L.apply(pulse))
+        weight = np.abs(sosfilt(sections, np.eye(1, length)[0]))
         ahead = np.cumsum(weight[::-1])[::-1]
         short = np.flatnonzero(ahead <= MAX_FORGOTTEN_SHARE * ahead[0])
         # The response decays, so its uncomputed part is smaller than the computed second half.
@@ -269,11 +213,6 @@ def _memory(L: _Filter) -> int:
             raise InputError(
                 f"the filter remembers more than {length // 8} samples; widen its band"
             )
-
-
-def _from_steady(L: _Filter, x: Vector) -> Vector:
-    """Return the filtered x; the filter starts in the steady state for the first value of x."""
-    return np.asarray(L.apply(x - x[0]) + L.gain * x[0])
 
 
 def _held(y: Vector, valid: Mask) -> Vector:
