@@ -497,11 +497,10 @@ def Signals() -> Variants:
     yield "channels", signals.channels("sum", "v")
     yield "merged", armrig.merge([signals[:50], signals[200:]])
     yield "detrended", armrig.detrend(signals, 1)
-    yield "resampled", armrig.resample(signals, 2 * signals.equidistant())
-    band = (0.0, 2.0 / signals.equidistant())
+    yield "resampled", armrig.resample(signals, 2 * signals.Ts)
+    band = (0.0, 2.0 / signals.Ts)
     yield "prefiltered", armrig.prefilter(signals, band=band, order=1)
     yield "outliers", armrig.hampel(signals)
-    yield "times", armrig.Signals(u=signals.u[:9], y=signals.y[:9], t=np.arange(9.0) ** 2)
 
 
 @variants

@@ -162,14 +162,12 @@ def starts_of(starts: Sequence[int], N: int) -> tuple[int, ...]:
     return starts_
 
 
-def sampling(
-    Ts: Any, t: ArrayLike | None, starts: tuple[int, ...], N: int
-) -> tuple[float | None, Vector | None]:
-    """Return (Ts, None) for equidistant samples, and (None, times) for other samples."""
+def sampling(Ts: Any, t: ArrayLike | None, starts: tuple[int, ...], N: int) -> float:
+    """Return the given sampling time in s, or that of equidistant times t; refuse other times."""
     if (Ts is None) == (t is None):
         raise InputError("give either Ts, the sampling time in s, or t, the time of each sample")
     if t is None:
-        return interval(Ts), None
+        return interval(Ts)
     times = np.array(plain("t", t), dtype=np.float64)
     if times.shape != (N,) or not np.isfinite(times).all():
         raise InputError(f"t has shape {times.shape}; give {N} finite times, one for each sample")
@@ -177,9 +175,12 @@ def sampling(
     if not intervals.size or not (intervals > 0).all():
         raise InputError("t must rise from each sample of an experiment to the next")
     mean = float(np.mean(intervals))
-    if np.max(np.abs(intervals - mean)) <= _MAX_INTERVAL_DEVIATION * mean:
-        return mean, None
-    return None, times
+    if np.max(np.abs(intervals - mean)) > _MAX_INTERVAL_DEVIATION * mean:
+        raise InputError(
+            "the sample times are not equidistant, which a model in discrete time needs; "
+            "interpolate the signals to equidistant times first"
+        )
+    return mean
 
 
 def interval(Ts: Any) -> float:

@@ -55,8 +55,7 @@ class Signals(Experiments):
     Ts : float, optional
         Sampling time in s.
     t : array_like, shape (N,), optional
-        Sample times in s, instead of Ts. The times increase within each experiment. If the times
-        are equidistant, Ts is their interval.
+        Sample times in s, instead of Ts, equidistant within each experiment.
     valid : array_like of bool, shape (N, ny) or (N,), optional
         False where an output is missing.
     starts : sequence of int, default (0,)
@@ -79,8 +78,8 @@ class Signals(Experiments):
     Raises
     ------
     ValueError
-        A shape is wrong, names repeat, an input is not finite, a valid output is infinite, or one
-        of several outputs has no valid sample.
+        A shape is wrong, names repeat, an input is not finite, a valid output is infinite, one of
+        several outputs has no valid sample, or the times are not equidistant.
 
     Examples
     --------
@@ -94,10 +93,8 @@ class Signals(Experiments):
 
     u: Matrix
     y: Matrix
-    Ts: float | None
-    """Sampling time in s; None if the times are not equidistant."""
-    times: Vector | None
-    """Sample times (N,) in s; None if the times are equidistant."""
+    Ts: float
+    """Sampling time in s."""
     valid: Mask
     starts: tuple[int, ...]
     inputs: tuple[str, ...]
@@ -135,7 +132,6 @@ class Signals(Experiments):
                 f"u has {N} samples and y has {y_.shape[0]}; both need one value for each instant"
             )
         starts_ = starts_of(starts, N)
-        Ts_, times = sampling(Ts, t, starts_, N)
         outputs_ = names_of("outputs", outputs, y, "y", ny)
         inputs_ = names_of("inputs", inputs, u, "input" if "u" in outputs_ else "u", nu)
         if both := sorted(set(inputs_) & set(outputs_)):
@@ -162,13 +158,12 @@ class Signals(Experiments):
                 f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
             )
         y_[~valid_] = np.nan
-        for array in (u_, y_, valid_, *(() if times is None else (times,))):
+        for array in (u_, y_, valid_):
             array.flags.writeable = False
         values = {
             "u": u_,
             "y": y_,
-            "Ts": Ts_,
-            "times": times,
+            "Ts": sampling(Ts, t, starts_, N),
             "valid": valid_,
             "starts": starts_,
             "inputs": inputs_,
@@ -213,21 +208,6 @@ class Signals(Experiments):
         """Number of outputs."""
         return len(self.outputs)
 
-    def equidistant(self) -> float:
-        """Return Ts in s, or refuse times that are not equidistant.
-
-        Examples
-        --------
-        >>> armrig.example_recording().signals().equidistant()
-        0.01
-        """
-        if self.Ts is None:
-            raise InputError(
-                "the sample times are not equidistant, which a model in discrete time needs; "
-                "interpolate the signals to equidistant times first"
-            )
-        return self.Ts
-
     def output(self, name: str | None = None) -> int:
         """Return the index of an output; the name may be left out if there is one output.
 
@@ -258,8 +238,7 @@ class Signals(Experiments):
         Raises
         ------
         ValueError
-            A channel does not exist, a name is left out although there are several channels, or the
-            times are not equidistant.
+            A channel does not exist, or a name is left out although there are several channels.
 
         Examples
         --------
@@ -273,7 +252,6 @@ class Signals(Experiments):
                 f"({listed(self.inputs)}): choose one of each with signals.dataset(output, input)"
             )
         i, j = self.output(output), self.input(input)
-        self.equidistant()
         pair = unchecked(
             self,
             u=self.u[:, j : j + 1],
@@ -424,7 +402,7 @@ class Dataset(Experiments):
     u = _column(lambda data: data.u[:, 0], "Input (N,), in `input_unit`.")
     y = _column(lambda data: data.y[:, 0], "Output (N,), in `unit`; NaN where it is missing.")
     valid = _column(lambda data: data.valid[:, 0], "Mask (N,), False where y is missing.")
-    Ts = _column(Signals.equidistant, "Sampling time, in s.")
+    Ts = _column(lambda data: data.Ts, "Sampling time, in s.")
     starts = _column(lambda data: data.starts, "Index of the first sample of each experiment.")
     output = _column(lambda data: data.outputs[0], "Name of y.")
     unit = _column(lambda data: data.units[0], "Unit of y.")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
-from armrig.data.columns import Vector, sampling
+from armrig.data.columns import Vector
 from armrig.data.step import took
 from armrig.numerics.checks import require_integers
 from armrig.plots.layout import figure_of, html
@@ -113,11 +113,8 @@ class Experiments:
 
     @property
     def t(self) -> Vector:
-        """Time (N,) in s; equidistant times begin at 0, as if the experiments were consecutive."""
-        data = self.signals()
-        if data.times is not None:
-            return data.times
-        return data.equidistant() * np.arange(self.N, dtype=np.float64)
+        """Time (N,) in s from 0 on, as if the experiments were consecutive."""
+        return self.signals().Ts * np.arange(self.N, dtype=np.float64)
 
     @property
     def digest(self) -> str:
@@ -127,7 +124,7 @@ class Experiments:
         """
         data = self.signals()
         # Saved models contain the hash. Data of one channel hash Ts, all others the times.
-        of_one = data.u.shape[1] == data.y.shape[1] == 1 and data.Ts is not None
+        of_one = data.u.shape[1] == data.y.shape[1] == 1
         times = np.array([data.Ts]) if of_one else data.t
         arrays = (data.u, data.y, data.valid, times, np.array(data.starts))
         return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
@@ -157,35 +154,22 @@ class Experiments:
         which = range(bisect_right(data.starts, a) - 1, bisect_left(data.starts, b))
         firsts = [max(a, data.starts[k]) for k in which]
         starts = tuple(first - a for first in firsts)
-        Ts, times = data.Ts, None
-        if data.times is not None:
-            Ts, times = sampling(None, data.times[a:b], starts, b - a)
-        begin, end = self._seconds(0, a), self._seconds(0, b - 1) + (data.Ts or 0.0)
-        step = took(f"took samples {a} to {b - 1} of {self.N}", begin, end)
+        step = took(f"took samples {a} to {b - 1} of {self.N}", data.Ts * a, data.Ts * b)
         return self._like(
             unchecked(
                 data,
                 u=data.u[a:b],
                 y=data.y[a:b],
                 valid=data.valid[a:b],
-                Ts=Ts,
-                times=times,
                 starts=starts,
                 trends=tuple(
-                    data.trends[k].later(self._seconds(data.starts[k], first))
+                    data.trends[k].later(data.Ts * (first - data.starts[k]))
                     for k, first in zip(which, firsts, strict=True)
                     if data.trends
                 ),
                 history=(*data.history, step),
             )
         )
-
-    def _seconds(self, a: int, b: int) -> float:
-        """Return the time from sample a to sample b."""
-        data = self.signals()
-        if data.times is not None:
-            return float(data.times[b] - data.times[a])
-        return data.equidistant() * (b - a)
 
     def split(self, k: int) -> tuple[Self, ...]:
         """Return k consecutive parts, whose lengths differ by at most one sample.
@@ -256,7 +240,6 @@ class Experiments:
                 u=data.u[rows],
                 y=data.y[rows],
                 valid=data.valid[rows],
-                times=None if data.times is None else data.times[rows],
                 starts=np.cumsum([0, *(part.size for part in parts[:-1])]).tolist(),
                 trends=[data.trends[i] for i in which if data.trends],
             )
@@ -274,10 +257,9 @@ class Experiments:
         <Dataset: 3000 samples at 0.01 s; output alpha [deg]; history: converted y to degrees>
         """
         values = self._values() | fields
-        t = values.pop("times", None)
         if step is not None:
             values["history"] = (*values["history"], step)
-        return type(self)(**values | ({} if t is None else {"t": t, "Ts": None}))
+        return type(self)(**values)
 
     def plot(
         self, kind: Literal["time", "spectrum", "values"] = "time", *, ax: Axes | None = None
@@ -309,8 +291,7 @@ class Experiments:
     def _described(self, channels: str, missing: str) -> str:
         """Return one line with the names of the channels, and with the word for missing values."""
         data = self.signals()
-        rate = "unequal intervals" if data.Ts is None else f"{data.Ts:g} s"
-        parts = [f"{self.N} samples at {rate}", channels]
+        parts = [f"{self.N} samples at {data.Ts:g} s", channels]
         if self.missing:
             share = 100 * self.missing / data.y.size
             parts.append(f"{self.missing} {missing} ({share:.1f} %)")

@@ -87,10 +87,9 @@ def plot_data(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None)
         panel.set_ylabel(named(_input(data, j), data.input_units[j]))
         panel.margins(y=0.15)
     for k, panel in enumerate(every):
-        if data.Ts is not None:
-            of = slice(k, k + 1) if k < data.ny else slice(None)
-            valid = np.logical_or.reduce(data.valid[:, of], axis=1)
-            shade(panel, valid, data.Ts, dead_band=not ARM_OUTPUTS.isdisjoint(data.outputs))
+        of = slice(k, k + 1) if k < data.ny else slice(None)
+        valid = np.logical_or.reduce(data.valid[:, of], axis=1)
+        shade(panel, valid, data.Ts, dead_band=not ARM_OUTPUTS.isdisjoint(data.outputs))
         for start in data.starts[1:]:
             panel.axvline(t[start], color=INK, lw=0.6, ls=(0, (4, 2)))
     every[-1].set_xlabel("$t$ [s]")
@@ -112,7 +111,7 @@ def plot_spectrum(source: Dataset | Signals | HasDataset, *, ax: Axes | None = N
     from armrig.numerics.power_spectrum import power_spectrum
 
     data = _signals_of(source)
-    Ts, edges, n = data.equidistant(), [*pairwise((*data.starts, data.N))], data.ny + data.nu
+    Ts, edges, n = data.Ts, [*pairwise((*data.starts, data.N))], data.ny + data.nu
     every = rows(ax or (high_axes(n + 2) if n > 2 else axes(None)), n)
     names = [*map(labelled, data.outputs), *(_input(data, j) for j in range(data.nu))]
     units = (*data.units, *data.input_units)

@@ -65,14 +65,12 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
                 f"merge needs the same {name} in all data, got {sorted(values, key=str)}; apply "
                 "the same treatment to all before merging"
             )
-    known = [data.times for data in each if data.times is not None]
     offsets = np.cumsum([0, *(data.N for data in each[:-1])])
     merged = each[0].replaced(
         step=None,
         u=np.concatenate([data.u for data in each]),
         y=np.concatenate([data.y for data in each]),
         valid=np.concatenate([data.valid for data in each]),
-        times=np.concatenate(known) if known else None,
         starts=[int(o) + s for o, data in zip(offsets, each, strict=True) for s in data.starts],
         source="+".join(dict.fromkeys(data.source for data in each if data.source)),
         history=_joined_history(each),

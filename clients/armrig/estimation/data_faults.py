@@ -166,7 +166,6 @@ def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Find
 
 def require_informative(data: Signals) -> None:
     """Refuse constant signals, and inputs that are linear combinations of other inputs."""
-    data.equidistant()
     for i, name in enumerate(data.outputs):
         y = data.y[data.valid[:, i], i]
         if np.ptp(y) == 0:

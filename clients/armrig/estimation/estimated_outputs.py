@@ -19,7 +19,7 @@ def origin(data: Dataset | Signals) -> dict[str, Any]:
     """Return names, units, sampling time and history of the data, as fields of a fit."""
     names = ("inputs", "outputs", "input_units", "units", "source", "history", "digest")
     signals = data.signals()
-    return {"Ts": signals.equidistant()} | {name: getattr(signals, name) for name in names}
+    return {"Ts": signals.Ts} | {name: getattr(signals, name) for name in names}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

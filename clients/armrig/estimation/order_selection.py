@@ -134,7 +134,7 @@ def select_orders(
     taken = as_dataset if one else as_signals
     other = None if validation is None else taken(validation).signals()
     if other is not None:
-        require_same_rate(signals.equidistant(), other.equidistant())
+        require_same_rate(signals.Ts, other.Ts)
     given = None
     if isinstance(nk, Mapping):
         given, nk = by_channel("nk", nk, data, least=0), [0]

@@ -242,7 +242,7 @@ def _require_same_channels(model: Fit, data: object) -> None:
             f"data is a {type(data).__name__}: give Signals with {', '.join(model.outputs)} and "
             f"{', '.join(model.inputs)}; for inputs alone, use fit.simulate(u)"
         )
-    _require_same_Ts(model, data.equidistant())
+    _require_same_Ts(model, data.Ts)
     for what, own, theirs in (
         ("outputs", model.outputs, data.outputs),
         ("inputs", model.inputs, data.inputs),
@@ -289,7 +289,7 @@ def findings_on_own_data(
 def _overlap(model: Any, data: Dataset | Signals) -> tuple[float, float] | None:
     """Return start and end, in s of the file, of the overlap of a model's data with these data."""
     source = getattr(model, "source", "")
-    if not source or source != data.source or data.Ts is None:
+    if not source or source != data.source:
         return None
     ours, theirs = span_of(getattr(model, "history", ())), span_of(data.history)
     if ours is None or theirs is None:

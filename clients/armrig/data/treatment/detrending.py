@@ -289,7 +289,7 @@ def _drift_of(part: Signals, i: int, n: int) -> Drift:
             f"an experiment has {model.rows} samples after {n} samples without a gap; a drift "
             f"estimate of order {n} needs {needed - n}: lower the order"
         )
-    Ts, gain = part.equidistant(), float(np.sum(model.A))
+    Ts, gain = part.Ts, float(np.sum(model.A))
     rate = model.d / gain / Ts
     by_theta = np.zeros(len(model.covariance))
     by_theta[:n], by_theta[-1] = -rate / gain, 1 / gain / Ts

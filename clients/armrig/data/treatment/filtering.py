@@ -63,7 +63,7 @@ def prefilter(data: Signals, *, band: tuple[float, float], order: int = 4) -> Si
     low, high = band
     require_numbers(low=low, high=high)
     require_integers(order=(order, 1))
-    nyquist = np.pi / data.equidistant()
+    nyquist = np.pi / data.Ts
     if not (0 <= low < high and low < nyquist) or (low == 0 and high >= nyquist):
         raise InputError(
             f"band=({low:g}, {high:g}) rad/s must be inside 0 to {nyquist:g} rad/s (pi/Ts), with "
@@ -141,7 +141,7 @@ def resample(data: Signals, Ts: float) -> Signals:
     from scipy.signal import firwin
 
     require_numbers(Ts=Ts)
-    old = data.equidistant()
+    old = data.Ts
     factor = round(Ts / old) if 0 < Ts < np.inf else 0
     if factor < 1 or not isclose(factor * old, Ts, rel_tol=1e-6):
         raise InputError(

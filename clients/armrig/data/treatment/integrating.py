@@ -318,7 +318,7 @@ def difference(data: Signals) -> Signals:
     >>> data.output, data.unit
     ('velocity', 'rad/s')
     """
-    Ts, y = data.equidistant(), np.full(data.y.shape, np.nan)
+    Ts, y = data.Ts, np.full(data.y.shape, np.nan)
     y[1:] = np.diff(data.y, axis=0) / Ts
     y[list(data.starts)] = np.nan
     names = [rate_name(output) for output in data.outputs]

@@ -206,7 +206,7 @@ def _equations(data: Signals, ode: Ode, fixed: Mapping[str, float], i: int) -> G
         raise InputError("all parameters are fixed: there is nothing to estimate")
     require_samples(data, names, unknown=len(ode.states))
     with np.errstate(all="ignore"):
-        returned = ode.simulate(data.u[:2], Ts=data.equidistant(), values=fixed, steps=1).shape[1]
+        returned = ode.simulate(data.u[:2], Ts=data.Ts, values=fixed, steps=1).shape[1]
         if returned != data.ny:
             raise InputError(
                 f"output returns {returned} values; the data have {data.ny} outputs, "

@@ -70,7 +70,7 @@ class Segments:
     @classmethod
     def of(cls, model: PhysicalModel, experiments: Sequence[Signals], length: int) -> Segments:
         """Cut the experiments."""
-        Ts, own, inputs, places, first = experiments[0].equidistant(), [], [], [], 0
+        Ts, own, inputs, places, first = experiments[0].Ts, [], [], [], 0
         for data in experiments:
             S = max(1, -(-(data.N - 1) // length))
             index = np.arange(length + 1)[:, None] + length * np.arange(S)
