@@ -86,16 +86,15 @@ def data(study: Study) -> Section:
     if steps:
         shown += ", <step> the step"
         of = OUTPUTS.get(steps[0].first, steps[0].first)
-        caption = f"(a) {of[0].upper()}{of[1:]} after a step of the {_motor(study)}voltage; "
-        caption += "(b) the voltage; "
-        caption += f"recording {run_name(steps[0])}."
+        motor = "motor's " * study.of_arm
+        caption = f"(a) {of[0].upper()}{of[1:]} after a step of the {motor}voltage; (b) "
+        caption += f"the voltage; recording {run_name(steps[0])}."
         step = figure("step", caption, 2.0, partial(plots.plot_data, steps[0]))
     return Section(
         title="Data",
         paragraphs=(
             f"{recording_facts.data_text(study)} {shown}. Samples in a shaded area have no "
-            f"{_quantity(study)}. "
-            "Appendix A describes the recordings.",
+            f"{_quantity(study)}. Appendix A describes the recordings.",
             *(["The data were treated in the order of the list."] if treated else []),
         ),
         figures=(*_figures(study, "data"), *step),
@@ -234,10 +233,6 @@ def _with_velocity(study: Study) -> bool:
 def _quantity(study: Study) -> str:
     """Return the word for a value of the outputs."""
     return "angle" if study.of_arm else "value"
-
-
-def _motor(study: Study) -> str:
-    return "motor's " * study.of_arm
 
 
 def _fit_rows(one: Study, study: Study) -> Iterator[tuple[str, ...]]:

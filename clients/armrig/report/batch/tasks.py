@@ -214,11 +214,12 @@ def row_of(task: Task, item: Item) -> Row:
             row |= _result(task, recording, item)
     except OSError as err:
         said = ": ".join(str(part) for part in (err.filename, err.strerror) if part)
-        row["problem"] = _in_a_line(said or str(err))
+        row["problem"] = said or str(err)
     except ArmrigError as err:
-        row["problem"] = _in_a_line(str(err) or type(err).__name__)
+        row["problem"] = str(err) or type(err).__name__
     except Exception as err:
-        row["problem"] = _in_a_line(f"{type(err).__name__}: {err}")
+        row["problem"] = f"{type(err).__name__}: {err}"
+    row["problem"] = " ".join(row["problem"].split())
     if row["problem"] and row["damage"]:
         row["problem"] = f"{row['damage']}; {row['problem']}"
     return {name: _plain(value) for name, value in row.items()}
@@ -324,10 +325,6 @@ def _model(text: str) -> Fit:
     from armrig.models.model_file import fit_of
 
     return fit_of(text, "the model")
-
-
-def _in_a_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def _plain(value: Any) -> Any:
