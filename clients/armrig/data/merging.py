@@ -65,6 +65,7 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
                 f"merge needs the same {name} in all data, got {sorted(values, key=str)}; apply "
                 "the same treatment to all before merging"
             )
+    trends = [t for data in each for t in data.trends or [Trend() for _ in data.starts]]
     offsets = np.cumsum([0, *(data.N for data in each[:-1])])
     merged = each[0].replaced(
         step=None,
@@ -74,16 +75,9 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
         starts=[int(o) + s for o, data in zip(offsets, each, strict=True) for s in data.starts],
         source="+".join(dict.fromkeys(data.source for data in each if data.source)),
         history=_joined_history(each),
-        trends=_joined_trends(each),
+        trends=trends if any(data.trends for data in each) else [],
     )
     return merged if kinds == {Signals} else merged.dataset()
-
-
-def _joined_trends(parts: Sequence[Signals]) -> list[Trend]:
-    """Return the trend of each experiment; if another has a trend, an experiment without has 0."""
-    if not any(data.trends for data in parts):
-        return []
-    return [trend for data in parts for trend in data.trends or [Trend() for _ in data.starts]]
 
 
 def _joined_history(parts: Sequence[Signals]) -> tuple[str, ...]:

@@ -106,14 +106,9 @@ def input_and_output(model: Fit) -> str:
         listed([_with_unit(name, unit) for name, unit in zip(names, units, strict=True)])
         for names, units in ((model.inputs, model.input_units), (model.outputs, model.units))
     )
-    return f"{u} to {y}, {time_axis(model)}"
-
-
-def time_axis(model: Fit) -> str:
-    """Return the sampling time as text, for a model in s that of its estimation data."""
     if isinstance(model.form, TransferFunction):
-        return f"continuous time, from Ts {model.form.Ts:g} s"
-    return f"Ts {model.Ts:g} s"
+        return f"{u} to {y}, continuous time, from Ts {model.form.Ts:g} s"
+    return f"{u} to {y}, Ts {model.Ts:g} s"
 
 
 def equations(model: Fit, *, with_std: bool = False) -> list[str]:

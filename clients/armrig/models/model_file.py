@@ -67,7 +67,11 @@ def fit_of(text: str, path: str) -> Fit:
                 f"{path} has format version {content.get('version')!r}, this armrig reads "
                 f"{VERSION}; it was written by armrig {content.get('armrig')}"
             )
-        findings = [_renewed_finding(finding) for finding in content["findings"]]
+        # Release 0.2.0 called the remedy "asks".
+        findings = [
+            {"remedy": x.get("asks", "")} | x if isinstance(x, dict) else x
+            for x in content["findings"]
+        ]
         fit = _restored(_renewed(content) | {"findings": findings})
         d = fit.theta.size
         if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
@@ -116,11 +120,6 @@ def _renewed(content: dict[str, Any]) -> dict[str, Any]:
 def _renewed_quality(old: Mapping[str, Any]) -> dict[str, Any]:
     white = {"p_value": old["whiteness"], "test": old.get("whiteness_test", "")}
     return {name: old[name] for name in ("loss", "N", "fit_percent")} | {"white": white}
-
-
-def _renewed_finding(finding: Any) -> Any:
-    """Return a finding whose remedy has its present name; release 0.2.0 called it "asks"."""
-    return {"remedy": finding.get("asks", "")} | finding if isinstance(finding, dict) else finding
 
 
 def _restored(content: dict[str, Any]) -> Fit:

@@ -107,7 +107,7 @@ def predicted(
         system = system.deterministic
     used = part.valid if horizon is not None else np.zeros_like(part.valid)
     with np.errstate(over="ignore", invalid="ignore"):
-        r = _responses(system, part, integrating=integrating, offset=offset, used=used)
+        r = error_responses(system, part, integrating=integrating, offset=offset, used=used)
         if not np.isfinite(r.errors).all():
             return np.full(part.y.shape, np.inf)
         c, x = r.combination(part, noise_std), r.x
@@ -123,13 +123,30 @@ def predicted(
 
 
 def error_responses(
-    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], offset: bool = False
+    system: StateSpace,
+    part: Signals,
+    *,
+    integrating: tuple[bool, ...],
+    offset: bool = False,
+    used: Array | None = None,
 ) -> ErrorResponses:
     """Return the responses of the one-step error y - ŷ to the data and to estimated quantities.
 
-    The estimated quantities are the initial state, the ramps and the levels of `predicted`.
+    The estimated quantities are the initial state, the ramps and the levels of `predicted`. The
+    innovations of outputs not marked in `used`, by default the valid ones, are taken as 0.
     """
-    return _responses(system, part, integrating=integrating, offset=offset, used=part.valid)
+    at = [i for i, integrates in enumerate(integrating) if integrates or offset]
+    n = system.order
+    inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
+    inputs, outputs = inputs[:, :, : part.nu], outputs[:, :, : part.ny]
+    inputs[:, 0], outputs[:, 0] = part.u, np.where(part.valid, part.y, 0.0)
+    for k, i in enumerate(at, 1 + n):
+        outputs[:, k, i] = np.arange(1.0, part.N + 1.0) if integrating[i] else 1.0
+    x0 = np.zeros((1 + n + len(at), n))
+    x0[1 : 1 + n] = np.eye(n)
+    x = _states(system, inputs, outputs, x0, part.valid if used is None else used)
+    errors = outputs - _outputs(system, x, inputs)
+    return ErrorResponses(inputs=inputs, outputs=outputs, x=x, errors=errors)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -149,24 +166,6 @@ class ErrorResponses:
         """Return the coefficients (m,) with the least squared errors; the first of them is 1."""
         weighted = (self.errors / noise_std).transpose(0, 2, 1)[part.valid]
         return np.append(1.0, -_initial(weighted[:, 1:], weighted[:, 0]))
-
-
-def _responses(
-    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], offset: bool, used: Array
-) -> ErrorResponses:
-    """Return the responses; innovations of outputs not marked in `used` are taken as 0."""
-    at = [i for i, integrates in enumerate(integrating) if integrates or offset]
-    n = system.order
-    inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
-    inputs, outputs = inputs[:, :, : part.nu], outputs[:, :, : part.ny]
-    inputs[:, 0], outputs[:, 0] = part.u, np.where(part.valid, part.y, 0.0)
-    for k, i in enumerate(at, 1 + n):
-        outputs[:, k, i] = np.arange(1.0, part.N + 1.0) if integrating[i] else 1.0
-    x0 = np.zeros((1 + n + len(at), n))
-    x0[1 : 1 + n] = np.eye(n)
-    x = _states(system, inputs, outputs, x0, used)
-    errors = outputs - _outputs(system, x, inputs)
-    return ErrorResponses(inputs=inputs, outputs=outputs, x=x, errors=errors)
 
 
 def _initial(responses: Array, errors: Array) -> Array:

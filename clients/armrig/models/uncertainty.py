@@ -98,7 +98,11 @@ def directions(model: Fit) -> Matrix:
     the free parameters, so that a root that is 1 by construction stays 1 along each column.
     """
     inward, outward = _integrator_maps(model)
-    return outward @ _root(inward @ model.trusted_covariance @ inward.T)
+    P = inward @ model.trusted_covariance @ inward.T
+    std = np.sqrt(np.maximum(np.diag(P), 0.0))
+    by = np.where(std > 0, std, 1.0)
+    value, vector = np.linalg.eigh(P / np.outer(by, by))  # rounding can make a value negative
+    return np.asarray(outward @ (std[:, None] * vector * np.sqrt(np.maximum(value, 0.0))))
 
 
 def _stable(model: Fit, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -160,14 +164,6 @@ def _normal(n: int, d: int, rng: np.random.Generator) -> Matrix:
     x = np.concatenate([half, -half])
     L = np.linalg.cholesky(x.T @ x / x.shape[0])
     return np.asarray(np.linalg.solve(L, x.T).T)
-
-
-def _root(P: Matrix) -> Matrix:
-    """Return W with W W^T = P; an eigenvalue that rounding made negative counts as 0."""
-    std = np.sqrt(np.maximum(np.diag(P), 0.0))
-    by = np.where(std > 0, std, 1.0)
-    value, vector = np.linalg.eigh(P / np.outer(by, by))
-    return np.asarray(std[:, None] * vector * np.sqrt(np.maximum(value, 0.0)))
 
 
 def pole_regions(model: Fit, draws: Draws | None = None) -> list[Region]:

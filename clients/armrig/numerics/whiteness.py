@@ -234,7 +234,8 @@ def portmanteau(
     m = np.zeros(lags)
     by_fitted, by_theta = np.zeros((lags, fitted.shape[1])), np.zeros((lags, Psi.shape[1]))
     for part, whole_span, (a, b) in zip(residuals, spans, pairwise(edges), strict=True):
-        e, span = np.nan_to_num(part), _without_last_zeros(whole_span)
+        e, rows = np.nan_to_num(part), np.flatnonzero(whole_span.any(axis=1))
+        span = whole_span[: rows[-1] + 1] if rows.size else whole_span[:0]
         m -= R[0] * (_autocorrelation(span, lags) + _autocorrelation(fitted[a:b], lags))
         explained = _with_past(e, span, lags)
         M -= R[0] * explained @ explained.T
@@ -261,11 +262,6 @@ def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
         Q, degrees = float(z @ z) / scale, float(np.sum(value)) / scale
         test = LJUNG_BOX if scale == 1 else SCALED
     return Whiteness(p_value=portmanteau_p_value(Q, max(degrees, 1.0), N), test=test)
-
-
-def _without_last_zeros(M: Array) -> Array:
-    rows = np.flatnonzero(M.any(axis=1))
-    return M[: rows[-1] + 1] if rows.size else M[:0]
 
 
 def _with_past(e: Vector, M: Array, lags: int) -> Array:

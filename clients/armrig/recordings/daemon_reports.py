@@ -187,20 +187,16 @@ def _event(message: Any, clock: Clock) -> Event:
 
 
 def _timing(message: Any, clock: Clock) -> Timing:
+    measured = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth")
     return Timing(
         t=clock.seconds(message.t_host_ns),
-        wake_lateness_us=_distribution(message.wake_lateness_us),
-        device_tick_error_us=_distribution(message.device_tick_error_us),
-        link_round_trip_us=_distribution(message.link_round_trip_us),
-        queue_depth=_distribution(message.queue_depth),
+        **{
+            name: Distribution(**_copied(getattr(message, name), Distribution)) for name in measured
+        },
         collections=-1 if message.collections == _ABSENT_COUNT else message.collections,
         cpu_pressure_percent=message.cpu_pressure_percent,
         run_queue=message.run_queue,
     )
-
-
-def _distribution(message: Any) -> Distribution:
-    return Distribution(**_copied(message, Distribution))
 
 
 def _copied(message: Any, kind: type, *others: str) -> dict[str, Any]:

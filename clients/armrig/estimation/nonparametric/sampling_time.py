@@ -204,7 +204,9 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
     if not stepped:
         explained(estimate)
-    gain = abs(steps.gain) if steps else _low(estimate)
+    known = estimate.magnitude[np.isfinite(estimate.G)]
+    low = float(np.mean(known[: max(1, known.size // 10)]))  # over the lowest frequencies
+    gain = abs(steps.gain) if steps else low
     first, last = _bandwidth(estimate, gain)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
     rules = (Ts_step, Ts_spectrum, transient / MIN_TRANSIENT_SAMPLES)
@@ -326,12 +328,6 @@ def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> Sp
         omega = np.geomspace(2 * np.pi / (shortest * data.Ts), np.pi / data.Ts, 300)
         estimate = response.spectrum(omega)
     return estimate.rate() if integrates else estimate
-
-
-def _low(estimate: SpectralEstimate) -> float:
-    """Return |G| at low frequency: the mean over the lowest tenth of the frequencies."""
-    magnitude = estimate.magnitude[np.isfinite(estimate.G)]
-    return float(np.mean(magnitude[: max(1, magnitude.size // 10)]))
 
 
 def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:

@@ -339,13 +339,6 @@ def _answer(
     )
 
 
-def _weight(data: Dataset, steps: _Steps) -> float:
-    """Return the std of one sample divided by the std of the mean response, in units of u."""
-    parts = list(data.experiments())
-    sizes = [p.u[at] - p.u[at - 1] for p, at in ((parts[i], at) for i, at in steps.at)]
-    return float(np.linalg.norm(sizes))
-
-
 def _lag(
     y: Vector,
     k: NDArray[np.int_],
@@ -358,12 +351,13 @@ def _lag(
     """Return the equivalent time, measured from the step, and its standard deviation, in s."""
     settled = k >= (2 * k[-1]) // 3
     if integrates:
-        n = steps.pre // 2 + 1
+        n, parts = steps.pre // 2 + 1, list(data.experiments())
+        sizes = [parts[i].u[at] - parts[i].u[at - 1] for i, at in steps.at]
         return lag_of_angle(
             data.Ts * k[settled],
             y[settled],
             before=(n, n * data.Ts),
-            rounding=quantum(data) / _weight(data, steps),
+            rounding=quantum(data) / float(np.linalg.norm(sizes)),
         )
     value, std = gain
     rising = (k >= 0) & ~settled

@@ -319,6 +319,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         first, end = rows.k_first, rows.k_first + rows.N
         reports = {name: _within(found, t, manifest.Ts) for name, found in reports.items()}
         reports["gaps"] = tuple(g for g in gaps if g.k_first < end and g.k_first + g.count > first)
+    driver, u = calibration.driver if calibration else Driver(), _input(samples, rows, gaps)
     recording = Recording(
         path=path,
         sha256=content.sha256,
@@ -328,7 +329,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         calibration=calibration,
         k_first=rows.k_first,
         t=t,
-        u=_terminal(_input(samples, rows, gaps), calibration.driver if calibration else Driver()),
+        u=np.where(u == 0, 0.0, driver.gain * u + driver.offset_v),  # 0 V remains 0 V
         description=description,
         **channels_of(
             samples,
@@ -384,13 +385,6 @@ def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vect
     u = rows.filled((gap.k_first, gap.count, gap.u_held_v) for gap in gaps)
     u[rows.present] = applied
     return u
-
-
-def _terminal(u: Vector, driver: Driver) -> Vector:
-    """Convert the voltage of the codes to the voltage at the terminals, in V; 0 V remains 0 V."""
-    terminal = driver.gain * u + driver.offset_v
-    terminal[u == 0] = 0.0
-    return terminal
 
 
 def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:
