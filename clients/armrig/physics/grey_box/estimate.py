@@ -258,7 +258,7 @@ def minimised(
         raise failed
     _, whole, best = min(found, key=lambda trial: trial[0])
     if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
-        whole, eta = problem(experiments), best.theta[: start.size]
+        whole, eta = problem(experiments).changed(steps=whole.steps), best.theta[: start.size]
         best = whole.searched(whole.relaxed(eta, whole.begun(eta)))
     elif not best.converged:
         best = whole.searched(best.theta)

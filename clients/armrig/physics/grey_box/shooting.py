@@ -502,7 +502,7 @@ class Shooting:
             known = np.isfinite(sizes) & (sizes > 0) & [x != OFFSET for x in self.model.states]
             before, steps = self.scale, self.steps
             self.scale = np.where(known, sizes, 1.0)
-            self.steps = max(steps, self.model.steps_and_error(course, s, values)[0])
+            self.steps, _ = self.model.steps_and_error(course, s, values, least=steps)
             if steps == self.steps and np.all(np.abs(np.log(self.scale / before)) < 1):
                 break
         return s
