@@ -79,16 +79,11 @@ def takes_recordings(
     return _taking(f, as_dataset)
 
 
-def as_data(data: Dataset | HasDataset | Signals) -> Dataset | Signals:
-    """Return Signals unchanged, and other data as a Dataset."""
-    return data if isinstance(data, Signals) else as_dataset(data)
-
-
 def takes_data(
     f: Callable[Concatenate[Dataset | Signals, P], R],
 ) -> Callable[Concatenate[Dataset | HasDataset | Signals, P], R]:
     """Decorate a function of data of any shape, so that it also accepts a recording."""
-    return _taking(f, as_data)
+    return _taking(f, lambda data: data if isinstance(data, Signals) else as_dataset(data))
 
 
 def takes_signals(

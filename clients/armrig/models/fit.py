@@ -192,21 +192,17 @@ class Fit(Estimate):
         if self.ny == self.nu == 1:
             found = [polynomial_roots(self, letter) for letter in "af"]
         else:
-            found = [fit.poles() for fit in self._distinct_denominators()]
+            distinct: dict[bytes, Fit] = {}
+            for _, _, fit in self.channels():
+                distinct.setdefault(fit.denominator.tobytes(), fit)
+            fits = [*distinct.values()]
+            if self.shared or self.form.coupled:
+                fits = [max(fits, key=lambda fit: fit.denominator.size)]
+            found = [fit.poles() for fit in fits]
         return Roots(
             values=np.concatenate([r.values for r in found]),
             covariance=np.concatenate([r.covariance for r in found]),
         )
-
-    def _distinct_denominators(self) -> list[Fit]:
-        """Return one channel for each distinct denominator."""
-        found: list[Fit] = []
-        for _, _, fit in self.channels():
-            if not any(np.array_equal(fit.denominator, known.denominator) for known in found):
-                found.append(fit)
-        if self.shared or self.form.coupled:
-            return [max(found, key=lambda fit: fit.denominator.size)]
-        return found
 
     def zeros(self) -> Roots:
         """Return the zeros from u to y, without the zeros at 0 and at infinity that delays cause.

@@ -189,7 +189,10 @@ def prediction_errors(model: Fit, part: Dataset) -> Residuals:
     with np.errstate(over="ignore", invalid="ignore"):
         C, D, F = p["C"], p["D"], p["F"]
         if not np.isfinite(filtered(np.convolve(D, model.B), np.convolve(C, F), part.u)).all():
-            return _none(part.N, model.parameters)
+            # The output of an unstable predictor overflows.
+            nothing = Unknown(basis=orthonormal(np.zeros((0, 0))), pulses=0, N=part.N)
+            none = np.zeros((part.N, model.parameters))
+            return Residuals(e=np.full(part.N, np.nan), Psi=none, unknown=nothing)
         given = regression(experiment, structure, A=p["A"], C=C, D=D, F=[F])
         known = errors(experiment, structure, given, A=p["A"], B=[p["B"]], C=C, D=D, F=[F])
     by_a, others = np.split(known.Psi, [structure.na], axis=1)
@@ -199,12 +202,6 @@ def prediction_errors(model: Fit, part: Dataset) -> Residuals:
         unknown=given.unknown,
         noise=given.noise,
     )
-
-
-def _none(N: int, parameters: int) -> Residuals:
-    """Return residuals that are all NaN, for an unstable predictor whose output overflows."""
-    nothing = Unknown(basis=orthonormal(np.zeros((0, 0))), pulses=0, N=N)
-    return Residuals(e=np.full(N, np.nan), Psi=np.zeros((N, parameters)), unknown=nothing)
 
 
 def _single(data: Dataset | Signals) -> Dataset:

@@ -68,8 +68,16 @@ def plot_timing(
     ax = axes(ax)
     times, label = _TIMES[quantity]
     x = times(recording)
-    if not _varies(x):
-        return _write_the_same(ax, recording, x, label)
+    if not _varies(x):  # a histogram would be a single bar
+        text = "no samples"
+        if x.size:
+            text = (
+                f"{x.size} samples, all\n{three_digits(float(np.median(x)))} µs, to the microsecond"
+            )
+        ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
+        ax.set(xticks=[], yticks=[], xlabel=label, ylabel="samples")
+        finish(ax)
+        return sign(ax, recording.sha256)
     marks = np.percentile(x, (50, 99, 100))
     # Times below the clock's resolution are drawn at the left edge.
     least = 0.5 if quantity == "jitter" else 0.1
@@ -92,18 +100,6 @@ def plot_timing(
     ax.set_ylabel("samples")
     finish(ax)
     return sign(ax, recording.sha256, above=legend(ax))
-
-
-def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Axes:
-    """Write the common value of all times instead of a histogram, which would be a single bar."""
-    text = "no samples"
-    if x.size:
-        median = three_digits(float(np.median(x)))
-        text = f"{x.size} samples, all\n{median} µs, to the microsecond"
-    ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
-    ax.set(xticks=[], yticks=[], xlabel=label, ylabel="samples")
-    finish(ax)
-    return sign(ax, recording.sha256)
 
 
 def plot_overview(

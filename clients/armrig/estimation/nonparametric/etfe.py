@@ -338,19 +338,15 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
 
 def _noise_variance(pairs: Sequence[Transforms], at: NDArray[np.int_]) -> Vector:
     """Return the noise variance of G_r, averaged over the realisations; NaN if unknown."""
-    variances = [
-        np.var(Y[:, at], axis=0, ddof=1) * _share_of_mean(n_k, Y.shape[0]) / np.abs(U[at]) ** 2
-        for U, Y, n_k in pairs
-        if Y.shape[0] > 1
-    ]
+    variances = []
+    for U, Y, n_k in pairs:
+        if Y.shape[0] > 1:
+            # The share of the mean is 1/periods for complete y. Values that replace missing samples
+            # do not scatter.
+            free = float(np.mean(n_k)) - 1
+            share = (len(Y) - 1) / free * float(np.mean(1 / n_k)) if free > 0 else np.nan
+            variances.append(np.var(Y[:, at], axis=0, ddof=1) * share / np.abs(U[at]) ** 2)
     return np.mean(variances, axis=0) if variances else np.full(at.size, np.nan)
-
-
-def _share_of_mean(n_k: NDArray[np.intp], periods: int) -> float:
-    """Return the variance of the mean over periods, divided by the variance between periods."""
-    # The ratio is 1/periods for complete y; values that replace missing samples do not scatter.
-    free = float(np.mean(n_k)) - 1
-    return (periods - 1) / free * float(np.mean(1 / n_k)) if free > 0 else float("nan")
 
 
 def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[str]:

@@ -230,7 +230,9 @@ def catalogue(folder: str | Path) -> Catalogue:
         known = before.get(name)
         if known is None or known.state != state_of(state):
             try:
-                known = Known(state_of(state), *_said_by(folder / name))
+                known = Known(state_of(state), summary_of(folder / name))
+            except DamageError as err:
+                known = Known(state_of(state), str(err), isinstance(err, ForeignError))
             except OSError as err:  # the error may be temporary, so it is not kept
                 left_out.append(LeftOut(folder / name, err.strerror or str(err)))
                 continue
@@ -249,14 +251,6 @@ def catalogue(folder: str | Path) -> Catalogue:
         left_out=tuple(left_out),
         unfinished=tuple(unfinished(folder)),
     )
-
-
-def _said_by(path: Path) -> tuple[RecordingSummary | str, bool]:
-    """Return the summary of a file, or the reason why it cannot be listed, and `is_foreign`."""
-    try:
-        return summary_of(path), False
-    except DamageError as err:
-        return str(err), isinstance(err, ForeignError)
 
 
 def facts_of(summary: RecordingSummary) -> dict[str, Any]:

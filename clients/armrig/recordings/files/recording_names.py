@@ -125,14 +125,6 @@ def described(summary: RecordingSummary) -> str:
     return f"@{summary.run_id}, {what}, {summary.seconds:g} s, {when}"
 
 
-def _near(text: str, folder: Path) -> str:
-    """Return a question that offers the most similar name; "" if no name is similar."""
-    newest = islice(summaries(newest_first(folder)), _MAX_SEARCHED)
-    wanted = text.removeprefix("@").removesuffix(VALIDATION)
-    near = get_close_matches(wanted, sorted({s.name for s in newest if s.name}), n=1)
-    return f": did you mean @{near[0]}?" if near else ""
-
-
 def _none(text: str, folder: Path) -> str:
     unfinished = sum(1 for _ in folder.glob("*.mcap.active"))
     going = f" ({unfinished} still being written)" if unfinished else ""
@@ -140,5 +132,8 @@ def _none(text: str, folder: Path) -> str:
         why = f"there is no finished recording in {folder}{going}; make one with `armrig collect`"
     else:
         why = f"no finished recording in {folder} has that name{going}; `armrig ls` lists all names"
-        why += _near(text, folder)
+        newest = islice(summaries(newest_first(folder)), _MAX_SEARCHED)
+        wanted = text.removeprefix("@").removesuffix(VALIDATION)
+        near = get_close_matches(wanted, sorted({s.name for s in newest if s.name}), n=1)
+        why += f": did you mean @{near[0]}?" if near else ""
     return f"{text}: {why}"
