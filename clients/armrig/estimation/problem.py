@@ -443,13 +443,13 @@ class UnitCircle:
 
     def normals(self, theta: Array) -> Array:
         """Return the gradient d|z|/dtheta for each root z on the circle."""
-        found = [np.zeros((0, theta.size))]
+        found = np.zeros((0, theta.size))
         for part in self._outside(INSIDE_MODULUS, theta):
             rows = outward_normals(monic(theta[part]))
             whole = np.zeros((len(rows), theta.size))
             whole[:, part] = rows
-            found.append(whole)
-        return np.vstack(found)
+            found = np.vstack([found, whole])
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -68,7 +68,7 @@ def searched_minimum(
     continues on all data. If the search is not thorough, it moves only complex pairs of F.
     """
     ends = from_starts(problem) if part is None else _through(part, problem)
-    movable = thorough or _largest_order(problem) >= 2
+    movable = thorough or max(problem.rows[0].sizes, default=0) >= 2
     doubtful = movable and _doubtful(problem, ends, strict=thorough and part is None)
     for _ in range(_MAX_ROUNDS if doubtful else 0):
         best = ends[0][1]
@@ -108,11 +108,6 @@ def _completed(problem: PolynomialProblem, theta: Array) -> PolynomialProblem:
         for of, parts in zip(problem.experiments, problem.solve(theta).parts, strict=True)
     )
     return replace(problem, experiments=experiments)
-
-
-def _largest_order(problem: PolynomialProblem) -> int:
-    """Return the largest number of roots of an F."""
-    return max(problem.rows[0].sizes, default=0)
 
 
 def lowest_beside(
@@ -200,7 +195,7 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
         return True
     if strict:
         return ends[0][1].cost > rounding_floor(problem)
-    if _largest_order(problem) < 2:
+    if max(problem.rows[0].sizes, default=0) < 2:
         return False
     parts = problem.solve(ends[0][1].theta).parts
     noise = variance = 0.0

@@ -49,7 +49,7 @@ class Walls(Protocol):
     """Boundary of the admissible set, along which a search may move."""
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta, moved inside if the step from `previous` crossed a wall."""
+        """Return theta itself, or moved inside if the step from `previous` crossed a wall."""
 
     def normals(self, theta: Array) -> Array:
         """Return the outward normals (k, n) of the walls that theta touches."""
@@ -171,7 +171,11 @@ def _admitted(
 ) -> tuple[Array, float]:
     """Return an admissible step, and the factor by which the halvings reduced the step."""
     if walls is not None:
-        step = walls.inside(theta + step, theta) - theta
+        whole = theta + step
+        end = walls.inside(whole, theta)
+        step = end - theta
+        if end is whole:
+            return step, 1.0
     halvings = 0
     while not admissible(theta + step) and halvings < MAX_HALVINGS:
         step, halvings = step / 2, halvings + 1
