@@ -175,7 +175,7 @@ def test_an_input_offset_is_estimated_with_the_model(case: Case) -> None:
 
     assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
     assert fit.free[0].offset == pytest.approx(2.5, abs=0.1)
-    assert residuals(fit, moved).whiteness == pytest.approx(fit.whiteness, rel=1e-3)
+    assert residuals(fit, moved).white.p_value == pytest.approx(fit.whiteness, rel=1e-3)
 
 
 def test_the_initial_state_is_kept_if_an_f_test_is_significant() -> None:
@@ -238,7 +238,7 @@ def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
         tested = residuals(fit, seen)
 
         assert np.nanmean(tested.e**2) == pytest.approx(fit.loss, rel=1e-9)
-        assert tested.whiteness == pytest.approx(fit.whiteness, rel=1e-6)
+        assert tested.white.p_value == pytest.approx(fit.whiteness, rel=1e-6)
         assert tested.on_estimation_data
 
 
