@@ -190,9 +190,6 @@ def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:
     return level - slope * middle, slope
 
 
-_DEFAULT_ORDER = 10
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drift:
     """Straight-line drift of the output of one experiment, with its standard deviation."""
@@ -223,9 +220,7 @@ class Drift:
 
 
 @takes_signals
-def drift(
-    data: Signals, order: int = _DEFAULT_ORDER, *, integrator: bool | None = None
-) -> tuple[Drift, ...]:
+def drift(data: Signals, order: int = 10, *, integrator: bool | None = None) -> tuple[Drift, ...]:
     """Estimate the drift of the output of each experiment, without the response to the input.
 
     For each output a model of high order, A(q) y(t) = B(q) u(t) + c + d t + e(t), is estimated by

@@ -222,13 +222,12 @@ class FirRegression:
 
     def triangle(self) -> Matrix:
         """Return the triangular factor R (d + 1, d + 1) of [Phi y], from all used rows."""
-        return triangle(self._blocks(), self.experiments[0].windows.shape[1] + 1)
-
-    def _blocks(self) -> Iterator[Matrix]:
-        for x in self.experiments:
-            for part in x.parts():
-                there = x.used[part]
-                yield np.column_stack([x.rows(part), x.y[part]])[there]
+        blocks = (
+            np.column_stack([x.rows(part), x.y[part]])[x.used[part]]
+            for x in self.experiments
+            for part in x.parts()
+        )
+        return triangle(blocks, self.experiments[0].windows.shape[1] + 1)
 
     def residuals(self, g: Vector) -> list[Vector]:
         """Return the residuals y - Phi g of each experiment, (N_i,); NaN if not known."""

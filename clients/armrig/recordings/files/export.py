@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from armrig_core.process.imports import imported
-from numpy.typing import NDArray
 
 from armrig.recordings.recording import Recording, export_columns, export_metadata
 
@@ -23,16 +22,12 @@ def write_csv(recording: Recording, path: Path, *, raw: bool = False) -> None:
     Numbers are written with all their digits. `armrig identify` reads the file.
     """
     found = export_columns(recording, raw=raw)
+    columns = [c.astype(np.uint8) if c.dtype == np.bool_ else c for c in found.values()]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(found) + "\n")
         for begin in range(0, recording.N, _BLOCK_ROWS):
-            some = [_texts(column[begin : begin + _BLOCK_ROWS]) for column in found.values()]
+            some = [map(repr, c[begin : begin + _BLOCK_ROWS].tolist()) for c in columns]
             file.writelines(",".join(row) + "\n" for row in zip(*some, strict=True))
-
-
-def _texts(column: NDArray[Any]) -> list[str]:
-    values = column.astype(np.uint8) if column.dtype == np.bool_ else column
-    return [repr(value) for value in values.tolist()]
 
 
 def write_mat(
