@@ -416,7 +416,11 @@ class Shooting:
     def _found(self, z: Vector) -> Point:
         point = self.joined(z)
         if point is None:
-            raise InputError("the search ended at parameters whose outputs are not finite")
+            raise InputError(
+                "the search ended at parameters whose outputs are not finite, or so sensitive to "
+                "the initial state that the record cannot be followed: begin nearer, or give "
+                "shorter experiments"
+            )
         return point
 
     def residuals(self, z: Vector) -> Matrix:
