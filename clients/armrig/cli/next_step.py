@@ -117,7 +117,7 @@ def _goes_on(line: str, described: str) -> str:
     named = [s for name in names for s in own if name in s.names(validation=False)]
     found = [s for s in named if s in of_rig]
     if not found:  # a recording of another rig keeps its name
-        return line.rpartition(" --name ")[0] if named else line
+        return line.rpartition("--name")[0].rstrip() if named else line
     if found[0].kind == "step" and (pair := _estimation(of_rig)):
         return NEXT["hints"].format(file=pair, given="")
     return NEXT[name_after(found[0].kind)].format(file=typed(found[0].path))
