@@ -232,7 +232,7 @@ def warned(recording: Any) -> Any:
 
 
 @contextmanager
-def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
+def estimating(orders: str) -> Iterator[Count]:
     """Show a spinner during an estimation, and suppress the warnings of libraries.
 
     If a matrix cannot be decomposed, the InputError names the `orders`, which may be too high.
@@ -240,7 +240,7 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
     import numpy as np
 
     with (
-        spinner("estimating", console) as count,
+        spinner("estimating") as count,
         np.errstate(all="ignore"),
         warnings.catch_warnings(),
     ):

@@ -63,14 +63,14 @@ def fill(host: Host, u: list[int]) -> list[int]:
     return seqs
 
 
-def run_to_end(host: Host, k_stop: int, ts_us: int = TS_US) -> Took:
+def run_to_end(host: Host, k_stop: int) -> Took:
     """Start a run, and return its messages up to its end."""
     host.fence()
     before = host.rx_us
     host.put(wire.Start, k_stop=k_stop)
     came = host.fence()
     started = (before, host.rx_us)
-    limit_ms = 2 * k_stop * ts_us / 1000 + 3_000
+    limit_ms = 2 * k_stop * TS_US / 1000 + 3_000
 
     def ends(m: wire.Message) -> bool:
         return isinstance(m, wire.Event) and m.was == State.RUN

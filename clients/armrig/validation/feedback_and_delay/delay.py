@@ -78,7 +78,7 @@ def delay(
     data : Dataset or Signals
         At least 50 samples with an exciting input. Samples may be missing, and the data may have
         several experiments. For Signals with several channels, each pair of an output and an
-        input is tested separately, without the effects of the other inputs (`other_inputs`).
+        input is tested separately, without the effects of the other inputs.
     integrator : bool, optional
         True if y integrates. The default is True for the turning angle of the arm. For any other y
         a test decides, and `remarks` contains its result. With several inputs this argument has no
