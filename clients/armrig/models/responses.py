@@ -120,8 +120,9 @@ def polynomial_roots(model: Fit, letter: str) -> Roots:
         return Roots(values=z, covariance=np.zeros((0, 2, 2)))
     both = np.stack([dz.real, dz.imag], axis=1)
     part = model.slice_of(letter)
-    moved = both @ _factor(model.trusted_covariance[part, part])
-    return Roots(values=z, covariance=moved @ moved.transpose(0, 2, 1))
+    with np.errstate(invalid="ignore"):  # a double root has no derivative, and a covariance of NaN
+        moved = both @ _factor(model.trusted_covariance[part, part])
+        return Roots(values=z, covariance=moved @ moved.transpose(0, 2, 1))
 
 
 def root_derivatives(model: Fit, letter: str) -> tuple[Complex, Complex]:
