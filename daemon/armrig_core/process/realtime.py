@@ -124,15 +124,15 @@ def be_prompt(thread: int) -> None:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
 
 
-def end_with_parent(parent: int | None = None) -> None:
-    """Let the kernel end this process by SIGTERM when its parent ends.
+def end_with_parent(parent: int | None = None, by: signal.Signals = signal.SIGTERM) -> None:
+    """Let the kernel end this process by the signal `by` when its parent ends.
 
     `parent` is the id of the process that started this process; it may already have ended.
     """
     parent = os.getppid() if parent is None else parent
-    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    _libc.prctl(_PR_SET_PDEATHSIG, by, 0, 0, 0)
     if os.getppid() != parent:  # the parent ended before this request
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), by)
 
 
 def ignore_signals() -> None:

@@ -11,8 +11,10 @@ from __future__ import annotations
 import os
 import runpy
 import select
+import signal
 import subprocess
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
@@ -25,12 +27,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig_core.errors import InputError, OperationError
+from armrig_core.process.printable import printable
 from armrig_core.process.realtime import end_with_parent, leave_fifo
 from armrig_core.rig.equations import Course, Ode, checked_derivative, checked_outputs, integrated
 
-_START_S, _ANSWER_S, _RUN_S = 30.0, 2.0, 10.0  # largest times to answer
+# Largest times to answer. The service serves no stop during a rehearsal, at 0 V: keep them short.
+_START_S, _ANSWER_S, _RUN_S = 3.0, 2.0, 2.0
 _TOLERANCE = 1e-6  # relative change of the states if the steps are doubled
 _MAX_STEPS = 4096  # of one interval
+_MAX_CHARACTERS = 1000  # of an error of the file
 
 
 def load_equations(path: Path) -> Ode:
@@ -80,17 +85,28 @@ class EquationsProcess:
                 self._process.stdin.write(msgspec.json.encode((u, dt)) + b"\n")
                 self._process.stdin.flush()
         y = np.array(self._answer(_RUN_S if len(u) > 1 else _ANSWER_S))
+        if y.shape != (len(u), len(self.rest)):
+            self.close()
+            raise InputError(f"{self._path}: the number of outputs changes after t = {self._t:g} s")
         self._t += len(u) * dt
         return np.asarray(y - self.rest)
 
     def _answer(self, limit_s: float) -> list[Any]:
+        line, until = bytearray(), time.monotonic() + limit_s
         out = self._process.stdout
-        if out is None or not select.select([out], [], [], limit_s)[0]:
-            self.close()
-            at = f"from t = {self._t:g} s on"
-            raise OperationError(f"{self._path}: {at} the equations took more than {limit_s:g} s")
-        line = out.readline()
-        answer = msgspec.json.decode(line) if line else f"the process ended after t = {self._t:g} s"
+        while out is not None and not line.endswith(b"\n"):
+            if not select.select([out], [], [], max(0.0, until - time.monotonic()))[0]:
+                self.close()
+                at = f"{self._path}: from t = {self._t:g} s on"
+                raise OperationError(f"{at} the equations took more than {limit_s:g} s")
+            part = os.read(out.fileno(), 1 << 16)
+            if not part:
+                line[:] = msgspec.json.encode(f"the process ended after t = {self._t:g} s") + b"\n"
+            line += part
+        try:
+            answer = msgspec.json.decode(line, type=str | list[Any])
+        except msgspec.DecodeError:  # the file wrote to a descriptor that it did not open
+            answer = f"the process gave no answer after t = {self._t:g} s"
         if isinstance(answer, str):
             self.close()
             raise InputError(f"{self._path}: {answer}")
@@ -98,8 +114,12 @@ class EquationsProcess:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    process.kill()
-    process.communicate()
+    os.killpg(process.pid, signal.SIGKILL)  # also processes that the file has started
+    process.wait()
+    for stream in (process.stdin, process.stdout):
+        with suppress(BrokenPipeError):
+            if stream is not None:
+                stream.close()
 
 
 class _Motion:
@@ -121,6 +141,7 @@ class _Motion:
         with np.errstate(all="ignore"):
             slopes = [(at(step) - at(-step)) / (2 * h) for step in h * np.eye(n + 1)]
             M, rest = np.nan_to_num(slopes).T, at(np.zeros(n + 1))[n:]
+        _check_finite(rest)
         return [M[:n, :n].tolist(), M[:n, n:].tolist(), M[n:, :n].tolist(), rest.tolist()]
 
     def held(self, u: float, dt: float) -> list[float]:
@@ -136,24 +157,32 @@ class _Motion:
                     found = integrated(self.ode, course, self.x, self.ode.values, 2 * steps)
                     size = np.abs(found.end) + np.abs(self.x) + _TOLERANCE
                     if np.all(np.abs(found.end - coarse.end) <= _TOLERANCE * size):
+                        y = found.y[1, :, 0, 0]
+                        _check_finite(y)
                         self.x, self.t = found.end, self.t + dt
                         # Longer at first in the next interval; a short one says nothing.
                         self.step_s = 2 * dt / steps if steps > 1 else max(self.step_s, dt)
-                        return [float(y) for y in found.y[1, :, 0, 0]]
+                        return [float(value) for value in y]
                     steps *= 2
             raise InputError(f"{_MAX_STEPS} steps in {dt:.2g} s do not follow the equations")
-        except InputError as err:
+        except ValueError as err:  # also numpy's, if the number of outputs changes
             state = ", ".join(f"{x:.4g}" for x in self.x.ravel())
             raise InputError(f"at t = {self.t:.4g} s, x = [{state}], u = {u:.3g} V: {err}") from err
+
+
+def _check_finite(y: NDArray[np.float64]) -> None:
+    if not np.all(np.isfinite(y)):
+        raise InputError("output returns a value that is not finite")
 
 
 def _serve(path: Path, parent: int) -> None:
     """Answer the requests on standard input until it ends."""
     leave_fifo()  # the emulator may be at SCHED_FIFO
-    end_with_parent(parent)
+    end_with_parent(parent, signal.SIGKILL)  # the file may ignore SIGTERM
     print(f"executing {path}", file=sys.stderr, flush=True)
-    answers = os.fdopen(os.dup(1), "wb")
+    answers, requests = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(0), "rb")
     os.dup2(2, 1)  # the file may print
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # and read
 
     def answer(value: object) -> None:
         answers.write(msgspec.json.encode(value) + b"\n")
@@ -162,11 +191,11 @@ def _serve(path: Path, parent: int) -> None:
     try:
         motion = _Motion(load_equations(path))
         answer(motion.linear())
-        for line in sys.stdin.buffer:
+        for line in requests:
             u, dt = msgspec.json.decode(line)
             answer([motion.held(volts, dt) for volts in u])
     except ValueError as err:
-        answer(str(err).removeprefix(f"{path}: "))
+        answer(printable(str(err).removeprefix(f"{path}: ")[:_MAX_CHARACTERS]))
 
 
 if __name__ == "__main__":

@@ -187,6 +187,9 @@ def test_the_description_of_a_recording_runs_no_code(tmp_path: Path) -> None:
             r"from t = 0\.05 s on",
         ),
         ("x[0]) / p", "np.where(t > 0.06, np.nan, x[0])) / p", r"at t = 0\.05 s.*do not follow"),
+        ("p: x[0]", "p: np.where(t > 0.06, np.nan, x[0])", r"at t = 0\.05 s.*not finite"),
+        ("p: x[0]", "p: None", "returns a value that is not finite"),
+        ("tau = ", "os.fork() or time.sleep(60)\n1 / 0\ntau = ", "ZeroDivisionError"),
         ("p: x[0]", "p: [x[0], x[0]]", "returns 2 values; the rig has 1 outputs, y"),
     ],
 )
