@@ -32,7 +32,7 @@ from armrig_core.process.realtime import end_with_parent, leave_fifo
 from armrig_core.rig.equations import Course, Ode, checked_derivative, checked_outputs, integrated
 
 # Largest times to answer. The service serves no stop during a rehearsal, at 0 V: keep them short.
-_START_S, _ANSWER_S, _RUN_S = 3.0, 2.0, 2.0
+_START_S, _ANSWER_S, _RUN_S = 3.0, 2.0, 4.0
 _TOLERANCE = 1e-6  # relative change of the states if the steps are doubled
 _MAX_STEPS = 4096  # of one interval
 _MAX_CHARACTERS = 1000  # of an error of the file
@@ -98,7 +98,10 @@ class EquationsProcess:
             if not select.select([out], [], [], max(0.0, until - time.monotonic()))[0]:
                 self.close()
                 at = f"{self._path}: from t = {self._t:g} s on"
-                raise OperationError(f"{at} the equations took more than {limit_s:g} s")
+                raise OperationError(
+                    f"{at} the equations took more than {limit_s:g} s: play fewer samples, or make "
+                    "f faster"
+                )
             part = os.read(out.fileno(), 1 << 16)
             if not part:
                 line[:] = msgspec.json.encode(f"the process ended after t = {self._t:g} s") + b"\n"
