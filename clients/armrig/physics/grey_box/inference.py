@@ -26,7 +26,7 @@ _NO_MODEL = (
     "the fit is {:.1f} %, below 0: a constant explains the output better. Check the units and the "
     "calibration of the data, the model, and the fixed parameters"
 )
-MAX_SOLVER_SHARE = 0.1
+MAX_SOLVER_SHARE = 0.01
 """Largest error of the solver, as a share of the noise's deviation."""
 _AT_BOUND = (
     f"ended at its bound, a factor {np.exp(MAX_LOG_FACTOR):.0f} from its start: begin nearer, or "
