@@ -36,6 +36,7 @@ _START_S, _ANSWER_S, _RUN_S = 3.0, 2.0, 4.0
 _TOLERANCE = 1e-6  # relative change of the states if the steps are doubled
 _MAX_STEPS = 4096  # of one interval
 _MAX_CHARACTERS = 1000  # of an error of the file
+_MAX_ANSWER_BYTES = 1 << 26  # more than the outputs of the longest run
 
 
 def load_equations(path: Path) -> Ode:
@@ -98,14 +99,14 @@ class EquationsProcess:
             if not select.select([out], [], [], max(0.0, until - time.monotonic()))[0]:
                 self.close()
                 at = f"{self._path}: from t = {self._t:g} s on"
-                raise OperationError(
-                    f"{at} the equations took more than {limit_s:g} s: play fewer samples, or make "
-                    "f faster"
-                )
+                way_out = "play fewer samples, or make the file faster"
+                raise OperationError(f"{at} the file took more than {limit_s:g} s: {way_out}")
             part = os.read(out.fileno(), 1 << 16)
-            if not part:
-                line[:] = msgspec.json.encode(f"the process ended after t = {self._t:g} s") + b"\n"
             line += part
+            if not part or len(line) > _MAX_ANSWER_BYTES:
+                reason = "wrote too much" if part else "ended"
+                line[:] = msgspec.json.encode(f"the process {reason} after t = {self._t:g} s")
+                break
         try:
             answer = msgspec.json.decode(line, type=str | list[Any])
         except msgspec.DecodeError:  # the file wrote to a descriptor that it did not open

@@ -175,6 +175,7 @@ def test_the_description_of_a_recording_runs_no_code(tmp_path: Path) -> None:
         ("tau = ", "raise KeyboardInterrupt\ntau = ", "line 11: KeyboardInterrupt"),
         ("tau = ", "os._exit(3)\ntau = ", "the process ended after t = 0 s"),
         ("tau = ", "time.sleep(99)\ntau = ", "took more than 2 s"),
+        ("tau = ", "while True: os.write(3, b'1' * 65536)\ntau = ", "wrote too much"),
         (
             "    return",
             "    if np.any(t > 0.06): 1 / 0\n    return",
