@@ -30,7 +30,11 @@ if [ "$root" = / ]; then
         rm -rf $of_host
         mkdir -p $of_host
     done
-    rm -rf var/lib/armrig var/log/journal opt/armrig
+    rm -rf var/lib/armrig var/log/journal opt/armrig home
+    mkdir home
+    for user in $(awk -F: '$3 >= 1000 && $3 < 60000 { print $1 }' etc/passwd); do
+        userdel --force --prefix "$PWD" "$user"
+    done
 fi
 
 mount -t tmpfs -o mode=0755 tmpfs run
