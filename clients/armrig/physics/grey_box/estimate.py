@@ -258,7 +258,8 @@ def minimised(
         raise failed
     _, whole, best = min(found, key=lambda trial: trial[0])
     if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
-        whole, eta = problem(experiments).changed(steps=whole.steps), best.theta[: start.size]
+        eta, short = best.theta[: start.size], whole
+        whole = problem(experiments).changed(steps=short.steps, scale=short.scale)
         best = whole.searched(whole.relaxed(eta, whole.begun(eta)))
     elif not best.converged:
         best = whole.searched(best.theta)

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
 MAX_LOG_FACTOR = 12.0
 """Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
-_COLUMNS = 1500  # trajectories at which the time of an array operation equals its overhead
-_MIN_SEGMENT = 10  # least number of samples of a segment
+_COLUMNS = (1500, 6000)  # trajectories that are integrated at once, in short and in long records
+_SEGMENT = (10, 40)  # least number of samples of a segment, in short and in long records
 _STEP = 3e-5  # step of a central difference, as a share of the coordinate's scale
 DERIVATIVE_ERROR = 1e-7
 """Largest relative error of a derivative, with a margin."""
@@ -124,6 +124,8 @@ class Point:
     """End of each segment minus the start of the next of its experiment, (S, n); 0 for the last."""
     first: NDArray[np.bool_]
     """See `Segments.first`."""
+    steps: int
+    """Runge-Kutta steps of an interval."""
 
     def chained(self) -> tuple[NDArray[np.float64], Matrix]:
         """Return the derivatives of joined s with respect to (eta, x0), (S, n, d + n).
@@ -233,7 +235,8 @@ class Shooting:
         start = space.of([values[name] for name in names])
         reach = np.where(space.bounded, MAX_LOG_FACTOR, np.inf)
         n, N = len(model.states), max(part.N for part in experiments)
-        count = int(np.clip(_COLUMNS / (1 + 2 * (len(names) + n)), 1, max(N // _MIN_SEGMENT, 1)))
+        few, many = (columns // (1 + 2 * (len(names) + n)) for columns in _COLUMNS)
+        count = int(np.clip(np.clip(N // _SEGMENT[1], few, many), 1, max(N // _SEGMENT[0], 1)))
         length = max(-(-(N - 1) // count), 1)
         segments = Segments.of(model, experiments, length)
         spread = np.nanstd(segments.y, axis=0)
@@ -295,6 +298,7 @@ class Shooting:
             end_by=np.moveaxis(end_by, 2, 0),
             defects=defects,
             first=first,
+            steps=self.steps,
         )
 
     def relaxed(self, eta: Vector, s: Matrix) -> Vector:
@@ -404,13 +408,15 @@ class Shooting:
         move = np.hstack([np.tile(z[:d] - at[:d], (own.size, 1)), x0 - before])
         s = near.s + (near.chained()[0] @ move[..., None])[..., 0].T * self.scale[:, None]
         s[:, near.first] = x0[near.first].T * self.scale[:, None]
+        is_known = near.steps == self.steps and np.array_equal(z, at)
+        point = near if is_known else self.point(z[:d], s)
         for _ in range(_MAX_JOINS):
-            point = self.point(z[:d], s)
             if not (np.all(np.isfinite(s)) and np.all(np.isfinite(point.y))):
                 return None
             if np.max(np.abs(point.defects), initial=0.0) <= _JOINED:
                 return point
             s = s + point.chained()[1].T * self.scale[:, None]
+            point = self.point(z[:d], s)
         return None
 
     def _found(self, z: Vector) -> Point:
@@ -421,6 +427,7 @@ class Shooting:
                 "the initial state that the record cannot be followed: begin nearer, or give "
                 "shorter experiments"
             )
+        self.best = self.best[0], z.copy(), point
         return point
 
     def residuals(self, z: Vector) -> Matrix:
@@ -462,10 +469,10 @@ class Shooting:
         rounding remains is 0. The factors are the derivative of each parameter with respect to its
         coordinate, and an orthonormal basis of each experiment's responses to its initial state.
         """
-        values, n = self.fixed | self.values(z), self.scale.size
+        values, n, point = self.fixed | self.values(z), self.scale.size, self._found(z)
         wide = replace(self, names=(*self.names, *held))
         eta = wide.coordinates.of([values[name] for name in wide.names])
-        e, derivatives = wide.condensed(wide.point(eta, self._found(z).s))
+        e, derivatives = wide.condensed(wide.point(eta, point.s) if held else point)
         known = np.isfinite(e)
         J = (derivatives / self.std[:, None])[known]
         edges = np.cumsum([0, *(np.count_nonzero(known[own]) for own in self.segments.rows)])
