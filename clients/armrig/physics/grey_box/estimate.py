@@ -243,8 +243,12 @@ def minimised(
     for at in [start, *(start + draw for draw in drawn)]:
         short = problem(windows)
         try:
-            z = short.relaxed(at, short.begun(at))
-            trial = short, short.searched(z, _TRIAL_STEPS)
+            best = short.searched(short.relaxed(at, short.begun(at)), _TRIAL_STEPS)
+            if not best.converged:
+                seen = _effective(short, best, at)
+                z = np.append(seen, best.theta[seen.size :])
+                best = min(best, short.searched(z, _TRIAL_STEPS), key=lambda found: found.cost)
+            trial = short, best
             if _misfit(*trial) < lowest + _NEAR_MISFIT:
                 trial = _refined(*trial, _TRIAL_STEPS)
         except InputError as err:
@@ -258,7 +262,7 @@ def minimised(
         raise failed
     _, whole, best = min(found, key=lambda trial: trial[0])
     if any(window.N < part.N for window, part in zip(windows, experiments, strict=True)):
-        eta, short = best.theta[: start.size], whole
+        eta, short = _effective(whole, best, start), whole
         whole = problem(experiments).changed(steps=short.steps, scale=short.scale)
         best = whole.searched(whole.relaxed(eta, whole.begun(eta)))
     elif not best.converged:
@@ -268,6 +272,17 @@ def minimised(
         best = replace(best, cost=best.cost * float(whole.std[0]) ** 2)
         whole = whole.changed(std=np.ones(1))
     return whole, best, start
+
+
+def _effective(problem: Shooting, best: Optimum, start: Vector) -> Vector:
+    """Return the coordinates of the parameters, or of the start for those without an effect.
+
+    A factor e of a parameter without an effect changes the outputs by less than the noise of a
+    sample. A search from there moves it hardly.
+    """
+    Psi, *_ = problem.at(best.theta)
+    is_seen = np.sum(Psi**2, axis=0) > best.cost / Psi.shape[0]
+    return np.where(is_seen, best.theta[: start.size], start)
 
 
 def _misfit(problem: Shooting, best: Optimum) -> float:
