@@ -238,7 +238,7 @@ def minimised(
     windows = tuple(map(liveliest, experiments))
     start = problem(windows).coordinates.of([values[name] for name in names])
     found: list[tuple[float, Shooting, Optimum]] = []
-    failed, lowest = InputError("no start leads to finite outputs"), np.inf
+    failed = InputError("no start leads to finite outputs")
     drawn = np.random.default_rng(0).uniform(-_DRAWN, _DRAWN, (draws, start.size))
     for at in [start, *(start + draw for draw in drawn)]:
         short = problem(windows)
@@ -249,13 +249,12 @@ def minimised(
                 z = np.append(seen, best.theta[seen.size :])
                 best = min(best, short.searched(z, _TRIAL_STEPS), key=lambda found: found.cost)
             trial = short, best
-            if _misfit(*trial) < lowest + _NEAR_MISFIT:
+            if _misfit(*trial) < min((one[0] for one in found), default=np.inf) + _NEAR_MISFIT:
                 trial = _refined(*trial, _TRIAL_STEPS)
         except InputError as err:
             failed = err if at is start else failed
             continue
         found.append((_misfit(*trial), *trial))
-        lowest = min(misfit for misfit, *_ in found)
         if _is_white(*trial):
             break
     if not found:

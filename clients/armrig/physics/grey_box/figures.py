@@ -94,8 +94,7 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
     law = float(np.mean(reported * np.sqrt(N)))
     below.plot(line, law / np.sqrt(line), color=GREY, ls="--", lw=1.0, label=r"law $1/\sqrt{N}$")
     below.plot(N, reported, "o", color=BLUE, ms=4, label="σ of each estimate")
-    several = [s for s in study.splits if s.k > 2]
-    if several:
+    if several := [s for s in study.splits if s.k > 2]:
         scatter = np.array([s.scatter for s in several]) / of_std
         interval = np.array([s.scatter_interval for s in several]).T / of_std
         below.errorbar(
@@ -115,14 +114,9 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
     places = sorted({float(n) for s in study.splits for n in [s.N.mean()]})
     below.set_xticks(places, [f"{n:.0f}" for n in places])
     below.minorticks_off()
-    # Limits that contain at least two of the numbers 1, 2 and 5 times a power of ten.
     low, high = below.get_ylim()
-    steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.arange(-4.0, 4.0)[:, None]
-    low, high = (
-        min(low, 0.95 * steps[steps <= high].max()),
-        max(high, 1.05 * steps[steps >= low].min()),
-    )
-    logarithmic(below.yaxis, low, high)
+    margin = max(1.0, float(np.sqrt(5 * low / high)))  # a factor of 5 has two of 1, 2, 5, 10
+    logarithmic(below.yaxis, low / margin, high * margin)
     below.set_xlabel("samples $N$")
     below.set_ylabel(in_mathtext(f"σ [{_of(of_std, unit)}]"))
     finish(ax)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 _MIN_SIGMAS = 2.0  # least distance of a determined parameter from 0, in standard deviations
 _WAY_OUT = (
     "estimate fewer parameters, start nearer to them, or record longer with an input that changes "
@@ -112,13 +111,6 @@ class GreyFit:
     """Treatment of the data."""
     digest: str = ""
     """Hash of the data, see `Dataset.digest`."""
-
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        for name in ("covariance", "covariance_robust"):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
 
     @property
     def correlation(self) -> Matrix:

@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
+from armrig.models.state_space import frozen
 from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
@@ -120,8 +121,8 @@ def grey_fit(
         std=std,
         std_noise=_named_std(names, whole(found.covariance)),
         std_robust=_named_std(names, robust),
-        covariance=covariance,
-        covariance_robust=robust,
+        covariance=frozen(covariance),
+        covariance_robust=frozen(robust),
         condition=float(np.linalg.cond(scaled)),
         influence={
             names[j]: {

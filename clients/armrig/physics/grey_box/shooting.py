@@ -360,9 +360,7 @@ class Shooting:
         weights = weight * np.append(~point.first[1:], False)[:, None]
         E, by = weights[:, :, None] * point.end_by, np.swapaxes(point.end_by, 1, 2)
         G = np.swapaxes(A, 1, 2) @ A + by @ E
-        g = (np.swapaxes(A, 1, 2) @ right)[..., 0] - (by @ (weights * point.defects)[..., None])[
-            ..., 0
-        ]
+        g = (np.swapaxes(A, 1, 2) @ right - by @ (weights * point.defects)[..., None])[..., 0]
         # The start of a segment occurs in the defect of the segment before.
         G[1:, range(d, d + n), range(d, d + n)] += weights[:-1]
         G[1:, d:, :d] -= E[:-1, :, :d]

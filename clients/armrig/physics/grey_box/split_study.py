@@ -155,15 +155,6 @@ class SplitStudy:
                 "lacks a property of the rig (friction, drift). The standard deviations contain "
                 "only the noise."
             )
-        whole = next((s for s in self.splits if s.k == 1), None)
-        if full and whole is not None and last.k > 1:
-            value, std = last.pooled
-            lines.append(
-                f"Pooled with weights 1/std², the estimate of the {last.k} parts is {value:.6g} ± "
-                f"{std:.2g}; the estimate from all data is {whole.values[0]:.6g} ± "
-                f"{whole.std[0]:.2g}. Cutting the data loses only the information that determines "
-                "the additional initial states."
-            )
         return lines
 
     plot = drawn_by("plot_split", "the estimates with ±2 standard deviations and the law 1/sqrt(N)")
