@@ -1,5 +1,4 @@
-# A machine in namespaces of its own, for tests: systemd as its PID 1, the files of a root below it.
-#
+# A machine in namespaces of its own, for tests: systemd as its PID 1, the files of a root below it:
 #   unshare --cgroup --mount --pid --fork --uts --ipc --net --kill-child sh machine.sh FOLDER ROOT CHECKOUT PYTHON
 #
 # ROOT is /, that of this host: what the machine writes goes into memory and is gone with it. Or that
@@ -26,15 +25,12 @@ if [ "$root" = / ]; then
     mount --bind "$python" opt/python
     for of_here in opt/checkout opt/python; do mount -o remount,ro,bind $of_here; done
     # The host's own units, users and settings are none of the machine's.
-    for of_host in etc/systemd/system etc/udev etc/sysusers.d etc/tmpfiles.d etc/armrig; do
+    for of_host in etc/systemd/system etc/udev etc/sysusers.d etc/tmpfiles.d etc/armrig home; do
         rm -rf $of_host
         mkdir -p $of_host
     done
-    rm -rf var/lib/armrig var/log/journal opt/armrig home
-    mkdir home
-    for user in $(awk -F: '$3 >= 1000 && $3 < 60000 { print $1 }' etc/passwd); do
-        userdel --force --prefix "$PWD" "$user"
-    done
+    rm -rf var/lib/armrig var/log/journal opt/armrig
+    awk -F: '$3 >= 1000 && $3 < 60000 { print $1 }' etc/passwd | xargs -rn1 userdel --force --prefix "$PWD"
 fi
 
 mount -t tmpfs -o mode=0755 tmpfs run
