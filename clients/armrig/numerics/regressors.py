@@ -79,14 +79,14 @@ class LongArx:
         B = theta[p : p + self.nu * n].reshape(self.nu, n)
         return monic(theta[:p]), np.pad(B, ((0, 0), (first, 0)))
 
-    def extended(self, y: Array, terms: Array) -> tuple[float, Array, Array, Array]:
-        """Return BIC, A, B and c of A y = c_0 + sum of B_j u_j + terms c + e, terms (N, k)."""
+    def extended(self, y: Array, terms: Array) -> tuple[float, float, float, Array]:
+        """Return BIC, A(1), B_1(1) and c of A y = c_0 + sum of B_j u_j + terms c + e."""
         own, k = orthonormal(self.errors(terms)), terms.shape[1]
         e = self.errors(y)
         c = own.coefficients(e)
         loss, n = float(np.sum(own.without(e) ** 2)), e.size
-        bic = n * log(max(loss, 1e-300)) + k * log(n)
-        return bic, *self.polynomials(y - terms @ c), c
+        A, B = self.polynomials(y - terms @ c)
+        return n * log(max(loss, 1e-300)) + k * log(n), float(np.sum(A)), float(np.sum(B[0])), c
 
 
 def long_arx(parts: Sequence[tuple[Array, Array]], p: int, first: int) -> LongArx:

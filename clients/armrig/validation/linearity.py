@@ -18,6 +18,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.data.treatment.integrating import pole_test
 from armrig.estimation.data_faults import CONSTANT_INPUT
+from armrig.estimation.orders import require_samples
 from armrig.numerics.polynomial import Array, continued, filtered
 from armrig.numerics.quantities import p_relation, percent, three_digits
 from armrig.numerics.regressors import LongArx, long_arx
@@ -28,31 +29,22 @@ from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, open_lo
 
 Kind = Literal["", "dead zone", "saturation", "gain by level", "friction"]
 
-# Sentence with the numbers of the kind, and remedy.
-_KINDS: Mapping[Kind, tuple[str, str]] = {
-    "": ("no nonlinearity found", ""),
-    "dead zone": (
-        "a dead zone of {input} from {from} to {to}{unit}",
-        "leave out the samples below the dead zone, or record with u above it",
-    ),
-    "saturation": (
-        "{output} saturates at {at} in {share} of the samples",
-        "mark the samples at the limit missing, or record with a smaller u",
-    ),
+_REASONS: Mapping[Kind, str] = {
+    "": "no nonlinearity found",
+    "dead zone": "a dead zone of {input} from {from} to {to}{unit}",
+    "saturation": "{output} saturates at {at} in {share} of the samples",
     "gain by level": (
-        "a gain of {gain_1} at {of} = {level_1}{unit} and of {gain_2} at {of} = {level_2}{unit}",
-        "record small steps around one level, and estimate a model for each level",
+        "a gain of {gain_1} at {of} = {level_1}{unit} and of {gain_2} at {of} = {level_2}{unit}"
     ),
-    "friction": (
-        "friction, {output} stops at rest",
-        "record with a u that keeps the rig moving, or estimate the friction (greybox)",
-    ),
+    "friction": "friction, {output} stops at rest",
+}
+_REMEDIES: Mapping[Kind, str] = {
+    "dead zone": "leave out the samples below the dead zone, or record with u above it",
+    "saturation": "mark the samples at the limit missing, or record with a smaller u",
+    "gain by level": "record small steps around one level, and estimate a model for each level",
+    "friction": "record with a u that keeps the rig moving, or estimate the friction (greybox)",
 }
 _NO_STATIC_GAIN = "{output} integrates, with a response that changes with {of}"
-_TWO_LEVELS = (
-    "{0} has two levels, which cannot show a dead zone or another static nonlinearity of {0}: "
-    "record with several levels (staircase, white noise)"
-)
 _MIN_LAGS, _MAX_LAGS = 30, 100  # 30 lags leave effects of a slow pole, which look nonlinear
 _MIN_ROWS_PER_PARAMETER = 4  # with fewer than 30 lags
 _ROWS_PER_PARAMETER = 10  # with more lags: the test then loses a tenth of the rows
@@ -109,7 +101,7 @@ class Linearity:
     @property
     def remedy(self) -> str:
         """Remedy for the nonlinearity; "" if the rig is linear."""
-        return _KINDS[self.kind][1]
+        return _REMEDIES.get(self.kind, "")
 
     @property
     def reason(self) -> str:
@@ -119,7 +111,7 @@ class Linearity:
             at = " and ".join(map(three_digits, self.rails)) or f"about {x['at']}"
             x |= {"at": at, "share": percent(100 * self.numbers["share"])}
         unit = self.units.get(self.input if "from" in x else self.gain_of)
-        text = _KINDS[self.kind][0] if x or self.kind != "gain by level" else _NO_STATIC_GAIN
+        text = _REASONS[self.kind] if x or self.kind != "gain by level" else _NO_STATIC_GAIN
         x |= {"input": self.input, "output": self.output, "of": self.gain_of}
         return text.format(**x, unit=f" {unit}" if unit else "")
 
@@ -142,6 +134,9 @@ class Linearity:
 
 
 @takes_data
+@each_channel(  # the tested input is the first
+    lambda data, y, u: (data.channels([y], sorted(data.inputs, key=lambda name: name != u)), {})
+)
 def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByChannel[Linearity]:
     """Test whether one linear model can describe the data, and find the kind of nonlinearity.
 
@@ -189,14 +184,7 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     'dead zone'
     """
     require_level(level)
-    return _tested(data.signals(), level=level)
-
-
-@each_channel(
-    lambda data, y, u: (data.channels([y], sorted(data.inputs, key=lambda name: name != u)), {})
-)
-def _tested(data: Signals, *, level: float) -> Linearity | ByChannel[Linearity]:
-    """Test one output with the first input."""
+    data = data.signals()
     (y,), u, together, closed, direct = data.outputs, data.inputs[0], False, False, False
     one = data.dataset(y, u)
     with suppress(InputError):
@@ -219,7 +207,10 @@ def _tested(data: Signals, *, level: float) -> Linearity | ByChannel[Linearity]:
     if rails:
         numbers = {"at": rails[-1], "share": float(np.mean(at[one.valid]))}
         found |= {"kind": "saturation", "numbers": numbers}
-    remarks = [_TWO_LEVELS.format(u)] if np.unique(model.u).size <= 2 else []
+    remarks = []
+    if np.unique(model.u).size <= 2:
+        text = f"{u} has two levels, which cannot show a dead zone or another static nonlinearity "
+        remarks.append(f"{text}of {u}: record with several levels (staircase, white noise)")
     if closed and direct:
         remarks.append(f"if a controller computed {u} from {y}, p is not valid")
     return Linearity(
@@ -257,14 +248,9 @@ class _LongModel:
     y: Array  # measured output; 0 where it is missing
     means: Mapping[str, float]  # of u, x and y
 
-    def effects(self, P: Array, *signals: Array) -> Array:
-        """Return signals that are filtered by A or B, (N, k)."""
-        return np.column_stack([filtered(P, [1.0], x) for x in signals])
-
     def fitted(self, P: Array, *signals: Array) -> tuple[float, float, float, Array]:
-        """Return BIC, A(1) and B(1) of the model with effects, and the effects' coefficients."""
-        bic, A, B, c = self.arx.extended(self.y, self.effects(P, *signals))
-        return bic, float(np.sum(A)), float(np.sum(B[0])), c
+        """Return BIC, A(1) and B(1) of the model with effects P(q) signals, and their factors."""
+        return self.arx.extended(self.y, filtered(P, [1.0], np.array(signals)).T)
 
 
 def _long_model(data: Signals, first: int) -> _LongModel:
@@ -275,9 +261,7 @@ def _long_model(data: Signals, first: int) -> _LongModel:
     affordable = min(N // _ROWS_PER_PARAMETER, _MAX_SIZE // max(N, 1)) // (1 + nu)
     most = N // (_MIN_ROWS_PER_PARAMETER * (1 + nu)) - 2
     p = min(max(_MIN_LAGS, min(affordable, _MAX_LAGS)), most)
-    if p < 2:
-        needed = 4 * _MIN_ROWS_PER_PARAMETER * (1 + nu)
-        raise InputError(f"the test of linearity needs at least {needed} samples, got {N}")
+    require_samples("the test of linearity", needed=4 * _MIN_ROWS_PER_PARAMETER * (1 + nu), got=N)
     mean, y_0 = data.u.mean(axis=0), float(np.nanmean(data.y))
     parts = [(part.u - mean, part.y[:, 0] - y_0) for part in data.experiments()]
     arx = long_arx(parts, p, first)
@@ -299,9 +283,9 @@ def _p_value(model: _LongModel) -> float:
     """Return the p value of the joint test of all effects."""
     changes = (np.diff(v, prepend=v[0]) for v in (model.u, model.x))
     u, x, du, dx = (s / (np.std(s) or 1.0) for s in (model.u, model.x, *changes))
-    of_x, of_dx = (x**2, x**3), (_sign(dx), dx * np.abs(dx), x * dx)
-    of_u = model.effects(model.B, u**2, u**3, np.abs(du), *of_x, x * u, *of_dx)
-    effects = np.hstack([of_u, model.effects(model.A, *of_x)])
+    of_x, of_dx = np.array([x**2, x**3]), (_sign(dx), dx * np.abs(dx), x * dx)
+    like_u = np.array([u**2, u**3, np.abs(du), *of_x, x * u, *of_dx])
+    effects = np.vstack([filtered(model.B, [1.0], like_u), filtered(model.A, [1.0], of_x)]).T
     own, e = model.arx.errors(effects), model.arx.errors(model.y)
     moving = np.std(effects[model.arx.rows], axis=0) * np.sqrt(e.size)
     used = np.linalg.norm(own, axis=0) > _MIN_OWN_SHARE * moving
@@ -318,15 +302,14 @@ def _sign(v: Array) -> Array:
 
 def _gains(model: _LongModel) -> Iterator[tuple[float, dict[str, Any]]]:
     """Yield BIC and gain of models with u² and u³ or x² and x³, which act like u or add to y."""
-    for name, P in (("u", model.B), ("x", model.B), ("y", model.A)):
-        if name == "u" and np.unique(model.u).size <= 2:
-            continue
-        signal = model.u if name == "u" else model.x
+    cases = [("u", model.B, model.u), ("x", model.B, model.x), ("y", model.A, model.x)]
+    for name, P, signal in cases[np.unique(model.u).size <= 2 :]:
         at = np.quantile(signal[model.arx.rows], _LEVELS)
         bic, A_1, B_1, (a, b) = model.fitted(P, signal**2, signal**3)
-        slope = (2 * a * at + 3 * b * at**2) * np.sum(P)
+        rate = 2 * a * at + 3 * b * at**2
+        slope = rate * np.sum(P)
         with np.errstate(divide="ignore", invalid="ignore"):
-            added = B_1 / A_1 * (1 + slope / np.sum(P))
+            added = B_1 / A_1 * (1 + rate)
             gains = {"u": (B_1 + slope) / A_1, "x": B_1 / (A_1 - slope), "y": added}[name]
         levels, numbers = at + model.means[name], dict[str, float]()
         for i, k in enumerate(sorted((int(np.argmin(gains)), int(np.argmax(gains)))), 1):

@@ -88,7 +88,8 @@ def each_channel(
 
     For Signals with several channels, the result is `ByChannel`. `separated` returns the data of a
     channel, and options of the test; by default the other inputs are part of the noise. If each
-    channel has a result, `together` returns the result for all channels as text.
+    channel has a result, `together` returns the result for all channels as text. If all channels
+    are refused for one reason, the error is raised.
     """
 
     def decorate(f: Callable[P, R]) -> Callable[P, R]:
@@ -108,6 +109,8 @@ def each_channel(
                         results[output, input] = call(one, *args[1:], **options | own)
                     except InputError as err:
                         refused[output, input] = str(err)
+            if not results and len(reasons := {*refused.values()}) == 1:
+                raise InputError(reasons.pop())  # such as an argument that is out of range
             text = together(results) if together and not refused else ""
             return ByChannel(results=results, refused=refused, together=text)
 
