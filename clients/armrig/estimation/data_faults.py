@@ -136,27 +136,31 @@ def _doubtful(residuals: Sequence[Vector]) -> bool:
     return abs(float(np.mean(e))) > _MIN_LEVEL_SIGMAS * float(np.std(e)) / sqrt(e.size)
 
 
-def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Finding | None:
+def level_without_input(
+    data: Dataset | Signals, least: float = _MIN_LEVEL_SIGMAS
+) -> Finding | None:
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
-    At u = 0 the level of y in A(q) y(t) = B(q) u(t) + c + e(t) is c / A(1). The result is None if u
-    is constant from lag n on, because c and the gain then have the same effect.
+    At u = 0 the level of one output in A(q) y(t) = B(q) u(t) + c + e(t) is c / A(1). The result is
+    None if an input is constant from lag n on, because c and its gain then have the same effect.
     """
-    parts = [(part.u, part.y) for part in data[:_MAX_OFFSET_SAMPLES].experiments()]
-    n = min(_MAX_OFFSET_ORDER, (data.N - data.missing) // 10)
-    if n < 1 or all(np.ptp(u[n:]) == 0 for u, _ in parts if u.size > n):
+    data = data.signals()
+    parts = [(part.u, part.y[:, 0]) for part in data[:_MAX_OFFSET_SAMPLES].experiments()]
+    n = min(_MAX_OFFSET_ORDER, int(np.count_nonzero(data.valid)) // (5 * (1 + data.nu)))
+    moves = [np.ptp(u[n:], axis=0) for u, _ in parts if len(u) > n]
+    if n < 1 or not moves or not np.max(moves, axis=0).all():
         return None
     model = whitening(parts, n)
-    std = float(np.sqrt(model.covariance[2 * n + 1, 2 * n + 1]))
+    std = float(np.sqrt(model.covariance[-2, -2]))
     gain = float(np.sum(model.A))
     largest = float(np.max(np.abs(data.y[data.valid])))
     if not (std > 0 and gain > 0 and abs(model.c) > max(least * std, _MIN_LEVEL_SHARE * largest)):
         return None
-    unit = f" {data.unit}" if data.unit else ""
+    unit = f" {data.units[0]}" if data.units[0] else ""
     sigmas = min(abs(model.c) / std, _MAX_SHOWN_SIGMAS)
     return warning(
         "level",
-        f"{data.output} is about {model.c / gain:.3g}{unit} at u = 0 ({sigmas:.0f} standard "
+        f"{data.outputs[0]} is about {model.c / gain:.3g}{unit} at u = 0 ({sigmas:.0f} standard "
         f"deviations {'or more ' if sigmas == _MAX_SHOWN_SIGMAS else ''}from 0)",
         "level",
         level=model.c / gain,

@@ -30,6 +30,7 @@ from armrig.validation.residuals import residuals
 from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
+_SURE_LEVEL_SIGMAS = 4.0  # the same for several signals: models without a level are left out
 _MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is decided
 _SEARCHABLE = [name for name, row in OFFERED.items() if not row.continuous]
 _ORDERS = range(1, 9)  # default orders
@@ -103,7 +104,7 @@ def search(
         Names of structures in discrete time, such as "oe"; by default all but "ararx", "ss" and
         "pem", and the process models that they suggest. In closed loop the default contains only
         structures whose noise model prevents a bias by feedback. For several signals "ss", "n4sid"
-        and "oe", or only "oe" with an integrator, because a state-space model has no fixed pole.
+        and "oe", or only "oe" with an integrator or a level, which a state-space model cannot fix.
     orders : iterable of int, optional
         Numbers of poles to try, >= 1, including the pole of an integrator, which does not count for
         several signals. The default is 1 to 5, and 6 to 8 as long as the choice is a model of the
@@ -120,9 +121,10 @@ def search(
         standard errors, the other structures are of this kind; otherwise both kinds are tried. For
         several signals: the outputs with a pole at 1, by default theta_1 if "oe" is tried.
     offset : bool, optional
-        If True, the offset of the input is estimated in structures with this option. The default is
-        True if y has a constant part, above 2 standard deviations in one of the two data sets,
-        that u does not explain.
+        If True, the offset of the input is estimated in structures with this option; of several
+        signals only in "oe". The default is True if an output has a constant part, above 2 (of
+        several signals 4) standard deviations in one of the two data sets, that u does not explain.
+        With an integrator, the default is False.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
         estimated with `focus="simulation"`. In closed loop the default for one input and output is
@@ -251,16 +253,11 @@ def _planned(
             families = [name for name, row in rows if row.closed_loop or not known.closed]
         offered = several_of("families", families, _SEARCHABLE)
         if not decided.integrates:
-            offset, notes = _offset(data, as_dataset(validation), offset, offered)
+            offset, notes = _offset(data, validation, offset, offered)
         against = [f for f in doubts(data, known) if not (offset and f.about == "level")]
         notes = [*decided.notes, *notes, *([_BOTH_TRIED] if both else [])]
         horizon = 1 if horizon is None and known.closed else horizon
     else:
-        if offset is not None:
-            raise InputError(
-                "offset= is for one input and one output; for several signals, remove the means "
-                "with detrend"
-            )
         if integrator is None:
             able = families is None or "oe" in families
             integrator = [name for name in data.outputs if able and name in INTEGRATING_OUTPUTS]
@@ -269,7 +266,8 @@ def _planned(
         poles = (fixed or False,)
         likely, allowed = [1], [name for name, row in OFFERED.items() if row.searched_of_several]
         offered = several_of("families", allowed if families is None else families, allowed)
-        offered = ["oe"] if poles[0] else offered
+        offset, notes = (offset, []) if poles[0] else _offset(data, validation, offset, offered)
+        offered = ["oe"] if poles[0] or (offset and "oe" in offered) else offered
         against = [*doubts_of_channels(data)]
     delays = likely if nk is None else several("nk", nk) if isinstance(nk, Iterable) else [nk]
     for n in orders:
@@ -295,15 +293,20 @@ def _planned(
 
 
 def _offset(
-    data: Dataset, validation: Dataset, offset: bool | None, families: Sequence[OfferedName]
+    data: Dataset | Signals,
+    validation: Dataset | Signals,
+    offset: bool | None,
+    families: Sequence[OfferedName],
 ) -> tuple[bool, list[str]]:
     """Decide whether the input offset is estimated; return the decision and a note."""
     able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
     remedy = f"{able} can estimate it (option offset)" if able else "remove the means (detrend)"
+    least = _MIN_LEVEL_SIGMAS if isinstance(data, Dataset) else _SURE_LEVEL_SIGMAS
     # A constant level that only the validation data have would distort the ranking.
     for part, where in ((data, ""), (validation, "in the validation data ")):
-        if offset is not False and (level := level_without_input(part, _MIN_LEVEL_SIGMAS)):
-            return True, [f"{where}{level.text}: {remedy}"]
+        for y in part.signals().outputs if offset is not False else ():
+            if level := level_without_input(part.signals().channels([y]), least):
+                return True, [f"{where}{level.text}: {remedy}"]
     return bool(offset), []
 
 

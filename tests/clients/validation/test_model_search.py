@@ -378,12 +378,8 @@ def test_the_search_chooses_the_order_of_the_plant() -> None:
 
     assert found.chosen.candidate.name == "SS[4 1]"
     assert found.fit.estimated_from(data)
-    assert done == [
-        "0 of 3 SS[3 1]",
-        "1 of 3 SS[4 1]",
-        "2 of 3 SS[5 1]",
-        "3 of 3 ",
-    ]
+    names = ["SS[3 1]", "SS[4 1]", "SS[5 1]", ""]
+    assert done == [f"{k} of 3 {name}" for k, name in enumerate(names)]
     assert "  <- chosen" in repr(found)
     assert found.tests.outputs == ("y1", "y2")
     assert not found.tests.rejects
@@ -432,9 +428,13 @@ def test_if_an_input_rests_in_one_part_the_models_are_ranked_on_their_own_data()
     assert found.rms[i] == pytest.approx(np.sqrt(loss))
 
 
-def test_an_option_of_one_signal_is_refused_for_several() -> None:
-    with pytest.raises(InputError, match="offset= is for one input and one output; for several"):
-        search(two_outputs(0), offset=True)
+def test_a_level_of_one_of_several_outputs_is_estimated() -> None:
+    data = two_outputs(0)
+    high = data.replaced(step=None, y=data.y + np.array([0.0, 5.0]))
+    found: Any = search(high, families=["oe"], orders=[1])
+
+    assert found.fit.offset
+    assert found.notes[0].startswith("y2 is about 5")
 
 
 def test_theta_1_integrates_if_a_structure_can_have_a_fixed_pole() -> None:

@@ -90,8 +90,8 @@ def test_an_offset_is_estimated_if_one_of_the_data_sets_has_a_level(
 ) -> None:
     flat, high = (Dataset(u=[0.0, 1.0], y=[level, level], Ts=1.0) for level in (0.0, 5.0))
 
-    def level_of(data: Dataset, *_: float) -> Any:
-        return SimpleNamespace(text=f"y is about {data.y[0]:g}") if data.y[0] else None
+    def level_of(data: Signals, *_: float) -> Any:
+        return SimpleNamespace(text=f"y is about {data.y[0, 0]:g}") if data.y[0, 0] else None
 
     monkeypatch.setattr(model_search, "level_without_input", level_of)
 
