@@ -43,6 +43,14 @@ _MIN_LINE_SAMPLES = 8
 _MIN_SPEED_RAD_S = 0.05  # of a chassis that turns before the step
 
 
+def early_end(r: Recording) -> str:
+    """Return why a run ended before the end of its input; "" if it did not."""
+    if r.outcome is None:
+        return "the reason is not recorded"
+    normal = r.outcome.code in (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
+    return "" if normal else r.outcome.outcome
+
+
 def check_run(r: Recording) -> Iterator[Finding]:
     """Check how the run ended, the number of samples that arrived, and that the input changes."""
     came, u = r.samples.size, r.u[np.isfinite(r.u)]
@@ -51,8 +59,7 @@ def check_run(r: Recording) -> Iterator[Finding]:
         yield warning("run", text)
     elif r.truncated:
         yield warning("run", f"the file is damaged: {r.damage}")
-    elif r.outcome is None or r.outcome.code != OutcomeCode.COMPLETE:
-        why = r.outcome.outcome if r.outcome else "the file does not contain the reason"
+    elif why := early_end(r):
         yield warning("run", f"the run ended early: {why}")
     if came < TOO_FEW:
         yield unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")

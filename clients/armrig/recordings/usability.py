@@ -8,7 +8,6 @@ from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from armrig_core.commands.codes import OutcomeCode
 from armrig_core.errors import InputError
 from armrig_core.recording_file.manifest import Manifest
 from armrig_core.rig.calibration import Calibration
@@ -30,7 +29,6 @@ _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
 FEW = 300
 """Least number of samples for accurate standard deviations of a model of the rig."""
-_NORMAL_ENDS = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
 STALE_DAYS = 30
 """Largest age of a calibration at the time of a recording, in days, before it counts as stale."""
 _MIN_TURN_RAD = 0.5  # least rotation from which the direction is judged
@@ -219,20 +217,14 @@ def emulation(recordings: Sequence[Recording]) -> list[str]:
     return [f"The rig was emulated{where}: these are not measurements of a real rig."]
 
 
-def ended_early(recording: Recording) -> bool:
-    """Return True if a run ended before the end of its input, or its outcome is unknown."""
-    return recording.outcome is None or recording.outcome.code not in _NORMAL_ENDS
-
-
 def early_ends(recordings: Sequence[Recording]) -> Iterator[Finding]:
     """Yield a finding for each recording that ended early, with the reason.
 
     A recording without a fixed length (`armrig record`) cannot end early.
     """
     for r in recordings:
-        if ended_early(r) and r.manifest.samples:
+        if (why := findings.early_end(r)) and r.manifest.samples:
             text = f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} "
-            why = r.outcome.outcome if r.outcome else "the reason is not recorded"
             yield warning("run", f"{text}samples: {why}")
 
 

@@ -16,8 +16,9 @@ from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy, split_study
 from armrig.physics.integrators.accuracy import Recommendation, Sinusoid, recommend_step, sinusoid
 from armrig.physics.systems import HANDOUT, chassis
+from armrig.recordings.findings import early_end
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import NO_MODEL, ended_early
+from armrig.recordings.usability import NO_MODEL
 from armrig.report.study import Orders, Study, best_first, study
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -97,7 +98,7 @@ def handout_study(
             return None
 
     # Complete recordings come first: a recording that ended early is used only if it is needed.
-    recordings = sorted(recordings, key=ended_early)
+    recordings = sorted(recordings, key=lambda r: bool(early_end(r)))
     excited = [r for r in recordings if r.manifest.kind not in OTHERS]
     stepped, alone = _first(recordings, "step"), _first(recordings, "greybox")
     black = tried("black", lambda: best_first(study(excited, orders=orders))) if excited else None

@@ -303,7 +303,7 @@ def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
     assert "unknown from 1.05, 2.05, 3.05, … s on" in texts["four"].text
     assert texts["damaged"].text == "the file is damaged: a bit has flipped"
     assert texts["stopped"].text == "the run ended early: stopped by bob"
-    assert texts["unknown"].text == "the run ended early: the file does not contain the reason"
+    assert texts["unknown"].text == "the run ended early: the reason is not recorded"
     assert texts["cut"].text == "the file is cut off: it contains 25.9 of 30 s"
     levels = [texts[name].level for name in ("nothing", "quiet", "loud")]
     assert levels == ["unusable", "warning", "good"]
@@ -396,6 +396,7 @@ def test_an_incomplete_run_is_reported_unless_its_length_is_unknown(sound: Recor
     remote = ended("stopped", samples=0)
 
     assert [*early_ends([sound, ended("complete"), ended("continued"), remote])] == []
+    assert "run" not in [found.about for found in check_run(ended("continued"))]
     assert [found.text for found in early_ends([sound, stopped, unknown])] == [
         f"{sound.path.name} ended early, after {n} of 700 samples: it was stopped",
         f"{sound.path.name} ended early, after {n} of 600 samples: the reason is not recorded",
