@@ -398,7 +398,7 @@ class Found:
         from armrig.models import equation
 
         if self.search is not None:
-            yield [self.search.table(), self.search.explain(warnings=False)]
+            yield [self.search.table(), self.search.explain()]
         yield equation.estimation_lines(self.fit)
         said = [f"! {f.about}: {f.text}" for f in self.doubts if self.search is None]
         yield [*said, repr(armrig.advice(self.fit))]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +14,8 @@ from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES, OfferedName
 from armrig.numerics.quantities import plural
+from armrig.plots.layout import drawn_by
 from armrig.validation.residual_test import ResidualTest, results
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,25 +178,10 @@ class SearchResult:
         """Mask of the candidates in `ranked` within one standard error of the best, (n,)."""
         return np.asarray(self.excess <= self.excess_std)
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of error against number of parameters: see `armrig.plots.plot_search`.
+    plot = drawn_by("plot_search", "error against number of parameters")
 
-        Examples
-        --------
-        >>> import armrig
-        >>> data = armrig.example_recording().dataset("alpha")
-        >>> armrig.search(data, families=["arx", "oe"], orders=[2, 3]).plot()
-        <Figure size ... with 1 Axes>
-        """
-        from armrig.plots.layout import figure_of
-        from armrig.validation.figures import plot_search
-
-        return figure_of(plot_search(self, ax=ax))
-
-    def explain(self, *, warnings: bool = True) -> str:
+    def explain(self) -> str:
         """Return the problems of the data, the choice and its reasons, as text.
-
-        If `warnings` is False, the text is without the warnings of the chosen model.
 
         Examples
         --------
@@ -212,8 +193,7 @@ class SearchResult:
         - fewer parameters are not enough: OE[2 2 1] has 4, rms error 0.0338..., ...
         """
         doubts = [f"doubt about the data, {f.about}: {f.text}" for f in self.doubts]
-        reasons = _reasons(self, warnings=warnings)
-        return "\n".join(f"- {line}" for line in (*doubts, *reasons))
+        return "\n".join(f"- {line}" for line in (*doubts, *self.reasons))
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -267,7 +247,7 @@ def _ahead(horizon: int) -> str:
     return f"{plural(horizon, 'sample')} ahead"
 
 
-def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
+def _reasons(found: SearchResult) -> Iterator[str]:
     best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
     what = "simulation" if found.horizon is None else f"prediction {_ahead(found.horizon)}"
     of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
@@ -304,9 +284,6 @@ def _reasons(found: SearchResult, *, warnings: bool = True) -> Iterator[str]:
         yield f"the tests of its residuals have no power: {found.tests.powerless}"
     rejected = (f for f in results(found.tests) if f.level == "unusable")
     yield from (f"tests of its residuals: {f.text}" for f in rejected)
-    for f in chosen.fit.findings if warnings else ():
-        if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.remedy == "order":
-            yield f.text
     if found.failed:
         first, reason = next(iter(found.failed.items()))
         yield f"without a usable model: {len(found.failed)}, such as {first.name}: {reason}"

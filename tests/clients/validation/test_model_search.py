@@ -167,8 +167,7 @@ def test_a_pole_outside_the_circle_is_never_chosen(family: OfferedName) -> None:
 
     assert found.ranked
     assert all((abs(j.fit.poles().values) < 1).all() for j in found.ranked)
-    moved = "reflected into the circle" in found.explain()
-    assert moved == any("reflected into the circle" in w for w in found.fit.warnings)
+    moved = any("reflected into the circle" in w for w in found.fit.warnings)
     assert moved or family in ("oe", "bj", "n4sid")  # those look inside the circle only
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.finding import warning
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
@@ -60,28 +59,6 @@ def result(**fields: Any) -> SearchResult:
         "unit": "rad/s",
     }
     return SearchResult(**(values | fields))
-
-
-@pytest.mark.parametrize(
-    ("family", "expected"), [("n4sid", ["moved", "choose"]), ("oe", ["short", "moved", "choose"])]
-)
-def test_findings_of_the_chosen_model_are_reasons(family: str, expected: list[str]) -> None:
-    """A subspace model is not chosen for its numbers, so only its order and its poles matter."""
-    findings = (
-        warning("covariance", "short"),
-        warning("reflected", "moved"),
-        warning("horizon", "choose", "order"),
-    )
-    ranked = (scored("arx", 4), scored(family, 2, findings=findings))
-    numbers = {"rms": np.array([0.5, 0.9]), "excess": np.zeros(2), "excess_std": np.zeros(2)}
-
-    found = result(ranked=ranked, chosen_index=1, **numbers)
-
-    lines = [f"- {reason}" for reason in found.reasons]
-    assert list(found.reasons[-len(expected) :]) == expected
-    assert ("short" in found.reasons) == (family == "oe")
-    assert found.explain().splitlines() == lines
-    assert found.explain(warnings=False).splitlines() == lines[: -len(expected)]
 
 
 @pytest.mark.parametrize("asked", [None, False, True])
