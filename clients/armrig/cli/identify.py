@@ -447,12 +447,12 @@ class Found:
 
     def say_next(self) -> None:
         """Print the next command, which acts on the findings, saves the model or validates it."""
-        from armrig.cli.model_output import to_act_on
+        from armrig.cli.model_output import advice_on
 
         done = {"outliers"} if self.signals.hampel else set()
         done |= {"integrator"} if self.signals.integrator is False else set()
-        found = to_act_on(self.fit, self.doubts)
-        after_identify(self, [f for f in found if f.remedy not in done])
+        found = (*self.doubts, *advice_on(self.fit))
+        after_identify(self, [f for f in found if f.level != "good" and f.remedy not in done])
 
 
 def _estimated(

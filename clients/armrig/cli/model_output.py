@@ -12,7 +12,7 @@ from armrig.cli.printing import echo, fields_of, say, say_more
 from armrig.cli.recorded_data import source_facts
 from armrig.numerics.quantities import listed, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL
-from armrig.validation.advice import advice, not_repeated
+from armrig.validation.advice import advice
 from armrig.validation.answer import closest
 from armrig.validation.comparison import Comparison
 from armrig.validation.feedback_and_delay.by_channel import ByChannel
@@ -49,13 +49,7 @@ def advice_on(fit: armrig.Fit) -> tuple[Finding, ...]:
         for f in of_channel.findings:
             channels.setdefault(f, []).append(f"{input} to {output}")
     of_channels = [replace(f, text=f"{listed(of)}: {f.text}") for f, of in channels.items()]
-    return (*not_repeated(fit.findings, channels), *of_channels)
-
-
-def to_act_on(fit: armrig.Fit, doubts: Sequence[Finding]) -> list[Finding]:
-    """Return the findings about the data, the estimation and the model that are not good."""
-    # The advice leaves out a finding of the estimation that it repeats, but not its remedy.
-    return [f for f in (*doubts, *advice_on(fit), *fit.findings) if f.level != "good"]
+    return (*fit.findings, *of_channels)
 
 
 def lags_outside(tests: ResidualTest) -> str:

@@ -327,7 +327,7 @@ def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -
         known = data.output in INTEGRATING_OUTPUTS
         then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
         yield warning(
-            "pole_at_1",
+            "integrator",
             f"a pole is 1 within its accuracy (distance {off:.1g}, standard deviation {std:.1g}): "
             f"{then} set the option integrator, or simulations drift",
             "integrator",
@@ -336,7 +336,7 @@ def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -
         )
     elif not integrator and _may_integrate(data, z[nearest]) and (found := integrating(data)):
         text = f"{found.text}, and a pole is {off:.1g} from 1: try the option integrator"
-        yield warning("pole_near_1", text, off=off)
+        yield warning("integrator", text, "integrator", off=off)
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
         yield unstable(float(others.max()), *REFLECT)

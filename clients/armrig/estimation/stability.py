@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from armrig.data.finding import Finding, Remedy, warning
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.estimate import Form
 from armrig.models.fit import Fit
@@ -18,6 +19,7 @@ from armrig.numerics.polynomial import Array, monic, reflected, roots, without_i
 CIRCLE_ROUNDING = 1e-9  # error of the computed modulus of a root on the circle
 _MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
 _INTEGRATOR_SIGMAS = 3.0  # standard deviations from 1 beyond which a pole is no integrator
+_MAX_DISTANCE_FROM_1 = 0.02  # a pole farther from 1 is no integrator, in spite of its deviation
 REFLECT: tuple[str, Remedy] = (
     "if the rig is unstable, predict instead of simulating; else lower the orders, or set the "
     "option stable",
@@ -108,8 +110,9 @@ def with_stability_warning(fit: Fit) -> Fit:
 
 def unstable(farthest: float, way_out: str, remedy: Remedy) -> Finding:
     """Return the warning about an unstable pole of modulus `farthest`; the remedy is `way_out`."""
+    about = "integrator" if remedy in ("integrator", "structure") else "unstable"
     text = f"a pole is unstable, |z| = {farthest:.4f}: {way_out}"
-    return warning("unstable", text, remedy, farthest=farthest)
+    return warning(about, text, remedy, modulus=farthest)
 
 
 def instability(form: Form) -> Iterator[Finding]:
@@ -120,7 +123,7 @@ def instability(form: Form) -> Iterator[Finding]:
             "unstable",
             f"a pole of modulus {largest:.4g} is outside the unit circle: simulations grow without "
             "bound",
-            farthest=largest,
+            modulus=largest,
         )
 
 
@@ -133,8 +136,11 @@ def _way_out(fit: Fit, farthest: float) -> tuple[str, Remedy]:
         if std > _MAX_POLE_STD:
             text = f"its standard deviation is {std:.2g}, so the data do not determine the model"
             return text, ""
-        if abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING:
-            what = f"the pole is 1 within its accuracy; if {fit.output} integrates, "
+        at_1 = abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING
+        known = fit.output in INTEGRATING_OUTPUTS and abs(z - 1) < _MAX_DISTANCE_FROM_1
+        if at_1 or known:
+            what = "the pole is 1 within its accuracy; " if at_1 else ""
+            what += f"{fit.output} integrates, so " if known else f"if {fit.output} integrates, "
             if "integrator" in STRUCTURES[fit.structure].takes:
                 return what + "set the option integrator", "integrator"
             return what + "use OE with the option integrator", "structure"

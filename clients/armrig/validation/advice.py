@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding, Remedy, good, warning
+from armrig.data.finding import Finding, good, warning
 from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, may_be_one
 from armrig.models.characteristics import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.models.structure_table import DESCRIBED
+from armrig.models.structure_table import CHANNEL, DESCRIBED, RegisteredStructure
 from armrig.numerics.quantities import near_one
 from armrig.validation.data_advice import examine_data
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
@@ -117,9 +117,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     }
     if (fit.ny, fit.nu) == (1, 1):
         return each[fit.outputs[0], fit.inputs[0]]
-    advised = [f for one in each.values() for f in one.findings]
-    own = _lines(not_repeated(fit.findings, advised))
-    return ByChannel(results=each, refused={}, together=own)  # type: ignore[return-value]
+    return ByChannel(results=each, refused={}, together=_lines(fit.findings))  # type: ignore[return-value]
 
 
 def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], tuple[Finding, ...]]]:
@@ -127,7 +125,7 @@ def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], tuple[Findin
 
     A model in continuous time is examined as sampled.
     """
-    structure = fit.structure
+    kind = DESCRIBED.get(fit.structure, CHANNEL)
     if fit.Ts == 0:
         fit = fit.to_discrete()
     channels = {(fit.outputs[i], fit.inputs[j]): one for i, j, one in fit.channels()}
@@ -136,34 +134,26 @@ def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], tuple[Findin
     everywhere = [*pairs.values()] if fit.shared or fit.form.coupled else []
     # The findings of the estimation of several signals are not about a single channel.
     own = fit.findings if (fit.ny, fit.nu) == (1, 1) else ()
+    known = {f.about for f in own}
     for name, one in channels.items():
         superfluous = [p for p in pairs[name] if all(_cancels(p[0], of) for of in everywhere)]
         channel = replace(one, starts=fit.starts, findings=own)
-        found = [*_advised(channel, pairs[name], superfluous, structure)]
-        known = {f.about for f in own}
-        yield name, (*not_repeated(own, found), *(f for f in found if f.about not in known))
+        advised = _advised(channel, pairs[name], superfluous, kind)
+        found = [*own, *(f for f in advised if f.about not in known)]
+        # A model of a constant level has a pole near 1, too.
+        level = any(f.about == "level" for f in found)
+        yield name, tuple(f for f in found if not (level and f.about == "integrator"))
 
 
 def _cancels(pole: complex, pairs: list[_Pair]) -> bool:
     return any(abs(pole - other) < _SAME_POLE for other, *_ in pairs)
 
 
-def not_repeated(own: Iterable[Finding], advised: Iterable[Finding]) -> Iterator[Finding]:
-    """Yield the findings of an estimation that the advice does not repeat: those on a pole at 1."""
-    explained = any(f.about in ("integrator", "level") for f in advised)
-    for f in own:
-        at_1 = f.numbers.get("farthest", 1.0) < 1 + _MAX_DISTANCE_FROM_ONE
-        if not (explained and at_1 and f.about in ("unstable", "pole_at_1", "pole_near_1")):
-            yield f
-
-
 def _advised(
-    fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], structure: str
+    fit: Fit, pairs: list[_Pair], superfluous: list[_Pair], kind: RegisteredStructure
 ) -> Iterator[Finding]:
-    described = DESCRIBED.get(structure)
-    in_s = described is not None and described.continuous
     if fit.converged and fit.agreed:
-        yield good("search", "one minimum" if fit.starts or in_s else "closed form")
+        yield good("search", "one minimum" if fit.starts or kind.continuous else "closed form")
     text = whiteness_sentence(fit, *_DEVIATIONS)
     if fit.trusts_robust:
         yield warning("residuals", f"{text}; {COLOURED}", "search")
@@ -172,12 +162,12 @@ def _advised(
     if pairs and not superfluous:
         yield good("order", "each pole is needed in a channel")
     else:
-        yield _about_overlap([p for p in superfluous if not _at_one(p)], structure)
+        yield _about_overlap([p for p in superfluous if not _at_one(p)], kind)
     yield from _about_pair_at_one(fit, [p for p in superfluous if _at_one(p)])
     yield from _about_negative_poles(fit)
     if not any(map(_at_one, pairs)):
-        yield from _about_integrator(fit, structure)
-    if not in_s:
+        yield from _about_integrator(fit, kind)
+    if not kind.continuous:
         yield from _about_first_coefficient(fit)
     if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
         text = "ARX assumes noise that passes through 1/A; an angle has noise at the output: "
@@ -190,14 +180,13 @@ def _at_one(pair: _Pair) -> bool:
     return max(abs(pair[0] - 1), abs(pair[1] - 1)) < _MAX_DISTANCE_FROM_ONE
 
 
-def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:
+def _about_overlap(pairs: list[_Pair], kind: RegisteredStructure) -> Finding:
     if not pairs:
         return good("order", "no pole is cancelled by a zero")
     places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
     text = (
         f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order is "
     )
-    kind = DESCRIBED[structure]
     each = [name for name in ("nb", kind.poles) if name in kind.orders]
     lower = " and ".join(each) or "the number of time constants"
     lower = "the order" if lower == "order" else lower
@@ -208,46 +197,42 @@ def _about_overlap(pairs: list[_Pair], structure: str) -> Finding:
 
 def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
     """Yield the finding about a pole and a zero near 1: a constant level, or too high an order."""
-    if not pairs:
-        return
-    pole, zero, _ = pairs[0]
-    text = f"pole {_z(pole)} and zero {_z(zero)} cancel: they model a constant of "
-    text += f"{fit.output} that u does not explain; remove the means (detrend), or estimate "
-    text += "an offset (option offset). If you did one of these, lower the order"
-    yield warning("level", text, "level")
+    for pole, zero, _ in pairs[:1]:
+        text = f"pole {_z(pole)} and zero {_z(zero)} cancel: they model a constant of "
+        text += f"{fit.output} that u does not explain; remove the means (detrend), or estimate "
+        text += "an offset (option offset). If you did one of these, lower the order"
+        yield warning("level", text, "level")
 
 
 def _about_negative_poles(fit: Fit) -> Iterator[Finding]:
-    poles = fit.poles()
-    for z, std in zip(poles.values, poles.std, strict=True):
-        if abs(z.imag) < _MAX_IMAGINARY and z.real + _STD_99 * std < 0:
+    for z, std in _real_poles(fit):
+        if z + _STD_99 * std < 0:
             text = f"pole {_z(z)} is real and negative: no rig in continuous time has such a pole "
             text += "after sampling (exp(s Ts) > 0), so it models noise; lower the order"
             yield warning("poles", text, "order")
 
 
-def _about_integrator(fit: Fit, structure: str) -> Iterator[Finding]:
+def _real_poles(fit: Fit) -> list[tuple[float, float]]:
+    """Return the real poles, with their standard deviations."""
+    poles = zip(fit.poles().values, fit.poles().std, strict=True)
+    return [(z.real, std) for z, std in poles if abs(z.imag) < _MAX_IMAGINARY]
+
+
+def _about_integrator(fit: Fit, kind: RegisteredStructure) -> Iterator[Finding]:
     if fit.integrator:
         return
-    poles, known = fit.poles(), fit.output in INTEGRATING_OUTPUTS
-    described = DESCRIBED.get(structure)
-    in_s = described is not None and described.continuous
-    fix = _FIX_POLE_IN_S if in_s else _FIX_POLE
-    without = described is not None and not in_s and "integrator" not in described.takes
-    remedy: Remedy = "structure" if without else "integrator"
-    for z, std in zip(poles.values, poles.std, strict=True):
-        near = (
-            abs(z.real - 1) < _STD_99 * std < _MAX_POLE_WIDTH
-            if known
-            else may_be_one(z.real, std, fit.N)
-        )
-        if abs(z.imag) < _MAX_IMAGINARY and near:
-            text = f"pole {near_one(z.real, std)} is 1 within its accuracy: {fix}"
-            yield warning("integrator", text, remedy)
-            return
-    if known:
-        text = f"{fit.output} integrates, and no pole of the model is 1: {fix}"
-        yield warning("integrator", text, remedy)
+    known = fit.output in INTEGRATING_OUTPUTS
+    at_1 = [
+        (z, std)
+        for z, std in _real_poles(fit)
+        if (abs(z - 1) < _STD_99 * std < _MAX_POLE_WIDTH if known else may_be_one(z, std, fit.N))
+    ]
+    if at_1 or known:
+        text = f"{fit.output} integrates, and no pole of the model is 1"
+        text = f"pole {near_one(*at_1[0])} is 1 within its accuracy" if at_1 else text
+        has = kind.continuous or "integrator" in kind.takes
+        fix = _FIX_POLE_IN_S if kind.continuous else _FIX_POLE
+        yield warning("integrator", f"{text}: {fix}", "integrator" if has else "structure")
 
 
 def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:

@@ -405,7 +405,7 @@ def _fault(fit: Fit, error: Vector, data: Dataset | Signals) -> str:
     bound = np.where(largest > 0, _UNBOUNDED * largest, np.inf)
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         return "its output is unbounded"
-    return next((f.text for f in fit.findings if f.about == "unstable"), "")
+    return next((f.text for f in fit.findings if "modulus" in f.numbers), "")
 
 
 def _ranked(scored: list[Scored], judged: Dataset | Signals) -> _Ranking:

@@ -13,6 +13,7 @@ from armrig.data.step import LINE, Step
 from armrig.data.treatment.integrating import Integration
 from armrig.models.characteristics import overlapping
 from armrig.models.fit import Fit
+from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import advice, data_advice
 from armrig.validation.data_advice import Tested as OfData
@@ -210,7 +211,7 @@ def test_the_orders_are_too_high_by_the_cancelling_poles() -> None:
     """A complex pole counts twice."""
     pairs = [(0.5 + 0.1j, 0.5 + 0.1j, 0.9), (0.2 + 0j, 0.2 + 0j, 0.9)]
 
-    cancelled = advice._about_overlap(pairs, "oe")
+    cancelled = advice._about_overlap(pairs, STRUCTURES["oe"])
 
     assert (cancelled.remedy, cancelled.numbers) == ("order", {"poles": 3})
 
