@@ -226,19 +226,14 @@ def for_the_report() -> str:
     If no recording of this kind has a name, it takes the newest one. The result is "" if there is
     no recording.
     """
-    own = own_recordings()
-    calibrations = dict.fromkeys(s.calibration_sha256 for s in own)
-    found = (_of_calibration(hash_, own) for hash_ in calibrations)
+    own, found = own_recordings(), list[list["RecordingSummary"]]()
+    for calibration in dict.fromkeys(s.calibration_sha256 for s in own):
+        known = [s for s in own if s.calibration_sha256 == calibration]
+        pair = sorted(_pairs(known, "blackbox"), key=lambda pair: not pair[1].name)[:1]
+        # A daemon for the chassis alone reads the same calibration from a file, with another hash.
+        alone = _newest("greybox", known) or _newest("greybox", own)
+        found.append([*_newest("step", known), *chain(*pair), *alone])
     return "".join(f" {typed(s.path)}" for s in max(found, key=len, default=[]))
-
-
-def _of_calibration(hash_: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary]:
-    """Return the existing step, estimation, validation and chassis recordings of a calibration."""
-    known = [s for s in own if s.calibration_sha256 == hash_]
-    pair = sorted(_pairs(known, "blackbox"), key=lambda pair: not pair[1].name)[:1]
-    # A daemon for the chassis alone reads the same calibration from a file, with another hash.
-    chassis = _newest("greybox", known) or _newest("greybox", own)
-    return [*_newest("step", known), *chain(*pair), *chassis]
 
 
 def _newest(kind: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary]:
