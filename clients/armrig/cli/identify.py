@@ -38,7 +38,6 @@ from armrig.cli.recorded_data import (
     SignalChoice,
     by_channel,
     data_group,
-    each_channel,
     facts_by_channel,
     from_arm,
     from_recording,
@@ -165,37 +164,30 @@ def hints(
 ) -> None:
     """Suggest a model structure for the data (handout 3.2).
 
-    The command estimates the order and nk, and whether there is an integrator. It uses the impulse
-    response, the spectra and the Hankel matrix, which assume no structure. With several signals, it
+    The command estimates the order and nk, and whether there is an integrator. Its reasons are the
+    description lengths of models, the spectra and the test for a delay. With several signals, it
     looks at each pair of an input and an output.
     """
-    from armrig.validation.data_advice import data_doubts
     from armrig.validation.structure_hints import call_of_all
 
     data = signals.of(file)
     with spinner("estimating without a structure"):
-        doubts = {name: data_doubts(one) for name, one in each_channel(data)}
         found = by_channel(partial(armrig.structure_hints, integrator=signals.integrator), data)
     require_result(found.values())
-    for channel, one in found.items():
-        if not isinstance(one, str):  # the hints judge the excitation for their own structure
-            doubts[channel] = [d for d in doubts[channel] if d.about != "excitation"]
     known = {name: one for name, one in found.items() if not isinstance(one, str)}
-    each = {name: (one, [d.text for d in doubts[name]]) for name, one in found.items()}
     spectra = {"spectra": partial(data.plot, "spectrum")} if () in known else {}
 
     def say_hints() -> None:
         for channel, one in found.items():
             say_channel(channel)
-            text = f"not known: {one}" if isinstance(one, str) else repr(one)
-            say_answer("\n".join([text, *(f"! {d.about}: {d.text}" for d in doubts[channel])]))
+            say_answer(f"not known: {one}" if isinstance(one, str) else repr(one))
         if () not in found and len(known) == len(found):
             of_set = {(output, input): one for (input, output), one in known.items()}
             say_answer(f"all channels: {call_of_all(of_set)}")
 
     def say_after() -> None:
         given = signals.options()
-        if any(d.remedy == "check" for of_channel in doubts.values() for d in of_channel):
+        if any(f.remedy == "check" for one in known.values() for f in one.findings):
             say_next("check", file=typed(file), given=given)
             return
         validation = paired(file, "validation") if from_recording(data) else ""
@@ -205,7 +197,7 @@ def hints(
         say_next("identify", file=typed(file), **values)
 
     out.show(
-        facts=lambda: facts_by_channel(data, each, _hint_facts),
+        facts=lambda: facts_by_channel(data, found, _hint_facts),
         say=say_hints,
         taken=signals.choice(data, known[()].integrator)[1] if () in known else (),
         figures=lambda: results.figures_by_channel(
@@ -228,20 +220,19 @@ def _options(found: Sequence[StructureHints], *, level: bool) -> str:
     return options + " --integrator" * integrates + " --offset" * (level and not integrates)
 
 
-def _hint_facts(hints: tuple[StructureHints | str, list[str]]) -> dict[str, Any]:
-    """Return the hints about a channel, or the reason for missing hints, and the doubts."""
-    found, doubts = hints
+def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
+    """Return the hints about a channel, or the reason for missing hints."""
     if isinstance(found, str):
-        return {"structure": None, "reasons": [found], "doubts": doubts}
+        return {"structure": None, "reasons": [found], "doubts": []}
     of = "integrator integrator_shown low_slope high_slope relative_degree "
-    of += "resonances antiresonances nk_interval singular_values threshold"
+    of += "resonances antiresonances nk_interval excess"
     return {
         "structure": "oe",
         "orders": fields_of(found, "nb nf nk"),
         "structures": [dict(s) for s in found.structures],
         **fields_of(found, of),
         "reasons": [*found.reasons],
-        "doubts": doubts,
+        "doubts": [f.text for f in found.findings if f.level != "good"],
     }
 
 

@@ -110,8 +110,6 @@ def _sampling(study: HandoutStudy, found: SamplingTime) -> Section:
 
 def _hints(_: HandoutStudy, found: StructureHints) -> Section:
     integrator = "one of them an integrator, " if found.integrator else ""
-    apart = found.integrator and found.integrator_shown
-    shown = ", ".join(f"{v:.2g}" for v in found.singular_values[:5])
     peaks, dips = (
         f"{', '.join(number(w) for w in marks)} rad/s" if marks else "none"
         for marks in (found.resonances, found.antiresonances)
@@ -125,13 +123,11 @@ def _hints(_: HandoutStudy, found: StructureHints) -> Section:
             f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}. The "
             "structure is output error, because the noise arises in the potentiometer.",
             f"{slope}Resonances, two poles each: {peaks}; antiresonances, two zeros each: {dips}. "
-            f"The Hankel singular values are {shown} …; uncertainty alone explains values up to "
-            f"{found.threshold:.2g}, and {plural(found.order - apart, 'value')} above this limit "
-            "determine the order.",
+            f"The order: {next(f.text for f in found.findings if f.about == 'order')}.",
         ),
         figures=figure(
             "structure",
-            "(a) Spectral analysis with slopes and resonances; (b) Hankel singular values.",
+            "(a) Spectral analysis with slopes and resonances; (b) description lengths.",
             2.6,
             found.plot,
         ),

@@ -91,22 +91,17 @@ def doubts(data: Dataset, known: Tested) -> list[Finding]:
     return [f for f in found if f.about != "feedback" or known.together]
 
 
-def data_doubts(data: Dataset) -> list[Finding]:
-    """Return a poor input, and feedback with p < 0.1 %; neither depends on a structure."""
-    known = Tested(integration=Integration(integrates=False), loop=_loop(data), late="")
-    found = [_about_input(data), *(_about_feedback(known) if known.together else ())]
-    return [f for f in found if f.level != "good"]
-
-
 def doubts_of_channels(data: Signals) -> Iterator[Finding]:
-    """Yield the doubts about the data of each channel, and about each input once."""
-    for i, output in enumerate(data.outputs):
-        for input in data.inputs:
-            for found in data_doubts(data.dataset(output, input)):
-                of_channel = found.about == "feedback"
-                if of_channel or i == 0:
-                    subject = f"{input} to {output}" if of_channel else input
-                    yield replace(found, text=f"{subject}: {found.text}")
+    """Yield the doubts about each input, and about the feedback in each channel."""
+    for input in data.inputs:
+        found = _about_input(data.dataset(data.outputs[0], input))
+        if found.level != "good":
+            yield replace(found, text=f"{input}: {found.text}")
+        for output in data.outputs:
+            loop = _loop(data.dataset(output, input))
+            known = Tested(integration=Integration(integrates=False), loop=loop, late="")
+            for found in about_feedback(known) if known.together else ():
+                yield replace(found, text=f"{input} to {output}: {found.text}")
 
 
 def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
@@ -128,7 +123,7 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
     if data.output in INTEGRATING_OUTPUTS and LINE in codes_of(data.history):
         text = "a line was removed from an output that integrates: it was the response to the mean "
         yield warning("trend", text + "of u, not a drift; begin again from the recording")
-    yield from _about_feedback(known)
+    yield from about_feedback(known)
     yield _about_delay(known)
 
 
@@ -157,7 +152,7 @@ def examine_fit_of(
         found = _about_integrator(known.integration)
         yield replace(found, level="warning", remedy=found.remedy or "integrator")
     if known.together:
-        yield from _about_feedback(known)
+        yield from about_feedback(known)
     late = known.late
     if isinstance(late, str):
         yield _about_delay(known)
@@ -228,7 +223,8 @@ def _about_drift(data: Dataset) -> Iterator[Finding]:
         yield warning(name, f"{line}{remedy}") if drifts else good(name, str(line))
 
 
-def _about_feedback(known: Tested) -> Iterator[Finding]:
+def about_feedback(known: Tested) -> Iterator[Finding]:
+    """Yield the result of the test for feedback."""
     loop = known.loop
     if loop is None:
         return

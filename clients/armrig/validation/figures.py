@@ -267,7 +267,9 @@ def _draw_in_band(panel: Axes, lags: Array, values: Array, width: Array, colour:
 
 
 def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
-    """Plot the frequency response with resonances and slopes, and Hankel singular values."""
+    """Plot the frequency response with resonances and slopes, and the description lengths."""
+    from armrig.validation.recommended_structures import BARE
+
     ax, below = panels(ax, 0.4, sharex=False)
     s = hints.spectrum
     known = np.isfinite(s.G) & (s.omega > 0)
@@ -301,15 +303,14 @@ def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
     decibel_ticks(ax)
     ax.set_xlabel(r"$\omega$ [rad/s]")
     ax.set_ylabel(f"$|G|$ [dB re 1 {gain_unit(s)}]")
-    values = hints.singular_values[:12]
-    index = np.arange(1, values.size + 1)
-    below.bar(index, values, color=SKY, edgecolor=BLUE, lw=0.5)
-    name = "from noise alone, 95 %"
-    below.axhline(hints.threshold, color=VERMILION, ls="--", lw=1.0, label=name)
-    below.set_yscale("log")
-    below.set_xticks(index)
-    below.set_xlabel("state, strongest first")
-    below.set_ylabel("Hankel singular\nvalue, relative")
+    orders = [*hints.excess]
+    below.bar(orders, [*hints.excess.values()], color=SKY, edgecolor=BLUE, lw=0.5)
+    below.axhline(BARE, color=VERMILION, ls="--", lw=1.0, label="hardly counts")
+    below.set_yscale("symlog", linthresh=BARE)
+    below.set_ylim(bottom=0)
+    below.set_xticks(orders)
+    below.set_xlabel("number of poles")
+    below.set_ylabel("description length,\nabove the least")
     finish(ax, xlim=(float(w[0]), float(w[-1])))
     finish(below)
     legend(below)

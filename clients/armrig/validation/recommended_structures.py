@@ -157,8 +157,11 @@ class _Record:
 
 def recommended(
     data: Dataset, lags: Iterable[int], *, integrates: bool, decide: bool
-) -> tuple[list[Fitted], bool]:
+) -> tuple[list[Fitted], bool, dict[int, float]]:
     """Return at most three models, best first, and whether the data decide on the integrator.
+
+    The third result is the excess of the description length over that of the first model, for each
+    number of poles.
 
     An autoregression 1/D describes the residuals of a first model, so that the noise of the
     filtered signals D u and D y is white. The output-error estimate then maximises the likelihood,
@@ -190,7 +193,9 @@ def recommended(
     chosen = _chosen(scans, shown=shown)
     if not shown:
         chosen[:2] = sorted(chosen[:2], key=lambda m: m.structure.integrator != integrates)
-    return chosen, shown
+    same = [m for m in ranked if m.structure.integrator == chosen[0].structure.integrator]
+    excess = {m.structure.nf: m.bits - chosen[0].bits for m in reversed(same)}
+    return chosen, shown, dict(sorted(excess.items()))
 
 
 def _chosen(scans: list[list[Fitted]], *, shown: bool) -> list[Fitted]:

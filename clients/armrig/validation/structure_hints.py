@@ -1,9 +1,8 @@
-"""Recommended structures, with reasons from spectrum, singular values and delay (handout, 3.2)."""
+"""Recommended structures, with reasons from description lengths and spectra (handout, 3.2)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +12,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
 from armrig.data.finding import Finding, good, warning
-from armrig.data.treatment.integrating import integration
-from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough, with_covariance
+from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectra import explained
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.excitation.input_description import excitation_order
@@ -27,27 +25,25 @@ from armrig.models.spectral_estimate import (
 )
 from armrig.numerics.quantities import listed, minus, plural
 from armrig.plots.layout import drawn_by
-from armrig.validation.data_advice import poor_input
+from armrig.validation.data_advice import about_feedback, poor_input, tested
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
-from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
-from armrig.validation.recommended_structures import Fitted, Recommended, recommended
+from armrig.validation.recommended_structures import BARE, Fitted, Recommended, recommended
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
-SURE = 3.0  # standard deviations by which |G| at an extreme must differ from |G| at its bases
-DRAWS = 200  # random draws of the error of the impulse response
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
 _ROUNDING = 1e-9  # 1/sample; a slower pole counts as a pole at 1
 FLAT_SLOPE = 5.0  # largest slope of a gain that counts as constant, in dB a decade
 _ORDINALS = {1: "first", 2: "second", 3: "third"}
-AGREED_PEAK = 0.12  # largest relative difference from an extreme of the first structure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class StructureHints:
     """Recommended structures, and the nonparametric estimates that are the reasons for them."""
 
+    doubts: tuple[Finding, ...]
+    """Feedback with p < 0.1 %."""
     structures: tuple[Recommended, ...]
     """At most three structures, best first."""
     integrator: bool
@@ -71,22 +67,16 @@ class StructureHints:
     """Number of poles minus number of zeros, from the slope at high frequency; 0 if ``|G|`` does
     not fall, or if no slope can be estimated."""
     resonances: tuple[float, ...]
-    """Frequencies in rad/s of the peaks of |G| that the first structure also has. If y integrates,
-    |G| is the response of the rate of y."""
+    """Frequencies in rad/s of the peaks of |G| of the first structure, where u explains y. If y
+    integrates, |G| is the response of the rate of y."""
     antiresonances: tuple[float, ...]
-    """Frequencies in rad/s of the dips of |G| that the first structure also has."""
+    """Frequencies in rad/s of the dips of |G| of the first structure, where u explains y."""
     nk_interval: tuple[int, int] | None
     """Least and greatest nk that the test `armrig.delay` does not rule out. None if this test
     raised an error, or if this range does not contain `nk`."""
-    singular_values: Vector
-    """Singular values of the Hankel matrix of the impulse response (of the rate of y if y
-    integrates), divided by the largest singular value."""
-    threshold: float
-    """95 % quantile of the largest singular value that the error of the impulse response alone
-    causes. The quantile is divided by the largest singular value of the response."""
-    order: int
-    """Number of `singular_values` above `threshold`, plus 1 if the data show an integrator; at most
-    nf."""
+    excess: Mapping[int, float]
+    """Description length of the best structure with each number of poles, minus the description
+    length of the first structure. A difference of less than 2 hardly counts."""
     excitation: int
     """Order of persistence of excitation of u; at least nb + nf if u determines the parameters."""
     trusted: float
@@ -125,7 +115,7 @@ class StructureHints:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings about excitation, integrator, shape, order, roll-off and delay."""
+        """Findings about feedback, excitation, integrator, shape, order, roll-off and delay."""
         return tuple(_findings(self))
 
     @property
@@ -158,19 +148,20 @@ def structure_hints(
 
     The structures are the output-error structures with the shortest description lengths, after a
     filter has whitened the noise (`recommended`). If the data show whether y integrates, one of the
-    structures has nb = nf, like a plant under a zero-order hold. Nonparametric estimates give the
-    following reasons, which are reported if the first structure agrees:
+    structures has nb = nf, like a plant under a zero-order hold. The reasons are the following;
+    the results of nonparametric estimates are reported if the first structure agrees:
 
     - Integrator: the test of `delay` and `search` (`armrig.data.treatment.integrating`). If the
       data do not distinguish an integrator from a slow pole, the description lengths decide; if
       these hardly differ, structures with and without an integrator are recommended. The output
       theta_1 is taken as integrating. With an integrator the slope of the gain at low frequency is
       -20 dB a decade.
-    - Order: the number of singular values of the impulse response's Hankel matrix that exceed
-      `threshold`, which follows from the uncertainty of this response.
+    - Order: the differences of the description lengths.
     - Number of poles minus number of zeros: the slope at the highest frequencies at which u
       explains y (coherence above one half). Each pole in excess of the zeros changes the slope by
       -20 dB a decade. Sampling hides the slope near the Nyquist frequency.
+    - Resonances and antiresonances: the peaks and dips of the gain of the first structure, at least
+      2 dB high.
     - Delay: the result of `delay`.
 
     Parameters
@@ -198,7 +189,6 @@ def structure_hints(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 16.2 and 16.3.
-    .. [2] S. Y. Kung, Proc. 12th Asilomar Conf., 1978, 705-714 (Hankel singular values).
 
     Examples
     --------
@@ -209,27 +199,24 @@ def structure_hints(
     >>> hints.relative_degree, hints.nk_interval
     (2, (1, 1))
     """
-    decided = integration(data, integrator)
+    known = tested(data, integrator)
+    decided, late = known.integration, known.late if isinstance(known.late, Delay) else None
     integrates = decided.integrates and not decided.rejected
-    late: Delay | None = None
-    with suppress(ValueError):
-        late = delay(data, integrator=integrates)
     rate = spa(data, "log", integrator=True).rate()
     slope, low = low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
-    models, shown = recommended(data, lags, integrates=integrates, decide=decided.undecided)
+    models, shown, excess = recommended(data, lags, integrates=integrates, decide=decided.undecided)
     best, first = models[0], models[0].structure
     integrates, nk = first.integrator, first.nk
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
     believed = _believed(spectrum, needed=late is None)
     response = long_enough(data, LAGS, integrator=integrates)
-    peaks, dips = _extremes(response, spectrum.omega[believed])
-    values, threshold = _hankel(response, max(nk, 1))
-    order = int(np.count_nonzero(values > threshold)) + (integrates and shown)
+    peaks, dips = _extremes(best, spectrum.omega[believed], data.Ts)
     high = spectrum.omega[high_band(spectrum, believed)]
     fall = high_slope(spectrum, believed)
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
     return StructureHints(
+        doubts=tuple(about_feedback(known)) if known.together else (),
         structures=tuple(model.structure for model in models),
         integrator=integrates,
         integrator_shown=shown,
@@ -238,12 +225,10 @@ def structure_hints(
         high_slope=_agreed(fall, best, high, data.Ts),
         high_band=high,
         relative_degree=max(0, round(-fall / 20)) if high.size else 0,
-        resonances=_confirmed(peaks, best, data.Ts, dips=False),
-        antiresonances=_confirmed(dips, best, data.Ts, dips=True),
+        resonances=peaks,
+        antiresonances=dips,
         nk_interval=late.interval if late is not None and seen else None,
-        singular_values=values,
-        threshold=threshold,
-        order=min(order, first.nf),
+        excess=excess,
         excitation=excitation_order(data),
         trusted=float(np.max(spectrum.omega[believed], initial=0.0)),
         spectrum=spectrum,
@@ -278,71 +263,17 @@ def _is_flat(best: Fitted, Ts: float) -> bool:
     return abs(log_slope(omega, np.abs(best.G(omega, Ts))) + 20 * integrator) < FLAT_SLOPE
 
 
-def _confirmed(
-    found: tuple[float, ...], best: Fitted, Ts: float, *, dips: bool
-) -> tuple[float, ...]:
-    """Return the extremes near which the first structure has complex roots or an extreme."""
-    roots = np.roots(np.trim_zeros(best.B, "f")) if dips else np.roots(best.F)
-    at = np.abs(np.log(roots[np.imag(roots) > 0])) / Ts
-
-    def extreme(w: float) -> bool:
-        near = w * np.linspace(1 - AGREED_PEAK, 1 + AGREED_PEAK, 50)
-        G = np.abs(best.G(near, Ts))
-        if best.structure.integrator:
-            G *= np.abs(1 - np.exp(-1j * near * Ts))
-        return 0 < int(np.argmin(G) if dips else np.argmax(G)) < near.size - 1
-
-    return tuple(w for w in found if np.any(np.abs(at / w - 1) <= AGREED_PEAK) or extreme(w))
-
-
-def _extremes(
-    response: ImpulseResponse, believed: Vector
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the frequencies of significant peaks and dips of the response's transform."""
+def _extremes(best: Fitted, omega: Vector, Ts: float) -> list[tuple[float, ...]]:
+    """Return the frequencies of peaks and of dips of |G|, of the rate if y integrates."""
     from scipy.signal import find_peaks
 
-    if not believed.size:
-        return (), ()
-    omega = np.geomspace(believed[0], believed[-1], 300)
-    g, covariance = with_covariance(response)
-    turn = np.exp(-1j * np.outer(omega, response.lags) * response.Ts)
-    G = turn @ g
-    # d|G| = along @ dg
-    along = np.real(turn * np.exp(-1j * np.angle(G))[:, None])
-    magnitude = np.abs(G)
-    resolved = 2 * np.pi / (g.size * response.Ts)
-
-    def sure(at: int, foot: int) -> bool:
-        d = along[at] - along[foot]
-        std = np.sqrt(max(float(d @ covariance @ d), 0.0))
-        return bool(abs(magnitude[at] - magnitude[foot]) > SURE * std)
-
-    found = []
-    for x in (magnitude, 1 / magnitude):
-        at, of = find_peaks(20 * np.log10(x), prominence=PROMINENT_DB)
-        feet = zip(at, of["left_bases"], of["right_bases"], strict=True)
-        found.append(
-            tuple(
-                float(omega[i])
-                for i, left, right in feet
-                if omega[right] - omega[left] > resolved and sure(i, left) and sure(i, right)
-            )
-        )
-    return found[0], found[1]
-
-
-def _hankel(response: ImpulseResponse, nk: int) -> tuple[Vector, float]:
-    """Return the Hankel singular values from lag nk on, and their threshold, over the largest."""
-    g, covariance = with_covariance(response)
-    # The backward difference that yields the rate adds a pole at 0, which affects g(nk) alone.
-    h = g[nk + 1 :] if response.integrator else g[nk:]
-    m = (h.size + 1) // 2
-    index = np.add.outer(np.arange(m), np.arange(h.size - m + 1))
-    values = np.linalg.svd(h[index], compute_uv=False)
-    draw = np.random.default_rng(0).multivariate_normal
-    errors = draw(np.zeros(g.size), covariance, size=DRAWS, method="eigh")
-    norms = np.linalg.norm(errors[:, g.size - h.size :][:, index], ord=2, axis=(1, 2))
-    return values / values[0], float(np.quantile(norms, 0.95)) / float(values[0])
+    if not omega.size:
+        return [(), ()]
+    w = np.geomspace(omega[0], omega[-1], 300)
+    G = best.G(w, Ts) * (1 - np.exp(-1j * w * Ts)) ** best.structure.integrator
+    level = 20 * np.log10(np.abs(G))
+    found = (find_peaks(x, prominence=PROMINENT_DB)[0] for x in (level, -level))
+    return [tuple(map(float, w[at])) for at in found]
 
 
 def _extremes_told(h: StructureHints) -> str:
@@ -390,6 +321,7 @@ def call_of_all(found: Mapping[Name, StructureHints]) -> str:
 
 
 def _findings(h: StructureHints) -> Iterator[Finding]:
+    yield from h.doubts
     if h.excitation < (needed := h.nb + h.nf):
         many = f"this structure has {needed} parameters"
         yield warning("excitation", poor_input(h.excitation, many))
@@ -397,17 +329,9 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
     if h.resonances or h.antiresonances:
         what = "the rate" if h.integrator else "y"
         yield good(f"shape of {what}", _extremes_told(h))
-    shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
-    with_integrator = h.integrator and h.integrator_shown
-    n = h.order - with_integrator
-    more = ""
-    if h.order < h.nf and h.integrator_shown:
-        more = f"; nf = {h.nf} has the shortest description, which noise alone may cause: keep it "
-        more += f"only if a model with nf = {h.order} has coloured residuals, or if physics has "
-        more += "more poles"
-    text = f"Hankel singular values {shown} …, uncertainty alone causes up to {h.threshold:.2g}: "
-    text += f"{n or 'none'} {'stands' if n <= 1 else 'stand'} out"
-    yield good("order", f"{text}{', and the integrator' if with_integrator else ''}{more}")
+    near = [f"nf = {n} by {d:.1f}" for n, d in h.excess.items() if abs(n - h.nf) == 1]
+    more = f"; it is longer with {listed(near)} (below {BARE:g} hardly counts)" if near else ""
+    yield good("order", f"nf = {h.nf} has the shortest description (MDL){more}")
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
         text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "

@@ -87,12 +87,12 @@ def test_feedback_is_advised_on_by_its_p_value(
 ) -> None:
     test = loop(**fields)
 
-    about, text, is_good = only(data_advice._about_feedback(known_of(loop=test)))
+    about, text, is_good = only(data_advice.about_feedback(known_of(loop=test)))
 
     assert (about, is_good) == ("feedback", good)
     assert all(words in text for words in said)
     assert ("By chance" in text) == (not good and test.p_value >= 1e-3)
-    assert [*data_advice._about_feedback(known_of())] == []
+    assert [*data_advice.about_feedback(known_of())] == []
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from armrig.validation import model_search
 from armrig.validation.model_search import _ranked
 from armrig.validation.recommended_structures import Fitted, Recommended, _busiest
 from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
-from armrig.validation.structure_hints import _agreed, _confirmed
+from armrig.validation.structure_hints import _agreed, _extremes
 
 from tests.clients.models.made_fits import made
 
@@ -159,13 +159,16 @@ def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
 
 
 @pytest.mark.parametrize("integrator", [False, True])
-def test_an_extreme_is_reported_if_the_model_has_roots_within_12_percent(integrator: bool) -> None:
+def test_the_extremes_of_a_model_are_those_of_its_roots(integrator: bool) -> None:
     poles, zeros = (np.exp(w * 0.01 * 1j) * r for w, r in ((20.0, 0.99), (40.0, 0.995)))
     B, F = (np.real(np.poly([z, z.conjugate()])) for z in (zeros, poles))
     best = fitted([0, 0, *B], F, integrator=integrator)
 
-    assert _confirmed((20.0, 22.2, 26.0, 40.0), best, 0.01, dips=False) == (20.0, 22.2)
-    assert _confirmed((40.0, 36.0, 20.0), best, 0.01, dips=True) == (40.0, 36.0)
+    found = _extremes(best, np.array([1.0, 200.0]), 0.01)
+
+    np.testing.assert_allclose(found, [[20.0], [40.0]], rtol=0.02)
+    assert _extremes(best, np.array([1.0, 10.0]), 0.01) == [(), ()]
+    assert _extremes(best, np.zeros(0), 0.01) == [(), ()]
 
 
 def test_long_data_are_shortened_to_the_part_with_input_changes() -> None:
