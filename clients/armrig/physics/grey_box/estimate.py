@@ -48,6 +48,7 @@ _EXACT_SHARE = 1e-5  # largest residual of data without noise, as a share of the
 _MAX_DRAWS = 8
 _NEAR_MISFIT = 1.0  # largest difference from the lowest misfit at which more steps may help
 _TRIAL_STEPS = 30  # of the search from each start
+_TRIAL_SHARE = 0.1  # largest error of the solver there, as a share of the residuals' deviation
 _DRAWN = 1.4  # largest change of a coordinate in a drawn start; e^1.4 is 4
 
 
@@ -250,7 +251,7 @@ def minimised(
                 best = min(best, short.searched(z, _TRIAL_STEPS), key=lambda found: found.cost)
             trial = short, best
             if _misfit(*trial) < min((one[0] for one in found), default=np.inf) + _NEAR_MISFIT:
-                trial = _refined(*trial, _TRIAL_STEPS)
+                trial = _refined(*trial, _TRIAL_STEPS, _TRIAL_SHARE)
         except InputError as err:
             failed = err if at is start else failed
             continue
@@ -312,11 +313,13 @@ def liveliest(data: Signals) -> Signals:
     return windows[int(np.nanargmax(spreads))]
 
 
-def _refined(problem: Shooting, best: Optimum, most: int = MAX_STEPS) -> tuple[Shooting, Optimum]:
+def _refined(
+    problem: Shooting, best: Optimum, most: int = MAX_STEPS, share: float = MAX_SOLVER_SHARE
+) -> tuple[Shooting, Optimum]:
     """Return problem and minimum with the noise of several outputs, and with enough steps."""
     for _ in range(_MAX_ROUNDS):
         noise = np.sqrt(np.nanmean(problem.residuals(best.theta) ** 2, axis=0))
-        steps, _ = problem.solver_error(best.theta, MAX_SOLVER_SHARE * noise)
+        steps, _ = problem.solver_error(best.theta, share * noise)
         finer = steps > problem.steps
         std = np.maximum(noise, 1e-12 * problem.std) if noise.size > 1 else problem.std
         settled = np.max(np.abs(std / problem.std - 1)) < _SETTLED
