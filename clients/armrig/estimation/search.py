@@ -43,6 +43,8 @@ _PAIR_RADII = (0.98, 0.85, 0.6)
 _STARTS_PER_KIND = 6
 _STARTS_IF_AGREED = 3  # likewise, if all searches so far ended in the same minimum
 _ADDED_ROOTS = (0.5, -0.5)  # roots added to F for a model of higher order
+# An added root that cancels is a saddle point, which rounding errors alone would leave.
+_SHRINKAGE = 0.9999  # factor of all roots of the model of higher order
 _MAX_LARGER_STEPS = 20  # steps of the search for the model of higher order
 _FIRST_STEPS = 10  # steps of the search for the model that completes data with gaps
 _MAX_STEPS_WITH_GAPS = 30  # steps between two estimates of Lambda, each of which takes long
@@ -284,7 +286,7 @@ def _through_a_higher_order(problem: PolynomialProblem, theta: Array) -> Iterato
     )
     larger = replace(problem, rows=(replace(n, nb=nb, nf=nf),))
     for root in _ADDED_ROOTS:
-        F = np.convolve(monic(theta), [1.0, -root])
+        F = np.convolve(monic(theta), [1.0, -root]) * _SHRINKAGE ** np.arange(theta.size + 2)
         found = larger.minimise(F[1:], most=_MAX_LARGER_STEPS).theta
         yield from (lower[1:] for lower in reduced(monic(found)))
 
