@@ -25,7 +25,6 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.numerics.covariance import (
-    Autoregression,
     correlated_score,
     joint_exogenous_score,
     pairwise_covariance,
@@ -159,7 +158,6 @@ def infer(
     degrees = np.array(
         [_degrees(of, N, d) for of, N, d in zip(outputs, counts.tolist(), parameters, strict=True)]
     )
-    noise = [autoregression([r.e for r in of]) for of in outputs]
     # For tests on other data by MDL: in short data AIC often finds an autoregression in white
     # residuals, whose variance is too small.
     consistent = [autoregression([r.e for r in of], mdl) for of in outputs]
@@ -177,7 +175,7 @@ def infer(
     else:
         e = np.vstack([np.column_stack([r.e for r in of]) for of in experiments])
         Lambda = pairwise_covariance(e) * np.sqrt(np.outer(inflation, inflation))
-    M = _score(experiments, score, noise) * float(np.sum(counts) / np.sum(degrees))
+    M = _score(experiments, score) * float(np.sum(counts) / np.sum(degrees))
     return Inference(
         covariance=W @ _white_score(experiments, Lambda) @ W.T,
         covariance_robust=W @ M @ W.T,
@@ -206,13 +204,11 @@ def _white_score(experiments: Sequence[Sequence[OutputResiduals]], Lambda: Array
     return np.asarray(sum(Lambda[pair] * product for pair, product in pairs))
 
 
-def _score(
-    experiments: Sequence[Sequence[OutputResiduals]], score: Score, noise: Sequence[Autoregression]
-) -> Array:
+def _score(experiments: Sequence[Sequence[OutputResiduals]], score: Score) -> Array:
     """Return M, the covariance of the sum of H_i(t) e_i(t)."""
     H, e = [[r.H for r in of] for of in experiments], [[r.e for r in of] for of in experiments]
     if score == "exogenous":
-        return joint_exogenous_score(H, e, noise)
+        return joint_exogenous_score(H, e, [autoregression([*of]) for of in zip(*e, strict=True)])
     if len(experiments[0]) == 1:
         return correlated_score([h for (h,) in H], [v for (v,) in e])
     scores = [np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in of], axis=0) for of in experiments]

@@ -133,31 +133,35 @@ def autoregression(
     """
     N = sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals)
     highest = min(int(10 * log10(max(N, 10))), N // 10)
-    ahead = behind = joined(residuals, 1)  # a value that depends on a missing sample is NaN
-    whole = np.convolve(np.isfinite(ahead), np.ones(highest + 1, dtype=int), "valid") > highest
+    e = joined(residuals, 1)[:-1]
+    known = np.isfinite(e)  # a value that depends on a missing sample is 0
+    ahead = behind = np.where(known, e, 0.0)
+    whole = np.convolve(known, np.ones(highest + 1, dtype=int), "valid") > highest
     burg = N <= _MAX_BURG and 2 * np.count_nonzero(whole) >= N
     R, _ = autocovariance(joined(residuals, highest), 0 if burg else highest)
-    best: tuple[float, Vector, float] = (float(criterion(R[0], 0, N)), np.ones(1), float(R[0]))
-    C, s2 = np.ones(1), float(R[0])
-    for order in range(1, highest + 1):
-        if s2 <= 0:
-            break
+    s2, order = float(R[0]), 0
+    least, best = float(criterion(s2, 0, N)), (np.ones(1), s2)
+    C = np.eye(1, highest + 1)[0]
+    while order < highest and s2 > 0:
+        order += 1
         if burg:
             ahead, behind = ahead[1:], behind[:-1]
-            known = np.isfinite(ahead) & np.isfinite(behind)
-            f, b = ahead[known], behind[known]
-            reflection = -2 * float(f @ b) / max(float(f @ f + b @ b), 1e-300)
+            if e.size > N:
+                known = known[1:] & known[:-1]
+                ahead, behind = ahead * known, behind * known
+            power = float(ahead @ ahead + behind @ behind)
+            reflection = -2 * float(ahead @ behind) / max(power, 1e-300)
             ahead, behind = ahead + reflection * behind, behind + reflection * ahead
         else:
-            reflection = -float(C @ R[order:0:-1]) / s2
+            reflection = -float(C[:order] @ R[order:0:-1]) / s2
         if abs(reflection) >= 1:  # missing samples can make R indefinite
             break
-        C = np.append(C, 0.0) + reflection * np.append(0.0, C[::-1])
+        C[: order + 1] += reflection * C[order::-1]
         s2 *= 1 - reflection**2
         value = float(criterion(s2, order, N))
-        if value < best[0]:
-            best = (value, C, s2)
-    return best[1], best[2]
+        if value < least:
+            least, best = value, (C[: order + 1].copy(), s2)
+    return best
 
 
 def default_lags(N: int) -> int:
