@@ -13,14 +13,17 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.blas import dtrsv
 from scipy.linalg.lapack import dgeqrf, dormqr
 
 from armrig.models.innovations import Experiment, response
 from armrig.models.structure import Structure
+from armrig.numerics.least_squares import column_norms, upper_ones
 from armrig.numerics.polynomial import Array, filtered, monic, shift_into
 
 # A longer response would contain many denormal numbers, which make a processor ten times slower.
 _MAX_WHOLE_RESPONSE = 1024  # samples
+_ONE = np.ones(1)
 _MIN_COLUMN_REST = 1e-8  # least share of a column that the columns before it do not explain
 
 
@@ -39,34 +42,36 @@ def projected_errors(
     W = np.zeros((N, d + 1), order="F")
     shift_into(W[:, :pulses], by_past, 0)
     shift_into(W[:, pulses:begin], _times(D, by_pulse), 0)
-    W[:, d] = _times(D, by_output)[:N]
-    shift_into(W[:, begin:first], -W[:, d])
+    W[:, d] = y = _times(D, by_output)[:N]
+    if n.na:
+        shift_into(W[:, begin:first], -y)
     shift_into(W[:, first:d], _times(D, by_input), n.nk[0])
     reflectors, tau, *_ = dgeqrf(W)
-    R = reflectors[: d + 1] * _upper(d + 1)
-    norms = np.sqrt(np.einsum("ij,ij->j", R, R))
-    if not (np.abs(R.diagonal()[:d]) > _MIN_COLUMN_REST * norms[:d]).all():
+    R = reflectors[: d + 1] * upper_ones(d + 1, d + 1)
+    if not (np.abs(R.diagonal()) > _MIN_COLUMN_REST * column_norms(R))[:d].all():
         return None
     e = np.zeros(N - d)
     e[0] = R[d, d]
 
     def J() -> Array:
-        solution = np.linalg.solve(R[:d, :d], R[:d, d])
+        solution = dtrsv(R[:d, :d], R[:d, d])
         state, a = solution[pulses:begin], solution[begin:first]
         # The response B/F u from the estimated state, filtered by 1/C.
-        driven = np.convolve(np.append(np.zeros(n.nk[0]), solution[first:]), by_input)[:N]
+        B = np.zeros(n.nk[0] + n.nb[0])
+        B[n.nk[0] :] = solution[first:]
+        driven = np.convolve(B, by_input)[:N]
         if state.size:
             free = np.convolve(state, by_pulse)[:N]
             driven[: free.size] += free
         Psi = np.zeros((N, n.nc + n.nd + n.nf[0]), order="F")
         if n.nc:
-            shift_into(Psi[:, : n.nc], filtered([1.0], C, W[:, d] - W[:, :d] @ solution))
+            shift_into(Psi[:, : n.nc], filtered(_ONE, C, y - W[:, :d] @ solution))
         if n.nd:
             v = np.convolve(monic(a), by_output)[:N] if n.na else by_output
             shift_into(Psi[:, n.nc : n.nc + n.nd], driven - v)
             driven = np.convolve(D, driven)[:N]
         if n.nf[0]:
-            shift_into(Psi[:, n.nc + n.nd :], filtered([-1.0], F, driven))
+            shift_into(Psi[:, n.nc + n.nd :], filtered(-_ONE, F, driven))
         Psi, *_ = dormqr("L", "T", reflectors, tau, Psi, 64 * Psi.shape[1], overwrite_c=1)
         return np.asarray(Psi[d:])
 
@@ -76,10 +81,10 @@ def projected_errors(
 def _with_response(P: Array, x: Array) -> tuple[Array, Array]:
     """Return x (N,) filtered by 1/P, and the impulse response of 1/P."""
     if x.size > _MAX_WHOLE_RESPONSE:
-        return filtered([1.0], P, x), response([1.0], P, x.size)
+        return filtered(_ONE, P, x), response([1.0], P, x.size)
     both = np.zeros((2, x.size))
     both[0], both[1, 0] = x, 1.0
-    found, pulse = filtered([1.0], P, both)
+    found, pulse = filtered(_ONE, P, both)
     return found, pulse
 
 
@@ -94,9 +99,3 @@ def _ends(n: Structure) -> tuple[int, int, int, int]:
     pulses = n.forgotten(0) if n.nc else 0
     begin = pulses + n.counts[0]
     return pulses, begin, begin + n.na, begin + n.na + n.nb[0]
-
-
-@lru_cache
-def _upper(n: int) -> Array:
-    """Return ones on and above the diagonal, (n, n)."""
-    return np.triu(np.ones((n, n)))

@@ -202,11 +202,8 @@ def equation_error(equations: Sequence[Path], F: Array, n: int) -> Array:
     for equation in equations:
         rest = []
         for k, (u, y) in enumerate(equation.parts):
-            y_F = filtered([1.0], F, y)
-            inputs = [
-                lagged(filtered([1.0], F, x), lags)
-                for x, lags in zip(u.T, equation.lags, strict=True)
-            ]
+            y_F, *u_F = filtered([1.0], F, np.vstack([y, u.T])) if F.size > 1 else (y, *u.T)
+            inputs = [lagged(x, lags) for x, lags in zip(u_F, equation.lags, strict=True)]
             block = np.column_stack([-lagged(y_F, range(1, n + 1)), y_F, *inputs])
             past = free_columns(F, y.size, count=equation.pulses, drift=False)
             free = np.hstack([past, *equation.trend[k : k + 1]])
@@ -342,14 +339,12 @@ def noise_start(v: Sequence[Array], *, nc: int, nd: int) -> tuple[Array, Array]:
     """Return stable C and D in D v = C e; a missing sample of the signals v is NaN."""
     if nc + nd == 0:
         return np.ones(1), np.ones(1)
-    e = _long_innovations(v) if nc else [np.full(x.size, np.nan) for x in v]
-    C, D = np.ones(1), np.ones(1)
+    C, D = np.ones(1), autoregression(v)[0] if nc else np.ones(1)
+    e = [_innovations(D, C, x) for x in v]
+    of_v = [-past(x, range(1, nd + 1)) for x in v]
     for _ in range(_PASSES if nc else 1):
-        columns = [
-            np.hstack([-past(x, range(1, nd + 1)), past(i, range(1, nc + 1))])
-            for x, i in zip(v, e, strict=True)
-        ]
-        theta = _solved(columns, v)
+        of_e = [past(i, range(1, nc + 1)) for i in e]
+        theta = _solved([np.hstack(both) for both in zip(of_v, of_e, strict=True)], v)
         D = reflected(np.append(1.0, theta[:nd]), _MAX_START_ROOT)
         C = reflected(np.append(1.0, theta[nd:]), _MAX_START_ROOT)
         e = [_innovations(D, C, x) for x in v]
@@ -360,12 +355,6 @@ def _long_order(v: Sequence[Array], parameters: int) -> int:
     """Return the order of the long autoregression; the order grows slowly with N."""
     N = sum(x.size for x in v)
     return int(max(1, min(2 * parameters + 10 * np.log10(max(N, 10)) - 10, N // 10, N // 4)))
-
-
-def _long_innovations(v: Sequence[Array]) -> list[Array]:
-    """Return the errors of a long autoregression, by Yule and Walker's equations."""
-    D, _ = autoregression(v)
-    return [_innovations(D, np.ones(1), x) for x in v]
 
 
 def _innovations(D: Array, C: Array, x: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +119,12 @@ def _pivoted_qr(M: Array) -> tuple[Array, Array, NDArray[np.int_]]:
     R = np.triu(factored[:k])
     Q, _, _ = dorgqr(factored[:, :k], tau, lwork=_LAPACK_BLOCK_COLUMNS * k, overwrite_a=1)
     return Q, R, order - 1
+
+
+@lru_cache
+def upper_ones(k: int, n: int) -> Array:
+    """Return ones on and above the diagonal, (k, n), by which a product is faster than np.triu."""
+    return np.triu(np.ones((k, n)))
 
 
 def upper_inverse(R: Array) -> Array:

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg.lapack import dgeqrf
 
-from armrig.numerics.least_squares import column_norms
+from armrig.numerics.least_squares import column_norms, upper_ones
 from armrig.numerics.polynomial import Array
 
 TOLERANCE = 1e-10
@@ -49,7 +49,7 @@ class Walls(Protocol):
     """Boundary of the admissible set, along which a search may move."""
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta itself, or moved inside if the step from `previous` crossed a wall."""
+        """Return theta itself if it touches no wall, else theta moved inside from `previous`."""
 
     def normals(self, theta: Array) -> Array:
         """Return the outward normals (k, n) of the walls that theta touches."""
@@ -124,7 +124,7 @@ def levenberg_marquardt(
             and promised <= _SAME_COST_TOLERANCE * cost
         ):
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-        step, share = _admitted(step, theta, admissible, walls)
+        step, share, inside = _admitted(step, theta, admissible, walls)
         promised *= 1 - (1 - share) ** 2
         trial_e, trial_J = linearise(theta + step)
         trial_cost = float(trial_e @ trial_e)
@@ -135,7 +135,7 @@ def levenberg_marquardt(
             if cost == 0:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
             whole, scale = _compressed(trial_e, trial_J, error)
-            normals = _normals(walls, theta, scale)
+            normals = _normals(None if inside else walls, theta, scale)
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3) if ratio < 1 else 1 / 10
             growth = 2.0
         elif promised <= _MIN_DECREASE * cost:
@@ -168,18 +168,18 @@ def _leads_to(way: Array, whole: _Linear, along: _Linear) -> bool:
 
 def _admitted(
     step: Array, theta: Array, admissible: Callable[[Array], bool], walls: Walls | None
-) -> tuple[Array, float]:
-    """Return an admissible step, and the factor by which the halvings reduced the step."""
+) -> tuple[Array, float, bool]:
+    """Return an admissible step, its factor after halvings, and whether its end touches no wall."""
     if walls is not None:
         whole = theta + step
         end = walls.inside(whole, theta)
         step = end - theta
         if end is whole:
-            return step, 1.0
+            return step, 1.0, True
     halvings = 0
     while not admissible(theta + step) and halvings < MAX_HALVINGS:
         step, halvings = step / 2, halvings + 1
-    return step, 0.5**halvings
+    return step, 0.5**halvings, False
 
 
 def _normals(walls: Walls | None, theta: Array, scale: Array) -> Array:
@@ -206,13 +206,13 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
 def _compressed(e: Array, J: Jacobian, error: float) -> tuple[_Linear, Array]:
     """Return (s, V^T, U^T Q^T e) and the scale (n,), with J / scale = Q R and R = U s V^T."""
     J = J() if callable(J) else J
-    scale = column_norms(J)
-    scale[scale == 0] = 1.0
     # e is the last column, so that R contains Q^T e and Q itself is not needed.
-    n = scale.size
+    n = J.shape[1]
     whole = np.empty((e.size, n + 1), order="F")
-    np.divide(J, scale, out=whole[:, :n])
-    whole[:, n] = e
-    packed, *_ = dgeqrf(whole, overwrite_a=True)
-    U, s, Vt = np.linalg.svd(np.triu(packed[:n, :n]), full_matrices=False)
-    return (s, Vt, (U.T @ packed[:n, n]) * (s > error * s[0])), scale
+    whole[:, :n], whole[:, n] = J, e
+    R = dgeqrf(whole, overwrite_a=True)[0][:n]
+    R = R * upper_ones(*R.shape)
+    scale = column_norms(R[:, :n])
+    scale[scale == 0] = 1.0
+    U, s, Vt = np.linalg.svd(R[:, :n] / scale, full_matrices=False)
+    return (s, Vt, (U.T @ R[:, n]) * (s > error * s[0])), scale

@@ -36,9 +36,11 @@ def monic(coefficients: Array) -> Array:
 
 def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
     """Return x (N,) filtered by numerator/denominator, from rest."""
-    from scipy.signal import lfilter
+    import scipy.signal
 
-    return np.asarray(lfilter(numerator, denominator, x))
+    if x.ndim == np.size(denominator) == 1:  # lfilter would take three times as long
+        return np.asarray(np.convolve(x, np.asarray(numerator))[: x.size] / denominator)
+    return np.asarray(scipy.signal.lfilter(numerator, denominator, x))
 
 
 def continued(A: Array, B: Array, u: Array, y: Array) -> Array:
@@ -70,9 +72,9 @@ def lagged(x: Array, lags: Sequence[int]) -> Array:
 
 def shift_into(columns: Array, x: Array, first: int = 1) -> None:
     """Write q^-first x, q^-(first + 1) x … into the columns (N, n); x has at most N samples."""
-    for k in range(columns.shape[1]):
-        part = columns[first + k : first + k + x.size, k]
-        part[:] = x[: part.size]
+    N, n = columns.shape
+    for k in range(n):
+        columns[first + k : first + k + x.size, k] = x[: max(N - first - k, 0)]
 
 
 def evaluate(p: ArrayLike, q_inverse: Array) -> Array:
@@ -119,14 +121,15 @@ def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
     A root that was on or outside the circle may still have a modulus above `radius` after the
     reflection. Such a root is moved to the modulus `radius`.
     """
+    p = np.atleast_1d(p)
+    if stable(p, 1.0 - _CIRCLE_TOLERANCE):
+        return np.asarray(p / p[0])
     return with_roots_inside(roots(p), radius)
 
 
 def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
     """Return the polynomial with the roots z (n,), moved inside the circle as in `reflected`."""
     magnitude = np.abs(z)
-    if not z.size or magnitude.max() < 1.0 - _CIRCLE_TOLERANCE:
-        return of_roots(z)
     inside = np.where(magnitude > 1.0, 1.0 / np.maximum(magnitude, 1.0), magnitude)
     shrink = np.minimum(inside, radius) / np.where(magnitude > 0, magnitude, 1.0)
     return of_roots(np.where(magnitude >= 1.0 - _CIRCLE_TOLERANCE, z * shrink, z))
