@@ -275,11 +275,7 @@ def minimised(
 
 
 def _effective(problem: Shooting, best: Optimum, start: Vector) -> Vector:
-    """Return the coordinates of the parameters, or of the start for those without an effect.
-
-    A factor e of a parameter without an effect changes the outputs by less than the noise of a
-    sample. A search from there moves it hardly.
-    """
+    """Return the coordinates, or those of the start where a factor e has no visible effect."""
     Psi, *_ = problem.at(best.theta)
     is_seen = np.sum(Psi**2, axis=0) > best.cost / Psi.shape[0]
     return np.where(is_seen, best.theta[: start.size], start)
