@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,11 @@ from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES, OfferedName
 from armrig.numerics.quantities import plural
-from armrig.plots.layout import drawn_by
 from armrig.validation.residual_test import ResidualTest, results
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,7 +182,20 @@ class SearchResult:
         """Mask of the candidates in `ranked` within one standard error of the best, (n,)."""
         return np.asarray(self.excess <= self.excess_std)
 
-    plot = drawn_by("plot_search", "error against number of parameters")
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of error against number of parameters: see `armrig.plots.plot_search`.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> armrig.search(data, families=["arx", "oe"], orders=[2, 3]).plot()
+        <Figure size ... with 1 Axes>
+        """
+        from armrig.plots import plot_search
+        from armrig.plots.layout import figure_of
+
+        return figure_of(plot_search(self, ax=ax))
 
     def explain(self) -> str:
         """Return the problems of the data, the choice and its reasons, as text.
