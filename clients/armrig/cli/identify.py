@@ -457,7 +457,7 @@ def _estimated(
         fit = model_structures.estimated(data, wanted)
         return fit, wanted.of_fit(fit), None
     found = _searched(wanted, data, other, integrator)
-    request = found.chosen.candidate.request_for(data)
+    request = found.chosen.candidate.request
     again = structs.replace(request, stable=False, focus=None, starts=None, replicates=None)
     return found.fit, again.of_fit(found.fit), found
 

@@ -325,7 +325,7 @@ def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     """
     ax = axes(ax)
     d = np.array([scored.parameters for scored in found.ranked])
-    families = [scored.candidate.family for scored in found.ranked]
+    families = [scored.candidate.request.structure for scored in found.ranked]
     shown = found.rms <= _MOST * float(found.rms[0])
     for k, family in enumerate(dict.fromkeys(sorted(families))):
         mine = np.array([f == family for f in families]) & shown

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from itertools import groupby
+from itertools import chain, groupby, product
+from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -19,6 +20,7 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.data_faults import CONSTANT_INPUT, level_without_input
 from armrig.estimation.orders import integrating_outputs
+from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OfferedName
@@ -179,7 +181,7 @@ def search(
     failed: dict[Candidate, str] = {}
     stage = partial(_stage, highest=_ALWAYS_TRIED if rising else max(orders))
     groups = [[*of] for _, of in groupby(sorted(candidates, key=stage), stage)]
-    open_loop = not all(OFFERED[c.family].closed_loop for c in candidates)
+    open_loop = not all(OFFERED[c.request.structure].closed_loop for c in candidates)
     if suggests := families is None and open_loop and isinstance(data, Dataset):
         groups.append([])  # process models, which the other models suggest
     done, total = 0, len(candidates) + suggests * _MAX_PROCESSES
@@ -204,7 +206,7 @@ def search(
         )
     ranked, rms, excess, excess_std, chosen = ranking
     tests = residuals(ranked[chosen].fit, validation)
-    request = ranked[chosen].candidate.request_for(whole)
+    request = ranked[chosen].candidate.request
     if halved or request.replicates is not None:
         fit = structs.replace(request, replicates=None, starts=None).estimated(whole)
         ranked[chosen] = replace(ranked[chosen], fit=fit)
@@ -274,22 +276,42 @@ def _planned(
         require_integers(orders=(n, 1))
     for k in delays:
         require_integers(nk=(k, 0))
-    candidates = [
-        Candidate(
-            family=family,
-            orders=(*named.items(), ("nk", k)),
-            integrator=pole,
-            offset=bool(offset) and "offset" in OFFERED[family].takes,
-            simulates=horizon is None and "focus" in OFFERED[family].takes,
-            named_by_pole=len(poles) > 1 and "integrator" in OFFERED[family].takes,
+    options = {
+        "offset": bool(offset),
+        "focus": "simulation" if horizon is None else None,
+        "stable": True,  # unstable poles are reflected at |z| = 1
+        "starts": "few",  # a model of too high order has many minima, but is not chosen
+        "shared": isinstance(data, Signals) or None,
+        "noise": False if whole.missing else None,
+        "replicates": 0 if whole.signals().ny > 1 else None,  # they cost a hundred estimates
+    }
+    each = (_candidates(name, delays, orders, poles, options) for name in offered)
+    return [*chain.from_iterable(each)], horizon, against, notes
+
+
+def _candidates(
+    family: OfferedName,
+    delays: Sequence[int],
+    orders: Sequence[int],
+    poles: Sequence[bool | tuple[str, ...]],
+    options: Mapping[str, Any],
+) -> Iterator[Candidate]:
+    """Yield the candidates of a structure, with the options that its estimator takes."""
+    row = OFFERED[family]
+    taken = {name: x for name, x in options.items() if name in row.takes}
+    kinds = poles if "integrator" in row.takes else [False]
+    noise_orders = _NOISE_ORDERS if "nd" in row.orders else [0]
+    for k, n, m, pole in product(delays, orders, noise_orders, kinds):
+        named = {name: m or n if name in ("nc", "nd") else n for name in row.orders}
+        counted: dict[str, int | None] = {
+            name: x + isinstance(pole, tuple) for name, x in named.items()
+        }
+        yield Candidate(
+            name=row.short(named | {"nk": k}) + ", pole at 1" * (len(kinds) > 1 and bool(pole)),
+            order=n,
+            request=Request(structure=family, orders=counted, nk=k, integrator=pole, **taken),
+            named_by_pole=len(kinds) > 1,
         )
-        for family in offered
-        for k in delays
-        for n in orders
-        for named in _orders(family, n)
-        for pole in (poles if "integrator" in OFFERED[family].takes else (False,))
-    ]
-    return candidates, horizon, against, notes
 
 
 def _offset(
@@ -314,7 +336,7 @@ def _stage(candidate: Candidate, highest: int) -> int:
     """Return the stage of a search: 0 decides on a pole at 1, 1 has the usual orders, then one."""
     if candidate.order > highest:
         return candidate.order
-    return int(not (candidate.named_by_pole and candidate.family == "n4sid"))
+    return int(not (candidate.named_by_pole and candidate.request.structure == "n4sid"))
 
 
 def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
@@ -328,10 +350,10 @@ def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     highest = max(s.candidate.order for s in ranked)
     if candidates[0].order > highest > ranked[chosen].candidate.order:
         return []
-    best = ranked[0].candidate.integrator
-    worse = np.array([s.candidate.integrator != best for s in ranked])
+    best = ranked[0].candidate.request.integrator
+    worse = np.array([s.candidate.request.integrator != best for s in ranked])
     if worse.any() and (excess > _MIN_EXCESS_SIGMAS * excess_std)[worse].all():
-        return [c for c in candidates if c.integrator == best or not c.named_by_pole]
+        return [c for c in candidates if c.request.integrator == best or not c.named_by_pole]
     return candidates
 
 
@@ -340,29 +362,24 @@ def _processes(chosen: Scored) -> list[Candidate]:
 
     A process model with fewer poles has a dead time, which fast poles of the choice may imitate.
     """
-    candidate, z = chosen.candidate, chosen.fit.poles().values
-    if candidate.integrator:
+    request, z = chosen.candidate.request, chosen.fit.poles().values
+    if request.integrator:
         z = np.delete(z, np.argmin(np.abs(z - 1)))
     z = z[(z.real > 0) | (z.imag != 0)]  # another pole has no logarithm
     z = z[np.argsort(np.abs(np.log(z.astype(np.complex128))))]  # slowest first
     found = []
     for n in range(1, min(z.size, _MAX_PROCESSES) + 1):
-        delayed = candidate.nk > 1 or n < candidate.order - bool(candidate.integrator)
+        delayed = request.nk > 1 or n < chosen.candidate.order - bool(request.integrator)
         pairs, split = divmod(np.count_nonzero(z[:n].imag), 2)
         if split or 1 + n + delayed >= chosen.parameters:
             continue
-        letters = {"D": delayed, "I": candidate.integrator, "U": pairs}
+        letters = {"D": delayed, "I": request.integrator, "U": pairs}
         form = f"P{n}{''.join(letter for letter, has in letters.items() if has)}"
-        offset = candidate.offset and not candidate.integrator
-        found.append(Candidate(family="process", orders=(), form=form, offset=offset))
+        offset = request.offset and not request.integrator
+        process = Request(structure="process", orders={}, form=form, offset=offset)
+        order = n + bool(request.integrator)
+        found.append(Candidate(name=f"PROCESS({form})", order=order, request=process))
     return found
-
-
-def _orders(family: OfferedName, n: int) -> list[dict[str, int]]:
-    """Return the orders to try with n poles; a separate noise model has order 1 or 2."""
-    names = OFFERED[family].orders
-    noise = _NOISE_ORDERS if "nd" in names else (n,)
-    return [{name: m if name in ("nc", "nd") else n for name in names} for m in noise]
 
 
 def _score(
@@ -381,7 +398,7 @@ def _score(
     try:
         with np.errstate(all="ignore"):
             for data, other in folds:
-                fit = candidate.request_for(data).estimated(data)
+                fit = candidate.request.estimated(data)
                 require_same_signals(fit, other)
                 fits.append(fit)
                 errors.insert(0, other.y - fit.predict(other, horizon=horizon))
@@ -420,7 +437,9 @@ def _ranked(scored: list[Scored], judged: Dataset | Signals) -> _Ranking:
     within = np.flatnonzero(excess <= excess_std)
     _, ahead, ahead_std = _compared([ranked[i].ahead for i in within], judged)
     # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
-    complexity = [ranked[i].parameters + 0.5 * (ranked[i].candidate.nk == 0) for i in within]
+    complexity = [
+        ranked[i].parameters + 0.5 * (ranked[i].candidate.request.nk == 0) for i in within
+    ]
     chosen = int(within[simplest_as_good(ahead, ahead_std, complexity)])
     return ranked, np.sqrt(loss[order]), excess, excess_std, chosen
 

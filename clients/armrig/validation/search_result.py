@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset, Signals, Vector
+from armrig.data.dataset import Vector
 from armrig.data.finding import Finding
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.models.structure_table import STRUCTURES, OfferedName
 from armrig.numerics.quantities import plural
 from armrig.validation.residual_test import ResidualTest, results
 
@@ -22,74 +21,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Candidate:
-    """A structure with its orders."""
+    """A structure with its orders, and the request that estimates it."""
 
-    family: OfferedName
-    """Name of the estimator."""
-    orders: tuple[tuple[str, int], ...]
-    """Orders by name."""
-    integrator: bool | tuple[str, ...] = False
-    """True if a pole is 1 by construction. Of several outputs, the names of those with such a pole,
-    which the orders do not count."""
-    offset: bool = False
-    """True if the input's offset is estimated with the model."""
-    simulates: bool = False
-    """True if the estimator is called with the option `focus="simulation"`."""
-    form: str = ""
-    """Form of a process model, such as "P1D"."""
+    name: str
+    """Structure and orders as text, in the same form as in comparisons of models."""
+    order: int
+    """Number of poles of B/F or B/A, without the poles at 1 of a model of several outputs."""
+    request: Request
+    """Request that estimates the model."""
     named_by_pole: bool = False
     """True if `name` states a pole at 1, because the search tries the structure with and without
     it."""
-
-    @property
-    def name(self) -> str:
-        """Structure and orders as text, in the same form as in comparisons of models."""
-        row = STRUCTURES[self.family]
-        if self.form:
-            return f"{row.title}({self.form})"
-        pole = ", pole at 1" * (self.named_by_pole and bool(self.integrator))
-        return row.short(dict(self.orders)) + pole
-
-    @property
-    def order(self) -> int:
-        """Number of poles of B/F or B/A."""
-        if self.form:
-            return int(self.form[1]) + ("I" in self.form)
-        return dict(self.orders)[STRUCTURES[self.family].poles]
-
-    @property
-    def nk(self) -> int:
-        """Number of samples before u affects y, without the delay of a process model."""
-        return dict(self.orders).get("nk", 1)
-
-    def request_for(self, data: Dataset | Signals) -> Request:
-        """Return the request that estimates the model from the data.
-
-        Unstable poles are reflected at |z| = 1 if the structure has this option. Replicates, which
-        cost a hundred estimates, are not drawn.
-        """
-        row, columns = STRUCTURES[self.family], data.signals()
-        one = (columns.ny, columns.nu) == (1, 1)
-        orders = dict(self.orders)
-        nk = orders.pop("nk", 1)
-        counted = isinstance(self.integrator, tuple) and bool(self.integrator)
-        return Request(
-            structure=self.family,
-            nk=nk,
-            orders={name: n + counted for name, n in orders.items()},
-            form=self.form or None,
-            integrator=self.integrator,
-            offset=self.offset,
-            stable="stable" in row.takes,
-            focus="simulation" if self.simulates else None,
-            # Few starts suffice: a model of too high order has many minima, but is not chosen.
-            starts="few" if "starts" in row.takes else None,
-            shared=True if "shared" in row.takes and not one else None,
-            noise=False if self.family == "ss" and data.missing else None,
-            replicates=0 if "replicates" in row.takes and columns.ny > 1 else None,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

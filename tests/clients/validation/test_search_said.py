@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
+from armrig.estimation.request import Request
+from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
@@ -26,8 +28,10 @@ def scored(family: str, order: int, **fields: Any) -> Scored:
     p: dict[str, Any] = {"F": poles} if family in ("oe", "bj") else {"A": poles}
     fit = made(B=[0.0] + [1.0] * order, structure=family, **p, **fields)
     names: Any = {"oe": ("nb", "nf"), "n4sid": ("order",)}.get(family, ("na", "nb"))
-    orders = (*((name, order) for name in names), ("nk", 1))
-    candidate = Candidate(family=family, orders=orders)  # type: ignore[arg-type]
+    orders = dict.fromkeys(names, order)
+    request = Request(structure=family, orders=orders)  # type: ignore[arg-type]
+    name = STRUCTURES[family].short(orders | {"nk": 1})
+    candidate = Candidate(name=name, order=order, request=request)
     none = np.zeros(0)
     return Scored(candidate=candidate, fit=fit, error=none, ahead=none)
 
@@ -145,6 +149,14 @@ def fitted(B: Any, F: Any, *, integrator: bool = False) -> Fitted:
     problem: Any = SimpleNamespace(solve=lambda _: SimpleNamespace(ab=np.array(B)))
     s = Recommended(nb=1, nf=1, nk=0, integrator=integrator)
     return Fitted(structure=s, problem=problem, f=np.array(F[1:]), cost=1.0, past=0, N=1)
+
+
+def test_models_without_a_sample_in_common_are_not_compared() -> None:
+    errors = [0.1, np.nan], [np.nan, 0.1]
+    candidates = [replace(scored("arx", 1), error=np.array(e), ahead=np.ones(2)) for e in errors]
+
+    with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
+        _ranked(candidates, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
 
 
 def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
