@@ -244,3 +244,21 @@ def test_a_start_that_ends_in_a_poorer_minimum_is_not_the_last() -> None:
 
     assert fit.converged
     assert fit.loss < 9e-6 * np.mean(noise**2)
+
+
+def test_a_parameter_that_the_liveliest_window_hides_is_found_in_the_whole_record() -> None:
+    """There noise alone leads the search for m to its bound, where m⁴ has no effect."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], (450, 2)), 10, axis=0)
+    u[:2000] *= [3.0, 2e-4]
+    own = armrig.Ode(
+        f=lambda t, x, u, p: [p.k * u[0] + p.m**4 * u[1] - x[0]],
+        output=lambda t, x, u, p: x[0],
+        states=["x"],
+        parameters={"k": P(1.0, low=0), "m": P(0.8, low=0)},
+    )
+    y = own.simulate(u, Ts=0.1, values={"m": 1.0}) + 0.01 * rng.standard_normal((4500, 1))
+
+    fit = armrig.greybox(armrig.Signals(u=u, y=y, Ts=0.1), own)
+
+    assert abs(fit.values["m"] - 1) < 4 * fit.std["m"] < 1e-3
