@@ -16,21 +16,14 @@ from tests.clients.fake_daemon import FakeDaemon
 PAGE = pages.DOCS / "experiments.md"
 
 
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a directory with the recordings that the page speaks of."""
-    folder = tmp_path_factory.mktemp("page")
-    pages.record_all("experiments.py", folder)
-    return folder
-
-
 @pytest.mark.exhaustive
 def test_every_line_of_the_page_prints_the_output_shown_there(
-    recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from matplotlib import pyplot as plt
 
-    monkeypatch.chdir(recordings)
+    pages.record_all("experiments.py", tmp_path)
+    monkeypatch.chdir(tmp_path)
 
     compared = pages.run(PAGE, capsys, atol=1e-6)
 

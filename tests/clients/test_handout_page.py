@@ -13,19 +13,12 @@ from tests.clients import pages
 PAGE = pages.DOCS / "handout.md"
 
 
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a directory with the recordings that the page speaks of."""
-    folder = tmp_path_factory.mktemp("page")
-    pages.record_all("handout.py", folder)
-    return folder
-
-
 @pytest.mark.exhaustive
 def test_every_line_of_the_page_prints_the_output_shown_there(
-    recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(recordings)
+    pages.record_all("handout.py", tmp_path)
+    monkeypatch.chdir(tmp_path)
 
     assert pages.run(PAGE, capsys, atol=2e-3, commands="armrig identify") == 14
 

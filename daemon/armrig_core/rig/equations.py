@@ -97,7 +97,7 @@ class Ode:
            [0.865]])
     """
 
-    f: Derivative
+    f: Derivative = field(kw_only=False)
     output: Derivative
     states: Sequence[str]
     parameters: Mapping[str, Parameter | float]
