@@ -181,14 +181,14 @@ def step_again(recording: Recording) -> str:
     If the chassis rests before the step, a step at another time does not show the rise either. The
     result is then "", because the user must turn the chassis by hand.
     """
-    from armrig.recordings.findings import hidden_step
+    from armrig.recordings.findings import hidden_step, step_options
 
     manifest, hidden = recording.manifest, hidden_step(recording)
-    if hidden is None or not hidden.options:
+    if hidden is None or not (options := step_options(hidden.numbers)):
         return ""
     name = manifest.experiment.partition("-")[2]
     named = f" --name {quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
-    return f" --Ts {manifest.Ts:g} {hidden.options}{named}"
+    return f" --Ts {manifest.Ts:g} {options}{named}"
 
 
 def naming(rig: str, connect: str | None = None) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -103,19 +102,6 @@ def check_first(r: Recording) -> Finding:
     return good(about, text)
 
 
-def check_step(r: Recording) -> Iterator[Finding]:
-    """Check that the dead band does not hide the rise of a step."""
-    if hidden := hidden_step(r):
-        text = f"{r.first} is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} "
-        text += "ms after the step, on the rise: the 63 % time is inaccurate. Repeat with "
-        if hidden.options:
-            text += f"`{hidden.options}`, which steps away from the dead band"
-        else:
-            body = r.description.channels[0].body or "shaft"
-            text += f"the {body} turned by hand by a quarter turn"
-        yield warning("step", text)
-
-
 def check_second(r: Recording) -> Iterator[Finding]:
     """Check that the second channel is not at an end of its track, or rests in a greybox run."""
     first, *others = r.description.channels
@@ -202,21 +188,13 @@ def converter_step(r: Recording) -> int:
     return 1 << (16 - bits) if isinstance(bits, int) and 0 < bits <= 16 else 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HiddenStep:
-    """Interval during the rise after a step in which the dead band hides a turning shaft."""
+def hidden_step(r: Recording) -> Finding | None:
+    """Return a warning if the dead band hides the rise of a step of a turning shaft, else None.
 
-    begins_s: float
-    """Time of the last sample before the interval, in s from the step."""
-    ends_s: float
-    """Time of the first sample after the interval, in s from the step."""
-    options: str
-    """Options of `armrig collect step` for the next run, if nobody turns the chassis until then: a
-    later step, and as much time after it; "" if the chassis rests before the step."""
-
-
-def hidden_step(r: Recording) -> HiddenStep | None:
-    """Return the hidden interval of the rise; None if the rise is visible or the run is no step.
+    Its numbers are times in s. `begins_s` and `ends_s` are those of the last sample before the
+    hidden interval, and of the first sample after it, from the step. A step at `at_s`, in a run of
+    `length_s`, shows its rise if nobody turns the chassis until then; without these two numbers the
+    chassis rests before the step.
 
     The function takes the equivalent time (`armrig.numerics.step_times`) as the duration of the
     rise. The equivalent time is the lag of the angle relative to its final straight line. It can be
@@ -241,13 +219,24 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     gap = max(gaps, key=lambda g: g.stop - g.start, default=None)
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:
         return None
-    begins_s, ends_s, options = (gap.start - 1 - at) * r.Ts, (gap.stop - at) * r.Ts, ""
-    if abs(v0) > _MIN_SPEED_RAD_S:
-        # The chassis turns from where this run ended to `_MARGIN_RAD` after the dead band.
-        begin = y[gap.stop] + np.copysign(_MARGIN_RAD, v0)
-        way = (begin - y[known][-1] - v1 * lag) % (2 * np.pi)
-        later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0
-        later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_STEP_S else later
-        moment = np.ceil(10 * later) / 10
-        options = f"--at {moment:g} --seconds {np.ceil(moment + (r.N - at) * r.Ts):g}"
-    return HiddenStep(begins_s=begins_s, ends_s=ends_s, options=options)
+    numbers = {"begins_s": (gap.start - 1 - at) * r.Ts, "ends_s": (gap.stop - at) * r.Ts}
+    text = f"{r.first} is hidden from {1e3 * numbers['begins_s']:.0f} to "
+    text += f"{1e3 * numbers['ends_s']:.0f} ms after the step, on the rise: the 63 % time is "
+    text += "inaccurate. Repeat with "
+    if abs(v0) <= _MIN_SPEED_RAD_S:
+        body = r.description.channels[0].body or "shaft"
+        return warning("step", f"{text}the {body} turned by hand by a quarter turn", **numbers)
+    # The chassis turns from where this run ended to `_MARGIN_RAD` after the dead band.
+    begin = y[gap.stop] + np.copysign(_MARGIN_RAD, v0)
+    way = (begin - y[known][-1] - v1 * lag) % (2 * np.pi)
+    later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0
+    later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_STEP_S else later
+    numbers["at_s"] = np.ceil(10 * later) / 10
+    numbers["length_s"] = np.ceil(numbers["at_s"] + (r.N - at) * r.Ts)
+    text += f"`{step_options(numbers)}`, which steps away from the dead band"
+    return warning("step", text, **numbers)
+
+
+def step_options(numbers: Mapping[str, float]) -> str:
+    """Return the options of `armrig collect step` that repeat a hidden step; "" if none do."""
+    return "--at {at_s:g} --seconds {length_s:g}".format(**numbers) if "at_s" in numbers else ""

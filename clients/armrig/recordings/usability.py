@@ -132,10 +132,11 @@ def data_verdict(recording: Recording) -> DataVerdict:
     noise = max(_noise(seen), step / 12**0.5) if seen else float("nan")
     first = recording.description.channels[0]
     signal = _signal(seen, noise, lines=first.turns) if seen else float("nan")
+    hidden = findings.hidden_step(recording)
     found = [
         *findings.check_run(recording),
         findings.check_first(recording),
-        *findings.check_step(recording),
+        *([hidden] if hidden else ()),
         *findings.check_second(recording),
         *(findings.check_signal(first, signal, noise, step) if seen else ()),
         *(findings.check_timing(recording, seen, noise) if seen else ()),
@@ -289,13 +290,11 @@ def outcome_text(rec: Recording) -> str:
     return f"not known: the file {what} before the outcome{writing}"
 
 
-def doubts_of_estimation(recording: Recording) -> Iterator[Finding]:
+def doubts_of_estimation(
+    r: Recording,
+    way_out: str = "a model from it is poor; identify from a telegraph (`armrig collect blackbox`)",
+) -> Iterator[Finding]:
     """Yield a finding if a recording excites too few frequencies for any model."""
-    way_out = "a model from it is poor; identify from a telegraph (`armrig collect blackbox`)"
-    yield from _poorly_excited(recording, way_out)
-
-
-def _poorly_excited(r: Recording, way_out: str) -> Iterator[Finding]:
     if r.manifest.kind in NO_MODEL:
         kind = f"{r.path.name} is a {r.manifest.kind}, which excites few frequencies"
         yield warning("experiment", f"{kind}: {way_out}")
@@ -312,7 +311,7 @@ def doubts_of_pair(
     Raises InputError if the recordings have no output in common, or describe a signal differently.
     """
     way_out = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
-    yield from _poorly_excited(other, f"{way_out}--validation`)")
+    yield from doubts_of_estimation(other, f"{way_out}--validation`)")
     pair = (first, other)
     a, b = (r.path.name for r in pair)
     if difference := _different_descriptions(first.description, other.description):

@@ -15,13 +15,13 @@ from armrig.data.finding import Finding
 from armrig.numerics.quantities import NBSP
 from armrig.recordings.files.loading import load
 from armrig.recordings.findings import (
-    HiddenStep,
     check_first,
     check_run,
     check_signal,
     check_timing,
     check_turns,
     hidden_step,
+    step_options,
 )
 from armrig.recordings.jitter import fastest_rate, sampling_statistics
 from armrig.recordings.recording import Recording
@@ -113,7 +113,7 @@ def stepped(directory: Path, start: float, at: float, seconds: float) -> Recordi
     return load(written(directory, of_the_arm(u, experiment="step", start=start)))
 
 
-Hidden = list[tuple[Recording, HiddenStep]]
+Hidden = list[tuple[Recording, Finding]]
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +130,8 @@ def test_a_step_hidden_by_the_dead_band_is_reported_with_the_time_to_step(
     for first, found in hidden:
         verdict = data_verdict(first)
         assert levels(verdict)["step"] == "warning"
-        assert found.options in verdict.summary
-        _, at, _, seconds = found.options.split()
+        assert found.text in verdict.summary
+        _, at, _, seconds = step_options(found.numbers).split()
         rest = first.theta_1[first.valid][-1] + 0.6  # the motor brakes it within a few 0.1 s
         assert hidden_step(stepped(tmp_path, rest, float(at), float(seconds))) is None
     assert 2 <= len(hidden) <= 10
@@ -255,10 +255,10 @@ def test_the_time_to_step_does_not_depend_on_the_sign_of_the_angle(hidden: Hidde
 
     assert mirrored == [found for _, found in hidden]
     for r, found in hidden:
-        ends = [100 + round(t / r.Ts) for t in (found.begins_s, found.ends_s)]
+        ends = [100 + round(t / r.Ts) for t in (found.numbers["begins_s"], found.numbers["ends_s"])]
         assert r.valid[ends].all()
         assert not r.valid[ends[0] + 1 : ends[1]].any()
-        assert (found.begins_s, found.ends_s) == pytest.approx(r.t[ends] - 1.0)
+        assert [*found.numbers.values()][:2] == pytest.approx(r.t[ends] - 1.0)
 
 
 def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
