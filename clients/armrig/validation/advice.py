@@ -169,10 +169,6 @@ def _advised(
         yield from _about_integrator(fit, kind)
     if not kind.continuous:
         yield from _about_first_coefficient(fit)
-    if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
-        text = "ARX assumes noise that passes through 1/A; an angle has noise at the output: "
-        text += "compare with OE and the option integrator"
-        yield warning("structure", text, "structure")
 
 
 def _at_one(pair: _Pair) -> bool:

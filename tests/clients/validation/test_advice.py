@@ -81,7 +81,7 @@ def test_the_right_model_causes_no_advice(plant: HandoutPlant) -> None:
 def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant) -> None:
     found = armrig.advice(armrig.arx(plant.dataset(1), na=4, nb=4))
 
-    assert {"residuals", "poles", "integrator", "structure"} <= told(found)
+    assert {"residuals", "poles", "integrator"} <= told(found)
     assert {"search", "order", "structure"} <= remedies(found)
 
 
