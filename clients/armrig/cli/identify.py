@@ -229,7 +229,7 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
     return {
         "structure": "oe",
         "orders": fields_of(found, "nb nf nk"),
-        "structures": [dict(s) for s in found.structures],
+        "structures": [fields_of(s, "nb nf nk integrator") for s in found.structures],
         **fields_of(found, of),
         "reasons": [*found.reasons],
         "doubts": [f.text for f in found.findings if f.level != "good"],

@@ -28,6 +28,7 @@ from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
 from armrig.validation.data_advice import doubts, doubts_of_channels, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.recommended_structures import MAX_TIME_CONSTANTS, process_forms
 from armrig.validation.residuals import residuals
 from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
 
@@ -37,7 +38,6 @@ _MIN_EXCESS_SIGMAS = 2.0  # excess of the models above which a pole at 1 is deci
 _SEARCHABLE = [name for name, row in OFFERED.items() if not row.continuous]
 _ORDERS = range(1, 9)  # default orders
 _ALWAYS_TRIED = 5  # highest default order that does not depend on the models of lower order
-_MAX_PROCESSES = 3  # process models that the other models suggest, with 1 to 3 time constants
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
 _ROUNDING = 1e-9  # share of y below which errors count as equal
 _SAME_LOSS = 1e-6  # share of a loss by which searches that end in the same minimum may differ
@@ -184,7 +184,7 @@ def search(
     open_loop = not all(OFFERED[c.request.structure].closed_loop for c in candidates)
     if suggests := families is None and open_loop and isinstance(data, Dataset):
         groups.append([])  # process models, which the other models suggest
-    done, total = 0, len(candidates) + suggests * _MAX_PROCESSES
+    done, total = 0, len(candidates) + suggests * MAX_TIME_CONSTANTS
     for group in groups:
         needed = group
         if ranking is not None:
@@ -196,7 +196,7 @@ def search(
                 failed[candidate] = one
             else:
                 scored.append(one)
-        done += len(group) or _MAX_PROCESSES
+        done += len(group) or MAX_TIME_CONSTANTS
         ranking = _ranked(scored, judged) if scored else None
     tell(total, total, "")
     if ranking is None:
@@ -358,28 +358,21 @@ def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
 
 
 def _processes(chosen: Scored) -> list[Candidate]:
-    """Return the process models that the slow poles and the delay of the choice so far suggest.
-
-    A process model with fewer poles has a dead time, which fast poles of the choice may imitate.
-    """
+    """Return the process models that the poles and the delay of the choice so far suggest."""
     request, z = chosen.candidate.request, chosen.fit.poles().values
-    if request.integrator:
+    integrator = bool(request.integrator)
+    if integrator:
         z = np.delete(z, np.argmin(np.abs(z - 1)))
-    z = z[(z.real > 0) | (z.imag != 0)]  # another pole has no logarithm
-    z = z[np.argsort(np.abs(np.log(z.astype(np.complex128))))]  # slowest first
-    found = []
-    for n in range(1, min(z.size, _MAX_PROCESSES) + 1):
-        delayed = request.nk > 1 or n < chosen.candidate.order - bool(request.integrator)
-        pairs, split = divmod(np.count_nonzero(z[:n].imag), 2)
-        if split or 1 + n + delayed >= chosen.parameters:
-            continue
-        letters = {"D": delayed, "I": request.integrator, "U": pairs}
-        form = f"P{n}{''.join(letter for letter, has in letters.items() if has)}"
-        offset = request.offset and not request.integrator
-        process = Request(structure="process", orders={}, form=form, offset=offset)
-        order = n + bool(request.integrator)
-        found.append(Candidate(name=f"PROCESS({form})", order=order, request=process))
-    return found
+    process = Request(structure="process", orders={}, offset=request.offset and not integrator)
+    return [
+        Candidate(
+            name=f"PROCESS({form})",
+            order=n + integrator,
+            request=structs.replace(process, form=form),
+        )
+        for n, form in process_forms(z, nk=request.nk, integrator=integrator).items()
+        if 1 + n + ("D" in form) < chosen.parameters
+    ]
 
 
 def _score(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from operator import itemgetter
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -26,6 +26,7 @@ from armrig.numerics.whiteness import autoregression
 RECOMMENDED = 3
 BARE = 2.0  # difference of description length that hardly counts (Kass, Raftery 1995, BIC)
 HIGHEST = 7  # largest number of poles that is tried
+MAX_TIME_CONSTANTS = 3  # of a process model
 _FIRST_ORDERS = (3, 6)  # orders of the models for the first estimate of the noise
 _MAX_LAG = 30  # largest nk of the ARX models
 _ARX_ORDERS = range(1, 7)  # na and nb of the ARX models that propose values of nk
@@ -37,7 +38,7 @@ _MAX_SAMPLES = 3000  # longer data are cut to the part in which u changes most
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recommended:
-    """Orders of an output-error model, for ``oe(data, **orders)``."""
+    """Orders of an output-error model."""
 
     nb: int
     """Number of coefficients b_k."""
@@ -47,16 +48,6 @@ class Recommended:
     """Number of samples before u affects y."""
     integrator: bool
     """True if one root of F is exactly 1."""
-
-    def keys(self) -> tuple[str, ...]:
-        """Return the names of the orders, like the method `keys` of a mapping."""
-        return ("nb", "nf", "nk", "integrator")
-
-    def __getitem__(self, name: str) -> int | bool:
-        """Return an order by its name."""
-        if name not in self.keys():
-            raise KeyError(name)
-        return getattr(self, name)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,22 +78,12 @@ class Fitted:
         d = s.nb + s.nf - s.integrator + self.past / experiments
         return float(mdl(loss, d, self.N))
 
-    @property
-    def B(self) -> Vector:
-        """Numerator from lag 0 on."""
-        ab = self.problem.solve(self.f).ab
-        return np.append(np.zeros(self.structure.nk), ab)
-
-    @property
-    def F(self) -> Vector:
-        """Denominator, with the integrator's factor."""
-        F = np.append(1.0, self.f)
-        return np.convolve(F, [1.0, -1.0]) if self.structure.integrator else F
-
     def G(self, omega: Vector, Ts: float) -> NDArray[np.complex128]:
         """Return the frequency response."""
-        z = np.exp(-1j * omega * Ts)
-        return np.asarray(np.polyval(self.B[::-1], z) / np.polyval(self.F[::-1], z))
+        z = np.exp(-1j * omega * Ts)  # of one sample of delay
+        B, F = self.problem.solve(self.f).ab, np.append(1.0, self.f)
+        G = z**self.structure.nk * np.polyval(B[::-1], z) / np.polyval(F[::-1], z)
+        return np.asarray(G / (1 - z) ** self.structure.integrator)
 
     def residuals(self) -> list[Vector]:
         """Return the residuals of each experiment, NaN if unknown."""
@@ -153,6 +134,23 @@ class _Record:
         return PolynomialProblem(
             experiments=tuple((prepared(p.u, p.y, n),) for p in later), rows=(n,)
         )
+
+
+def process_forms(poles: NDArray[Any], *, nk: int, integrator: bool) -> dict[int, str]:
+    """Return the forms of process models by their number of time constants, for poles in z.
+
+    A process model has the slowest of the poles, which do not contain the pole of an integrator. A
+    process model with fewer poles has a dead time, which fast poles may imitate.
+    """
+    z = poles[(poles.real > 0) | (poles.imag != 0)].astype(np.complex128)  # others have no log
+    z = z[np.argsort(np.abs(np.log(z)))]  # slowest first
+    forms = {}
+    for n in range(1, min(z.size, MAX_TIME_CONSTANTS) + 1):
+        pairs, split = divmod(np.count_nonzero(z[:n].imag), 2)
+        letters = {"D": nk > 1 or n < poles.size, "I": integrator, "U": pairs}
+        if not split:
+            forms[n] = f"P{n}{''.join(letter for letter, has in letters.items() if has)}"
+    return forms
 
 
 def recommended(

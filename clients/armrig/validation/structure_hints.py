@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,13 @@ from armrig.plots.layout import drawn_by
 from armrig.validation.data_advice import about_feedback, poor_input, tested
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
-from armrig.validation.recommended_structures import BARE, Fitted, Recommended, recommended
+from armrig.validation.recommended_structures import (
+    BARE,
+    Fitted,
+    Recommended,
+    process_forms,
+    recommended,
+)
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
@@ -54,9 +61,8 @@ class StructureHints:
     low_slope: float | None
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
     the slope of the first structure differs by more than 3 dB a decade."""
-    flat: bool
-    """True if the gain of the first structure is constant below its slowest pole. If y integrates,
-    the gain is that of the rate of y."""
+    process: str
+    """Form of `process` with the poles of the first structure, or "" if a zero is needed."""
     high_slope: float | None
     """Slope of |G| in dB a decade at the highest frequencies at which u explains y; they span a
     third of a decade. None if the slope of the first structure differs by more than 3 dB a
@@ -101,15 +107,6 @@ class StructureHints:
     def nk(self) -> int:
         """Number of samples before u affects y in the first structure."""
         return self.structures[0].nk
-
-    @property
-    def process(self) -> str:
-        """Form of `process` with the poles of the first structure, or "" if a zero is needed."""
-        n, needs_zero = self.nf - self.integrator, self.antiresonances or not self.flat
-        if n not in _ORDINALS or needs_zero or (n == 1 and self.resonances):
-            return ""
-        letters = {"D": self.nk > 1, "I": self.integrator, "U": bool(self.resonances)}
-        return f"P{n}{''.join(letter for letter, has in letters.items() if has)}"
 
     plot = drawn_by("plot_structure", "|G| with slopes and extremes")
 
@@ -221,7 +218,7 @@ def structure_hints(
         integrator=integrates,
         integrator_shown=shown,
         low_slope=_agreed(slope - 20, best, low, data.Ts),
-        flat=_is_flat(best, data.Ts),
+        process="" if dips else _process(best, data.Ts),
         high_slope=_agreed(fall, best, high, data.Ts),
         high_band=high,
         relative_degree=max(0, round(-fall / 20)) if high.size else 0,
@@ -238,12 +235,10 @@ def structure_hints(
 
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
     """Return the indices of the frequencies at which u explains y; if too few, none or an error."""
-    try:
+    errors = () if needed else (ValueError,)
+    with suppress(*errors):
         return explained(estimate)
-    except ValueError:
-        if needed:
-            raise
-        return np.zeros(0, dtype=np.int_)
+    return np.zeros(0, dtype=np.int_)
 
 
 def _agreed(slope: float, best: Fitted, omega: Vector, Ts: float) -> float | None:
@@ -252,15 +247,17 @@ def _agreed(slope: float, best: Fitted, omega: Vector, Ts: float) -> float | Non
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
 
-def _is_flat(best: Fitted, Ts: float) -> bool:
-    """Return whether the gain of the first structure is constant a decade below its poles."""
-    integrator = best.structure.integrator
+def _process(best: Fitted, Ts: float) -> str:
+    """Return the form of `process` with the poles of a model; "" if its gain needs a zero."""
+    s, poles = best.structure, np.roots(np.append(1.0, best.f)).astype(np.complex128)
     with np.errstate(divide="ignore"):
-        rates = np.sort(np.abs(np.log(np.roots(best.F).astype(np.complex128))))[int(integrator) :]
-    if not rates.size or rates[0] < _ROUNDING:  # a pole at 1 that may be a slow one
-        return not rates.size
-    omega = rates[0] / Ts * np.geomspace(0.03, 0.1, 5)
-    return abs(log_slope(omega, np.abs(best.G(omega, Ts))) + 20 * integrator) < FLAT_SLOPE
+        slowest = float(np.min(np.abs(np.log(poles)), initial=np.inf))
+    if not poles.size or slowest < _ROUNDING:  # a pole at 1 may be a slow one
+        return ""
+    omega = slowest / Ts * np.geomspace(0.03, 0.1, 5)  # the gain is constant a decade below
+    if abs(log_slope(omega, np.abs(best.G(omega, Ts))) + 20 * s.integrator) >= FLAT_SLOPE:
+        return ""
+    return process_forms(poles, nk=s.nk, integrator=s.integrator).get(poles.size, "")
 
 
 def _extremes(best: Fitted, omega: Vector, Ts: float) -> list[tuple[float, ...]]:

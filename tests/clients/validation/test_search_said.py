@@ -144,19 +144,19 @@ def test_of_equally_good_simulations_the_best_predictor_is_chosen(rate: float, c
     assert (told in found.reasons) == (index == 0)
 
 
-def fitted(B: Any, F: Any, *, integrator: bool = False) -> Fitted:
-    """Return a model of nk = 0; F is without the integrator."""
-    problem: Any = SimpleNamespace(solve=lambda _: SimpleNamespace(ab=np.array(B)))
-    s = Recommended(nb=1, nf=1, nk=0, integrator=integrator)
-    return Fitted(structure=s, problem=problem, f=np.array(F[1:]), cost=1.0, past=0, N=1)
-
-
 def test_models_without_a_sample_in_common_are_not_compared() -> None:
     errors = [0.1, np.nan], [np.nan, 0.1]
     candidates = [replace(scored("arx", 1), error=np.array(e), ahead=np.ones(2)) for e in errors]
 
     with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
         _ranked(candidates, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
+
+
+def fitted(B: Any, F: Any, *, integrator: bool = False) -> Fitted:
+    """Return a model of nk = 0; F is without the integrator."""
+    problem: Any = SimpleNamespace(solve=lambda _: SimpleNamespace(ab=np.array(B)))
+    s = Recommended(nb=1, nf=1, nk=0, integrator=integrator)
+    return Fitted(structure=s, problem=problem, f=np.array(F[1:]), cost=1.0, past=0, N=1)
 
 
 def test_a_slope_is_reported_if_the_model_has_it_to_3_db_a_decade() -> None:
