@@ -111,7 +111,7 @@ def exact(B: Any, F: Any) -> armrig.Fit:
 def searched() -> SearchResult:
     """Return the result of a small search."""
     return armrig.search(
-        second_order(), second_order(1), families=("arx", "oe"), orders=(1, 2), nk=1
+        second_order(), second_order(1), families=("arx", "oe"), orders=(1, 2), nk=1, offset=False
     )
 
 

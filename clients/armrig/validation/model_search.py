@@ -47,6 +47,7 @@ _MIN_BATCHES = 7  # fewest batches for a standard error
 _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
 _BOTH_TRIED = "y may integrate, so structures were tried with and without a pole at 1"
 _Ranking = tuple[list[Scored], Vector, Vector, Vector, int]
+_Stage = tuple[list[Candidate], int, Callable[[_Ranking], list[Candidate]]]
 _OWN_DATA = (
     "u moves in one part of the data only, so Akaike's FPE ranked the models on the data that "
     "estimated them; other data for validation (--validate) decide better"
@@ -126,7 +127,8 @@ def search(
         If True, the offset of the input is estimated in structures with this option; of several
         signals only in "oe". The default is True if an output has a constant part, above 2 (of
         several signals 4) standard deviations in one of the two data sets, that u does not explain.
-        With an integrator, the default is False.
+        With an integrator, the default is False. If no constant part is found, the choice is also
+        tried with the offset, since slow noise hides a constant part from the test.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
         estimated with `focus="simulation"`. In closed loop the default for one input and output is
@@ -182,13 +184,14 @@ def search(
     stage = partial(_stage, highest=_ALWAYS_TRIED if rising else max(orders))
     groups = [[*of] for _, of in groupby(sorted(candidates, key=stage), stage)]
     open_loop = not all(OFFERED[c.request.structure].closed_loop for c in candidates)
-    if suggests := families is None and open_loop and isinstance(data, Dataset):
-        groups.append([])  # process models, which the other models suggest
-    done, total = 0, len(candidates) + suggests * MAX_TIME_CONSTANTS
-    for group in groups:
-        needed = group
-        if ranking is not None:
-            needed = _needed(group, ranking) if group else _processes(ranking[0][ranking[-1]])
+    suggests = families is None and open_loop and isinstance(data, Dataset)
+    leveled = offset is None and any(_lacks_level(c) for c in candidates)
+    # Candidates, the largest number of them, and the function that chooses them by the ranking.
+    stages: list[_Stage] = [(group, len(group), partial(_needed, group)) for group in groups]
+    stages += [([], 1, _with_level)] * leveled + [([], MAX_TIME_CONSTANTS, _processes)] * suggests
+    done, total = 0, sum(most for _, most, _ in stages)
+    for group, most, of_ranking in stages:
+        needed = group if ranking is None else of_ranking(ranking)
         coming = iter(runner(score, needed))
         for k, candidate in enumerate(needed, start=done):
             tell(k, total, candidate.name)
@@ -196,7 +199,7 @@ def search(
                 failed[candidate] = one
             else:
                 scored.append(one)
-        done += len(group) or MAX_TIME_CONSTANTS
+        done += most
         ranking = _ranked(scored, judged) if scored else None
     tell(total, total, "")
     if ranking is None:
@@ -357,8 +360,23 @@ def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     return candidates
 
 
-def _processes(chosen: Scored) -> list[Candidate]:
+def _lacks_level(candidate: Candidate) -> bool:
+    """Return True if the estimator can estimate an offset, which the candidate does not have."""
+    has = candidate.request.offset or candidate.request.integrator
+    return not has and "offset" in OFFERED[candidate.request.structure].takes
+
+
+def _with_level(ranking: _Ranking) -> list[Candidate]:
+    """Return the choice so far with an offset, if it has none."""
+    chosen = ranking[0][ranking[-1]].candidate
+    request = structs.replace(chosen.request, offset=True)
+    level = replace(chosen, name=f"{chosen.name}, level", request=request, named_by_level=True)
+    return [level] if _lacks_level(chosen) else []
+
+
+def _processes(ranking: _Ranking) -> list[Candidate]:
     """Return the process models that the poles and the delay of the choice so far suggest."""
+    chosen = ranking[0][ranking[-1]]
     request, z = chosen.candidate.request, chosen.fit.poles().values
     integrator = bool(request.integrator)
     if integrator:
@@ -400,7 +418,7 @@ def _score(
                     return reason
     except (ValueError, np.linalg.LinAlgError) as err:
         return str(err)
-    error, d = np.concatenate(errors), free_parameters(fits[0])
+    error, d = np.concatenate(errors), free_parameters(fits[0]) + candidate.named_by_level
     scale = np.sqrt(fpe(1.0, d, int(np.isfinite(error).sum()))) if own else 1.0
     return Scored(
         candidate=candidate, fit=fits[0], error=scale * error, ahead=scale * np.concatenate(ahead)

@@ -34,6 +34,9 @@ class Candidate:
     named_by_pole: bool = False
     """True if `name` states a pole at 1, because the search tries the structure with and without
     it."""
+    named_by_level: bool = False
+    """True if `name` states the offset, which counts as a parameter, because the search tries the
+    structure with and without it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +56,7 @@ class Scored:
     @property
     def parameters(self) -> int:
         """Number of free parameters."""
-        return free_parameters(self.fit)
+        return free_parameters(self.fit) + self.candidate.named_by_level
 
 
 def free_parameters(fit: Fit) -> int:
@@ -77,9 +80,9 @@ class SearchResult:
     >>> data = armrig.example_recording().dataset("alpha")
     >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
     >>> [scored.candidate.name for scored in found.ranked]
-    ['OE[3 3 1]', 'OE[2 2 1]', 'ARX[3 3 1]', 'ARX[2 2 1]']
+    ['OE[3 3 1]', 'OE[3 3 1], level', 'OE[2 2 1]', 'ARX[3 3 1]', 'ARX[2 2 1]']
     >>> found.rms.round(3)
-    array([0.004, 0.034, 0.075, 0.115])
+    array([0.004, 0.004, 0.034, 0.075, 0.115])
     """
 
     ranked: tuple[Scored, ...]
@@ -169,11 +172,12 @@ class SearchResult:
         >>> import armrig
         >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).table())
-        4 models, simulated, ranked by their error on the part of the data that did not ...
-          model      parameters   rms [rad]  excess mean square ± se [rad²]
-          OE[3 3 1]           6   0.0035...                                  <- chosen
-          OE[2 2 1]           4     0.0338...               0.0011... ± 9.4e-05
-          ARX[3 3 1]          6    0.075...
+        5 models, simulated, ranked by their error on the part of the data that did not ...
+          model            parameters   rms [rad]  excess mean square ± se [rad²]
+          OE[3 3 1]                 6   0.0035...                                  <- chosen
+          OE[3 3 1], level          7   0.0035...               ...
+          OE[2 2 1]                 4     0.0338...               0.0011... ± 9.4e-05
+          ARX[3 3 1]                6    0.075...
         """
         what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)

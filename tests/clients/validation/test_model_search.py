@@ -221,7 +221,7 @@ def test_an_optional_structure_is_searched_on_request() -> None:
     data = of_second_order(switched())
 
     usual = search(data, orders=(2,), nk=1)
-    asked = search(data, families=("ararx",), orders=(2,), nk=1)
+    asked = search(data, families=("ararx",), orders=(2,), nk=1, offset=False)
 
     assert "ararx" not in {one.request.structure for one in tried(usual)}
     assert {j.candidate.name for j in asked.ranked} == {"ARARX[2 2 1 1]", "ARARX[2 2 2 1]"}
@@ -260,8 +260,8 @@ def test_progress_is_reported_before_each_candidate_and_at_the_end(
         progress=lambda *count: told.append(count),
     )
 
-    names = ["ARX[1 1 1]", "ARX[2 2 1]", "OE[1 1 1]", "OE[2 2 1]", ""]
-    assert told == [(k, 4, name) for k, name in enumerate(names)]
+    names = ["ARX[1 1 1]", "ARX[2 2 1]", "OE[1 1 1]", "OE[2 2 1]", "OE[2 2 1], level", ""]
+    assert told == [(k, 5, name) for k, name in enumerate(names)]
 
 
 @pytest.mark.exhaustive
@@ -313,6 +313,20 @@ def test_a_level_of_only_the_validation_data_is_estimated() -> None:
     assert any(note.startswith("in the validation data y is about") for note in found.notes)
 
 
+def test_a_level_that_slow_noise_hides_from_its_test_is_tried_with_the_choice() -> None:
+    data = _data(5, [1.0], [1.0, -0.97], N=400)
+    high = Dataset(u=data.u, y=data.y + 4.0, Ts=1.0)
+
+    found, without = (
+        search(high, families=("oe",), orders=(2,), offset=offset) for offset in (None, False)
+    )
+
+    assert not found.notes
+    assert found.chosen.candidate.name == "OE[2 2 1], level"
+    assert found.fit.offset
+    assert [one.name for one in tried(without)] == ["OE[2 2 1]"]
+
+
 def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
     data = of_second_order(switched())
     found = search(
@@ -347,7 +361,8 @@ def test_other_data_decide_on_an_integrator_that_the_test_leaves_open(
 
     assert {one.name for one in tried(found)} == expected
     assert found.chosen.candidate.name.endswith(", pole at 1")
-    assert told[-1] == (len(families) * 2 - ("arx" in families),) * 2 + ("",)
+    level = 1  # which a choice with an integrator does not need
+    assert told[-1] == (len(families) * 2 - ("arx" in families) + level,) * 2 + ("",)
     assert {total for _, total, _ in told} == {told[-1][0]}
 
 
