@@ -310,7 +310,7 @@ def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
     below.set_ylim(bottom=0)
     below.set_xticks(orders)
     below.set_xlabel("number of poles")
-    below.set_ylabel("description length,\nabove the least")
+    below.set_ylabel("MDL, above\nthe least")
     finish(ax, xlim=(float(w[0]), float(w[-1])))
     finish(below)
     legend(below)
