@@ -463,7 +463,7 @@ def _estimated(
 
 
 def _doubts(fit: Fit, data: Dataset | Signals, integrator: bool | None) -> tuple[Finding, ...]:
-    from armrig.validation.data_advice import examine_fit_of
+    from armrig.validation.advice import examine_fit_of
 
     with spinner("testing the data"):
         return tuple(examine_fit_of(data, fit, integrator))

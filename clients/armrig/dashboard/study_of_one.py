@@ -24,10 +24,9 @@ from armrig.recordings.files.recording_summary import shown_path
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import data_verdict
 from armrig.report.recording_facts import run_facts
-from armrig.validation.advice import advice
+from armrig.validation.advice import advice, examine_fit_of
 from armrig.validation.answer import answer
 from armrig.validation.comparison import compare
-from armrig.validation.data_advice import examine_fit_of
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 

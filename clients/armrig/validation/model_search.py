@@ -26,7 +26,7 @@ from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
-from armrig.validation.data_advice import doubts, doubts_of_channels, tested
+from armrig.validation.advice import doubts, doubts_of_channels, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.recommended_structures import MAX_TIME_CONSTANTS, process_forms
 from armrig.validation.residuals import residuals

@@ -26,7 +26,7 @@ from armrig.models.spectral_estimate import (
 )
 from armrig.numerics.quantities import listed, minus, plural
 from armrig.plots.layout import drawn_by
-from armrig.validation.data_advice import about_feedback, poor_input, tested
+from armrig.validation.advice import about_feedback, poor_input, tested
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
 from armrig.validation.recommended_structures import (

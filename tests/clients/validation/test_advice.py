@@ -13,8 +13,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import warning
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.polynomial import filtered
-from armrig.validation.advice import Advice, _about_integrator, _about_negative_poles
-from armrig.validation.data_advice import examine_fit_of
+from armrig.validation.advice import Advice, _about_negative_poles, _about_pole_at_1, examine_fit_of
 
 from tests.clients.validation.plants import (
     oe_of_two_outputs,
@@ -175,7 +174,7 @@ def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, sai
     of = {"integrator": False, "output": "theta_1", "structure": "oe"}
     fit: Any = SimpleNamespace(poles=lambda: poles, **of)
 
-    [found] = _about_integrator(fit, STRUCTURES["oe"])
+    [found] = _about_pole_at_1(fit, STRUCTURES["oe"])
 
     assert found.text.startswith(said)
     assert found.remedy == "integrator"
@@ -187,7 +186,7 @@ def test_neither_a_wide_interval_nor_a_slow_pole_is_an_integrator(pole: float, s
     of = {"integrator": False, "output": "y", "structure": "oe", "N": 4000}
     fit: Any = SimpleNamespace(poles=lambda: poles, **of)
 
-    assert not [*_about_integrator(fit, STRUCTURES["oe"])]
+    assert not [*_about_pole_at_1(fit, STRUCTURES["oe"])]
 
 
 def test_a_real_negative_pole_is_impossible_for_the_rig() -> None:

@@ -15,8 +15,8 @@ from armrig.models.characteristics import overlapping
 from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.whiteness import Whiteness
-from armrig.validation import advice, data_advice
-from armrig.validation.data_advice import Tested as OfData
+from armrig.validation import advice
+from armrig.validation.advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residual_test import ResidualTest
 from armrig.validation.residuals import _possible
@@ -55,7 +55,7 @@ def known_of(**fields: Any) -> OfData:
 def examined(data: Dataset, about: str) -> list[Finding]:
     """Return the findings about a subject, of data that integrate and have feedback."""
     known = known_of(integration=Integration(integrates=True), loop=loop(p_value=1e-4))
-    return [f for f in data_advice.examine_experiment(data, known) if f.about == about]
+    return [f for f in advice.examine_experiment(data, known) if f.about == about]
 
 
 def only(findings: Any) -> tuple[str, str, bool]:
@@ -87,12 +87,12 @@ def test_feedback_is_advised_on_by_its_p_value(
 ) -> None:
     test = loop(**fields)
 
-    about, text, is_good = only(data_advice.about_feedback(known_of(loop=test)))
+    about, text, is_good = only(advice.about_feedback(known_of(loop=test)))
 
     assert (about, is_good) == ("feedback", good)
     assert all(words in text for words in said)
     assert ("By chance" in text) == (not good and test.p_value >= 1e-3)
-    assert [*data_advice.about_feedback(known_of())] == []
+    assert [*advice.about_feedback(known_of())] == []
 
 
 @pytest.mark.parametrize(
@@ -122,9 +122,9 @@ def test_a_model_may_begin_at_each_lag_that_is_not_ruled_out(
     data = Dataset(u=telegraph(), y=telegraph(), Ts=0.02)
 
     known = known_of(late=late(3, (2, 4)))
-    monkeypatch.setattr(data_advice, "tested", lambda *_: known)
+    monkeypatch.setattr(advice, "tested", lambda *_: known)
 
-    found = [*data_advice.examine_fit_of(data, fit)]
+    found = [*advice.examine_fit_of(data, fit)]
 
     text = f"u acts from lag 3 on, and the model begins at lag {nk}: use nk=3"
     assert [(f.about, f.text) for f in found] == ([("delay", text)] if doubted else [])
@@ -163,7 +163,7 @@ def exciting(order: int) -> Dataset:
 
 @pytest.mark.parametrize(("order", "good"), [(8, True), (7, False)])
 def test_eight_parameters_need_an_excitation_of_order_eight(order: int, good: bool) -> None:
-    about, text, is_good = only([data_advice._about_input(exciting(order))])
+    about, text, is_good = only([advice._about_input(exciting(order))])
 
     assert (about, is_good) == ("excitation", good)
     said = "order 8 at least: enough for 8 parameters" if good else "order 7 only, and a model of"
@@ -178,10 +178,10 @@ def test_eight_parameters_need_an_excitation_of_order_eight(order: int, good: bo
 def test_a_model_needs_an_excitation_of_as_many_orders_as_parameters(
     fit: Fit, needed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(data_advice, "tested", lambda *_: known_of())
+    monkeypatch.setattr(advice, "tested", lambda *_: known_of())
 
     poor, enough = (
-        [*data_advice.examine_fit_of(exciting(order), fit)] for order in (needed - 1, needed)
+        [*advice.examine_fit_of(exciting(order), fit)] for order in (needed - 1, needed)
     )
 
     assert enough == []

@@ -351,7 +351,7 @@ def test_other_data_decide_on_an_integrator_that_the_test_leaves_open(
     data = of_second_order(switched())
     data = Dataset(u=data.u, y=0.05 * np.cumsum(data.y), Ts=0.02)
     undecided = Integration(integrates=False, undecided=True)
-    for module in ("model_search", "data_advice"):
+    for module in ("model_search", "advice"):
         monkeypatch.setattr(f"armrig.validation.{module}.integration", lambda *_: undecided)
     told: list[tuple[int, int, str]] = []
 
