@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.errors import FileError
 from armrig_core.process.options import Commands, argument, chosen, group, option
+from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS
 from msgspec import structs
 from msgspec.structs import asdict
 
@@ -101,9 +102,7 @@ def sampling(
         if choice.from_step:
             with suppress(ValueError):  # the levels are not held long enough
                 steps = armrig.step_analysis(data, integrator=integrator)
-    if steps is not None:  # print a warning that both results contain only once
-        said = set(choice.notes)
-        steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
+                steps = replace(steps, warnings=())  # they are notes of `choice`, too
     analysis = {} if steps is None else {"step": steps}
 
     def say_sampling() -> None:
@@ -312,8 +311,6 @@ def _for_outputs(
 ) -> _Search | Request:
     """Return what is wanted, with the integrators and the shared denominator of several outputs."""
     # A rig's outputs share one denominator. Some outputs of the arm integrate, and all other data.
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
     columns, recorded, known = data.signals(), from_recording(data), from_arm(data)
     integrating = tuple(
         name for name in columns.outputs if not known or name in INTEGRATING_OUTPUTS

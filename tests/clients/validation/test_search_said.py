@@ -32,8 +32,7 @@ def scored(family: str, order: int, **fields: Any) -> Scored:
     request = Request(structure=family, orders=orders)  # type: ignore[arg-type]
     name = STRUCTURES[family].short(orders | {"nk": 1})
     candidate = Candidate(name=name, order=order, request=request)
-    none = np.zeros(0)
-    return Scored(candidate=candidate, fit=fit, error=none, ahead=none)
+    return Scored(candidate=candidate, fit=fit, error=np.zeros(0), ahead=np.zeros(0))
 
 
 _PASSED: Any = SimpleNamespace(

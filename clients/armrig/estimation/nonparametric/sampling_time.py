@@ -216,7 +216,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     near = _share(omega, power, NYQUIST_SHARE * np.pi / data.Ts)
     of = data.output if integrates else ""
     doubts = (
-        *(steps.warnings if steps else decided.notes),
+        *decided.notes,
+        *(steps.warnings if steps else ()),
         *_doubts(Ts, data.Ts, last, near, seen=seen, of=of),
     )
     return SamplingTime(
