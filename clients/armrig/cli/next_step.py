@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 from armrig_core.errors import ArmrigError
 from armrig_core.process.printable import printable
 from armrig_core.recording_file.budget import DamageError
+from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS
 from msgspec import structs
 
 from armrig.cli.recorded_data import (
@@ -36,10 +37,8 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
     from armrig.validation.residual_test import ResidualTest
 
-_MAX_NAME_LENGTH = 28
-"""Largest number of letters of a name before the suffix `_AGAIN`; further letters are cut off."""
-_AGAIN = "-again"
-"""Suffix of the name of a repeated step."""
+_MAX_NAME_LENGTH = 28  # letters of a name before the suffix; further letters are cut off
+_AGAIN = "-again"  # suffix of the name of a repeated step
 _Pair = tuple["RecordingSummary", "RecordingSummary"]
 """A recording for estimation and its recording for validation."""
 
@@ -259,8 +258,6 @@ _REJECTED = {"residuals", "search", "feedback"}
 
 def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     """Print the next command, which acts on the findings, saves the model or validates it."""
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
     fit, data, signals, columns = found.fit, found.data, found.signals, found.data.signals()
     one = (fit.ny, fit.nu) == (1, 1)
     options, given, file = options_after(found, findings), signals.options(), typed(found.file)
@@ -308,8 +305,6 @@ def after_validate(
 
     `estimation` is the name of the estimation data, if the user gave them.
     """
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
     channel, recorded = signals, from_recording(data)
     if (fit.ny, fit.nu) == (1, 1):
         estimation = estimation or (paired(file, "estimation") if recorded else "")
@@ -386,8 +381,6 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
 
 def _of_several(found: Found, about: Set[str]) -> str:
     """Return the options of the next estimation of several signals; others only if rejected."""
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
     request, data = found.request, found.data
     rejected = found.validation is not None and found.validation.tests.rejects
     if found.search is not None or not (rejected or about & _REJECTED):

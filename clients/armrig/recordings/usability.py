@@ -67,8 +67,7 @@ class DataVerdict:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Texts of the findings whose level is not good; unusable findings first."""
-        ranked = [f for level in ("unusable", "warning") for f in self.findings if f.level == level]
-        return tuple(f.text for f in ranked)
+        return tuple(f.text for x in ("unusable", "warning") for f in self.findings if f.level == x)
 
     @property
     def summary(self) -> str:
@@ -364,8 +363,7 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
     found = [finding for r in recordings for finding in doubts(r)]
     excited = [r for r in recordings if r.manifest.kind not in NO_MODEL]
     for n, other in enumerate(excited[1:]):
-        # Only the second recording validates the first. Later recordings may be of the chassis
-        # alone.
+        # Only the second recording validates the first; later ones may be of the chassis alone.
         found += doubts_of_pair(excited[0], other, one_plant=one_plant and n == 0)
     # The calibrations of all recordings are compared at once, unless several rigs explain them.
     found = [f for f in found if f.about != "calibrations"]

@@ -30,7 +30,8 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import CHANNEL, DESCRIBED, RegisteredStructure
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.quantities import near_one, p_relation, percent
-from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
+from armrig.numerics.whiteness import BAND_99_PERCENT
+from armrig.validation.feedback_and_delay.by_channel import ByChannel, Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, OpenLoop, open_loop
@@ -40,12 +41,9 @@ COLOURED = "raise the orders, look at the delay, or add a noise model"
 """Remedy for residuals that are not white."""
 _FIX_POLE = "fix it (OE with the option integrator)"
 _FIX_POLE_IN_S = "fix it (TF with the option integrator, or a process with the letter I)"
-_DEVIATIONS = "the ordinary deviations", "the robust deviations"
 _MAX_IMAGINARY = 1e-9  # imaginary part below which a pole counts as real
-_MAX_POLE_WIDTH = 0.258  # of an interval above which the data do not determine a pole
 _MAX_DISTANCE_FROM_ONE = 0.01  # distance in the z plane below which a pole or zero is near 1
 _SAME_POLE = 1e-6  # distance in the z plane of equal poles of two channels
-_STD_99 = 2.58
 _Pair = tuple[complex, complex, float]
 """A pole, a zero, and the p value of their difference."""
 ORDER = 4
@@ -83,11 +81,10 @@ class Advice:
 
 def _lines(findings: Iterable[Finding]) -> str:
     ranked = sorted(findings, key=lambda f: f.level == "good")
-    names = [f.about.replace("_", " ") for f in ranked]
-    width = max(map(len, names), default=0)
+    width = max((len(f.about) for f in ranked), default=0)
     return "\n".join(
-        f"{' ' if f.level == 'good' else '!'} {name:{width}}  {f.text}"
-        for name, f in zip(names, ranked, strict=True)
+        f"{' ' if f.level == 'good' else '!'} {f.about.replace('_', ' '):{width}}  {f.text}"
+        for f in ranked
     )
 
 
@@ -138,23 +135,19 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
         found = (*examine_experiment(data, tested(data, None)), *tests)
         return Advice(of=f"{data.N} samples of {data.output}", findings=found)
     fit = data_or_fit
-    each = {
-        name: Advice(of=f"{fit[name].label} of {name[0]}", findings=findings)
-        for name, findings in _examined_channels(fit)
-    }
+    each = dict(_examined_channels(fit))
     if (fit.ny, fit.nu) == (1, 1):
         return each[fit.outputs[0], fit.inputs[0]]
     return ByChannel(results=each, refused={}, together=_lines(fit.findings))  # type: ignore[return-value]
 
 
-def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], tuple[Finding, ...]]]:
-    """Yield the names of each channel, the findings of the estimation, and the advice on it.
+def _examined_channels(model: Fit) -> Iterator[tuple[Name, Advice]]:
+    """Yield the names of each channel and the advice on it, with the findings of the estimation.
 
     A model in continuous time is examined as sampled.
     """
-    kind = DESCRIBED.get(fit.structure, CHANNEL)
-    if fit.Ts == 0:
-        fit = fit.to_discrete()
+    kind = DESCRIBED.get(model.structure, CHANNEL)
+    fit = model if model.Ts else model.to_discrete()
     channels = {(fit.outputs[i], fit.inputs[j]): one for i, j, one in fit.channels()}
     pairs = {name: overlapping(one) for name, one in channels.items()}
     # Of channels with the same poles, a pole is superfluous only if a zero cancels it in each.
@@ -169,7 +162,8 @@ def _examined_channels(fit: Fit) -> Iterator[tuple[tuple[str, str], tuple[Findin
         found = [*own, *(f for f in advised if f.about not in known)]
         # A model of a constant level has a pole near 1, too.
         level = any(f.about == "level" for f in found)
-        yield name, tuple(f for f in found if not (level and f.about == "integrator"))
+        found = [f for f in found if not (level and f.about == "integrator")]
+        yield name, Advice(of=f"{model[name].label} of {name[0]}", findings=tuple(found))
 
 
 def _cancels(pole: complex, pairs: list[_Pair]) -> bool:
@@ -181,7 +175,7 @@ def _advised(
 ) -> Iterator[Finding]:
     if fit.converged and fit.agreed:
         yield good("search", "one minimum" if fit.starts or kind.continuous else "closed form")
-    text = whiteness_sentence(fit, *_DEVIATIONS)
+    text = whiteness_sentence(fit, "the ordinary deviations", "the robust deviations")
     if fit.trusts_robust:
         yield warning("residuals", f"{text}; {COLOURED}", "search")
     else:
@@ -207,14 +201,12 @@ def _about_overlap(pairs: list[_Pair], kind: RegisteredStructure) -> Finding:
     if not pairs:
         return good("order", "no pole is cancelled by a zero")
     places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
-    text = (
-        f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order is "
-    )
+    text = f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order "
     each = [name for name in ("nb", kind.poles) if name in kind.orders]
     lower = " and ".join(each) or "the number of time constants"
     lower = "the order" if lower == "order" else lower
     poles = sum(2 if pole.imag else 1 for pole, *_ in pairs)
-    text += f"too high by the number of pairs; lower {lower}"
+    text += f"is too high by the number of pairs; lower {lower}"
     return warning("order", text, "order", poles=poles)
 
 
@@ -229,7 +221,7 @@ def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
 
 def _about_negative_poles(fit: Fit) -> Iterator[Finding]:
     for z, std in _real_poles(fit):
-        if z + _STD_99 * std < 0:
+        if z + BAND_99_PERCENT * std < 0:
             text = f"pole {_z(z)} is real and negative: no rig in continuous time has such a pole "
             text += "after sampling (exp(s Ts) > 0), so it models noise; lower the order"
             yield warning("poles", text, "order")
@@ -245,11 +237,7 @@ def _about_pole_at_1(fit: Fit, kind: RegisteredStructure) -> Iterator[Finding]:
     if fit.integrator:
         return
     known = fit.output in INTEGRATING_OUTPUTS
-    at_1 = [
-        (z, std)
-        for z, std in _real_poles(fit)
-        if (abs(z - 1) < _STD_99 * std < _MAX_POLE_WIDTH if known else may_be_one(z, std, fit.N))
-    ]
+    at_1 = [pole for pole in _real_poles(fit) if may_be_one(*pole, fit.N)]
     if at_1 or known:
         text = f"{fit.output} integrates, and no pole of the model is 1"
         text = f"pole {near_one(*at_1[0])} is 1 within its accuracy" if at_1 else text
@@ -261,7 +249,7 @@ def _about_pole_at_1(fit: Fit, kind: RegisteredStructure) -> Iterator[Finding]:
 def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:
     i = fit.slice_of("b").start
     b, std = float(fit.theta[i]), float(fit.std_robust[i])
-    if std > 0 and abs(b) < _STD_99 * std:
+    if std > 0 and abs(b) < BAND_99_PERCENT * std:
         text = f"b1 = {b:.2g} ± {std:.2g} does not differ significantly from 0: a delay, or only "
         text += "noise; a test decides (armrig.delay, `armrig check`)"
         yield warning("delay", text, "check")
@@ -308,12 +296,6 @@ def _loop(data: Dataset) -> OpenLoop | None:
     with suppress(ValueError):
         return open_loop(data)
     return None
-
-
-def doubts(data: Dataset, known: Tested) -> list[Finding]:
-    """Return the findings that need action; feedback is included only if p < 0.1 %."""
-    found = [f for f in examine_experiment(data, known) if f.level != "good"]
-    return [f for f in found if f.about != "feedback" or known.together]
 
 
 def doubts_of_channels(data: Signals) -> Iterator[Finding]:
@@ -443,7 +425,7 @@ def _about_drift(data: Dataset) -> Iterator[Finding]:
         return
     for i, line in enumerate(found, 1):
         name = "drift" if len(found) == 1 else f"drift {i}"
-        drifts = abs(line.z) > 2.58
+        drifts = abs(line.z) > BAND_99_PERCENT
         remedy = "; remove it, detrend(data, order=1)"
         yield warning(name, f"{line}{remedy}") if drifts else good(name, str(line))
 

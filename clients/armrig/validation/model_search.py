@@ -26,7 +26,7 @@ from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OfferedName
 from armrig.numerics.checks import require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
-from armrig.validation.advice import doubts, doubts_of_channels, tested
+from armrig.validation.advice import doubts_of_channels, examine_experiment, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.recommended_structures import MAX_TIME_CONSTANTS, process_forms
 from armrig.validation.residuals import residuals
@@ -259,7 +259,9 @@ def _planned(
         offered = several_of("families", families, _SEARCHABLE)
         if not decided.integrates:
             offset, notes = _offset(data, validation, offset, offered)
-        against = [f for f in doubts(data, known) if not (offset and f.about == "level")]
+        left_out = {"level": offset, "feedback": not known.together}
+        doubted = (f for f in examine_experiment(data, known) if f.level != "good")
+        against = [f for f in doubted if not left_out.get(f.about)]
         notes = [*decided.notes, *notes, *([_BOTH_TRIED] if both else [])]
         horizon = 1 if horizon is None and known.closed else horizon
     else:
@@ -492,15 +494,12 @@ def _estimation_and_validation(
     if not np.ptp(u):
         raise InputError(CONSTANT_INPUT)
     least = _MIN_RANGE_SHARE * np.ptp(u, axis=0)
-    before, after = _range(u) >= least, _range(u[::-1])[::-1] >= least
-    cuts = 1 + np.flatnonzero(np.all(before[:-1] & after[1:], axis=1))
+    before, after = (
+        np.maximum.accumulate(x) - np.minimum.accumulate(x) >= least for x in (u, u[::-1])
+    )
+    cuts = 1 + np.flatnonzero(np.all(before[:-1] & after[::-1][1:], axis=1))
     middle = round(data.N / 2)
     cut = int(cuts[np.argmin(np.abs(cuts - middle))]) if cuts.size else 0
     if not _MIN_PART_SHARE <= cut / data.N <= 1 - _MIN_PART_SHARE:
         return data, data
     return data[:cut], data[cut:]
-
-
-def _range(u: Vector) -> Vector:
-    """Return the range of each column of u (N, n) up to each sample."""
-    return np.asarray(np.maximum.accumulate(u) - np.minimum.accumulate(u))
