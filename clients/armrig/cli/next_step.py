@@ -399,8 +399,7 @@ def _misses_dynamics(found: Found) -> bool:
     from armrig.numerics.whiteness import WHITE_LEVEL
     from armrig.validation.residuals import residuals
 
-    v = found.validation
-    tests = residuals(found.fit, found.data) if v is None else v.tests
+    tests = found.validation.tests if found.validation else residuals(found.fit, found.data)
     return bool(tests.missing_dynamics < WHITE_LEVEL)
 
 

@@ -21,12 +21,7 @@ from armrig.recordings.daemon_reports import gap_lines
 from armrig.recordings.findings import second_moves
 from armrig.recordings.jitter import Spread, disturbances, sampling_statistics
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import (
-    calibration_date,
-    data_verdict,
-    doubts_of_calibration,
-    outcome_text,
-)
+from armrig.recordings.usability import data_verdict, doubts_of_calibration
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,7 +194,7 @@ def contents_facts(rec: Recording) -> dict[str, Any]:
         "sampling": sampling_statistics(rec),
         "causes": disturbances(rec),
         "calibration": rec.calibration,
-        "remarks": [f.text for f in _calibration_doubts(rec)],
+        "remarks": [f.text for f in calibration_doubts(rec)],
         "verdict": data_verdict(rec).facts(),
         "gaps": rec.gaps,
         "events": rec.events,
@@ -228,9 +223,8 @@ def contents_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]
     yield "outcome", outcome_text(rec)
     if rec.recovered is not None:
         yield "recovered", _recovered(rec.recovered)
-    calibrated = rec.description.is_calibrated
-    yield "calibrated", calibration_date(rec.calibration) if calibrated else "by its description"
-    for remark in _calibration_doubts(rec):
+    yield "calibrated", calibration_text(rec)
+    for remark in calibration_doubts(rec):
         yield "remark", remark.text
     of_interval = "spread of the sampling interval, by the device's clock"
     yield "jitter", _percentiles(timing.jitter, 0, of_interval)
@@ -252,7 +246,26 @@ def contents_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]
         yield finding.about, finding.text
 
 
-def _calibration_doubts(rec: Recording) -> Iterator[Finding]:
+def outcome_text(rec: Recording) -> str:
+    """Return the outcome of the run as text, with a remark if the file is cut off or damaged."""
+    if not rec.truncated:
+        return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
+    what = "is cut off" if rec.cut_off else "is damaged"
+    writing = ", or is still being written" if rec.path.suffix == ".active" else ""
+    if rec.outcome:
+        return f"of the run: {rec.outcome.outcome}; but the file {what}"
+    return f"not known: the file {what} before the outcome{writing}"
+
+
+def calibration_text(rec: Recording) -> str:
+    """Return the date and time of the calibration, or where the scales are from."""
+    if not rec.description.is_calibrated:
+        return "by its description"
+    made = rec.calibration.made if rec.calibration else None
+    return "no" if made is None else made.date[:16].replace("T", " ")
+
+
+def calibration_doubts(rec: Recording) -> Iterator[Finding]:
     """Yield the doubts about the calibration; the description of another rig has its scales."""
     if rec.description.is_calibrated:
         yield from doubts_of_calibration(rec.calibration, rec.manifest)

@@ -100,9 +100,9 @@ def data_verdict(recording: Recording) -> DataVerdict:
     The signal is the rms deviation of the first channel from straight lines, one line for each
     second, or from its mean if the channel does not turn. The power of the noise is subtracted. In
     runs longer than 3 s, the first second is left out, because a shaft starts to turn in this
-    second. The noise is the standard deviation of the residuals
-    of an ARX model of order 10 or less. If the noise on the angle is white, this value is close to
-    its standard deviation. The value is at least the step of the converter divided by sqrt(12).
+    second. The noise is the standard deviation of the residuals of an ARX model of order 10 or
+    less. If the noise on the angle is white, this value is close to its standard deviation. The
+    value is at least the step of the converter divided by sqrt(12).
 
     Parameters
     ----------
@@ -270,23 +270,6 @@ def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -
     if age > timedelta(days=STALE_DAYS):
         text = f"The calibration was {age.days} days old, more than {STALE_DAYS} days: calibrate "
         yield warning("age", f"{text}the rig again.")
-
-
-def calibration_date(calibration: Calibration | None) -> str:
-    """Return the date and time of a calibration; "no" if nothing was measured."""
-    made = calibration.made if calibration else None
-    return "no" if made is None else made.date[:16].replace("T", " ")
-
-
-def outcome_text(rec: Recording) -> str:
-    """Return the outcome of the run as text, with a remark if the file is cut off or damaged."""
-    if not rec.truncated:
-        return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
-    what = "is cut off" if rec.cut_off else "is damaged"
-    writing = ", or is still being written" if rec.path.suffix == ".active" else ""
-    if rec.outcome:
-        return f"of the run: {rec.outcome.outcome}; but the file {what}"
-    return f"not known: the file {what} before the outcome{writing}"
 
 
 def doubts_of_estimation(

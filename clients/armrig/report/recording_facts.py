@@ -21,13 +21,9 @@ from armrig.recordings.jitter import (
     fastest_rate,
     sampling_statistics,
 )
+from armrig.recordings.overview import calibration_doubts, calibration_text, outcome_text
 from armrig.recordings.recording import Recording
-from armrig.recordings.usability import (
-    NO_MODEL,
-    calibration_date,
-    doubts_of_calibration,
-    outcome_text,
-)
+from armrig.recordings.usability import NO_MODEL
 from armrig.report.sections import plain
 from armrig.report.study import Study, each_output
 from armrig.validation.linearity import in_open_loop
@@ -64,7 +60,7 @@ def facts(study: Study) -> Rows:
 
 def run_facts(r: Recording) -> dict[str, str]:
     """Return the facts about a run by name, as text; "" for a fact that is not known."""
-    turns, known = r.description.channels[0].turns, r.description.is_calibrated
+    turns = r.description.channels[0].turns
     hidden = "in the dead band, or just after" if turns else f"without {r.first}"
     u = r.u[np.isfinite(r.u)]
     return {
@@ -76,7 +72,7 @@ def run_facts(r: Recording) -> dict[str, str]:
         "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
         "length": f"{r.N * r.Ts:.1f} s",
         "input": f"{u.min():.2f} to {u.max():.2f} V" if u.size else "",
-        "calibrated": calibration_date(r.calibration) if known else "by its description",
+        "calibrated": calibration_text(r),
         "missing samples": str(r.missing),
         hidden: str(r.hidden),
         "outcome": outcome_text(r),
@@ -171,7 +167,7 @@ def linearity_sentences(data: Dataset) -> list[str]:
 def _units(study: Study) -> str:
     """Return a text on how the scales of angle and voltage in the models were determined."""
     calibrations = {
-        calibration_date(r.calibration): r.calibration
+        calibration_text(r): r.calibration
         for r in (study.recording_of(d.source) for d in (study.estimation, study.validation))
     }
     measured = [c for c in calibrations.values() if c and c.made]
@@ -246,8 +242,8 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
     A sentence that holds only for some of the recordings begins with the names of their files.
     """
     of: dict[Finding, list[str]] = {}
-    for r in (r for r in recordings if r.description.is_calibrated):
-        for found in doubts_of_calibration(r.calibration, r.manifest):
+    for r in recordings:
+        for found in calibration_doubts(r):
             of.setdefault(found, []).append(r.path.name)
     return [
         found.text

@@ -185,10 +185,10 @@ def search(
     groups = [[*of] for _, of in groupby(sorted(candidates, key=stage), stage)]
     open_loop = not all(OFFERED[c.request.structure].closed_loop for c in candidates)
     suggests = families is None and open_loop and isinstance(data, Dataset)
-    leveled = offset is None and any(_lacks_level(c) for c in candidates)
     # Candidates, the largest number of them, and the function that chooses them by the ranking.
     stages: list[_Stage] = [(group, len(group), partial(_needed, group)) for group in groups]
-    stages += [([], 1, _with_level)] * leveled + [([], MAX_TIME_CONSTANTS, _processes)] * suggests
+    stages += [([], 1, _with_level)] if offset is None else []
+    stages += [([], MAX_TIME_CONSTANTS, _processes)] if suggests else []
     done, total = 0, sum(most for _, most, _ in stages)
     for group, most, of_ranking in stages:
         needed = group if ranking is None else of_ranking(ranking)
@@ -362,18 +362,14 @@ def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     return candidates
 
 
-def _lacks_level(candidate: Candidate) -> bool:
-    """Return True if the estimator can estimate an offset, which the candidate does not have."""
-    has = candidate.request.offset or candidate.request.integrator
-    return not has and "offset" in OFFERED[candidate.request.structure].takes
-
-
 def _with_level(ranking: _Ranking) -> list[Candidate]:
-    """Return the choice so far with an offset, if it has none."""
+    """Return the choice so far with an offset, if it has none and its estimator takes one."""
     chosen = ranking[0][ranking[-1]].candidate
+    has = chosen.request.offset or chosen.request.integrator
+    if has or "offset" not in OFFERED[chosen.request.structure].takes:
+        return []
     request = structs.replace(chosen.request, offset=True)
-    level = replace(chosen, name=f"{chosen.name}, level", request=request, named_by_level=True)
-    return [level] if _lacks_level(chosen) else []
+    return [replace(chosen, name=f"{chosen.name}, level", request=request, named_by_level=True)]
 
 
 def _processes(ranking: _Ranking) -> list[Candidate]:

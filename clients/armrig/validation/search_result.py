@@ -81,8 +81,6 @@ class SearchResult:
     >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
     >>> [scored.candidate.name for scored in found.ranked]
     ['OE[3 3 1]', 'OE[3 3 1], level', 'OE[2 2 1]', 'ARX[3 3 1]', 'ARX[2 2 1]']
-    >>> found.rms.round(3)
-    array([0.004, 0.004, 0.034, 0.075, 0.115])
     """
 
     ranked: tuple[Scored, ...]
