@@ -90,7 +90,7 @@ REFUSED = [
     ("report est.mcap --out f.pdf", "no such option: --out: did you mean -o PDF?; see"),
     ("ls --out f.txt", "no such option: --out; see `armrig ls --help`"),
     ("glossary inovation", "nearest: innovation"),
-    ("glossary hankel", "nearest: Hankel singular value"),
+    ("glossary box", "nearest: grey box"),
     ("glossary zzzz", "`armrig glossary` lists all terms"),
     ("plot est.mcap --input u", "no such option: --input; see `armrig plot --help`"),
     # Structures and orders.
