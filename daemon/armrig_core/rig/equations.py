@@ -356,8 +356,8 @@ def _where_not_finite(ode: Ode, y: Any, course: Course, point: Mapping[str, floa
     values = ", ".join(f"{name} = {float(value):.4g}" for name, value in point.items())
     raise InputError(
         f"the output is not finite from t = {course.t[k, s]:g} s on, with {values}: the equations "
-        f"are unstable there, divide by 0, or have a time constant far below Ts/{MAX_STEPS}. Check "
-        "their signs, or start nearer"
+        "are unstable there, divide by 0, take the root of a negative number (use numpy.maximum), "
+        f"or have a time constant far below Ts/{MAX_STEPS}. Check their signs, or start nearer"
     )
 
 
