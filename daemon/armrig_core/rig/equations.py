@@ -355,9 +355,9 @@ def _where_not_finite(ode: Ode, y: Any, course: Course, point: Mapping[str, floa
     k, *_, s = (int(i[0]) for i in np.nonzero(~np.isfinite(y)))
     values = ", ".join(f"{name} = {float(value):.4g}" for name, value in point.items())
     raise InputError(
-        f"the output is not finite from t = {course.t[k, s]:g} s on, with {values}: the equations "
+        f"the output is not finite from t = {course.t[k, s]:g} s on, with {values}. The equations "
         "are unstable there, divide by 0, take the root of a negative number (use numpy.maximum), "
-        f"or have a time constant far below Ts/{MAX_STEPS}. Check their signs, or start nearer"
+        f"or have a time constant far below Ts/{MAX_STEPS}: check their signs, or start nearer"
     )
 
 
