@@ -251,10 +251,9 @@ def test_a_parameter_that_the_liveliest_window_hides_is_found_in_the_whole_recor
     rng = np.random.default_rng(0)
     u = np.repeat(rng.choice([-1.0, 1.0], (450, 2)), 10, axis=0)
     u[:2000] *= [3.0, 2e-4]
-    parameters = {"k": P(1.0, low=0), "m": P(0.8, low=0)}
-    own = equations(lambda t, x, u, p: [p.k * u[0] + p.m**4 * u[1] - x[0], -x[1]], **parameters)
+    free = {"k": P(1.0, low=0), "m": P(0.8, low=0)}
+    own = equations(lambda t, x, u, p: [p.k * u[0] + p.m**4 * u[1] - x[0], -x[1]], **free)
     y = own.simulate(u, Ts=0.1, values={"m": 1.0}) + 0.01 * rng.standard_normal((4500, 1))
-
     fit = armrig.greybox(armrig.Signals(u=u, y=y, Ts=0.1), own)
 
     assert abs(fit.values["m"] - 1) < 4 * fit.std["m"] < 1e-3

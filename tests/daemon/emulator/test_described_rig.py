@@ -197,7 +197,8 @@ def test_the_description_of_a_recording_runs_no_code(tmp_path: Path) -> None:
 def test_a_bad_model_file_ends_in_a_sentence(
     old: str, new: str, error: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("armrig_core.rig.equations_file._START_S", 2.0 if "sleep" in new else 30.0)
+    for s in ("START_S", "ANSWER_S"):
+        monkeypatch.setattr(f"armrig_core.rig.equations_file._{s}", 2.0 if "sleep" in new else 30.0)
     own = read_description(own_equations(tmp_path, old, new))
 
     with pytest.raises((InputError, OperationError), match=error):
