@@ -14,15 +14,17 @@ from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.integrating import Integration
 from armrig.estimation.arx import arx
+from armrig.estimation.request import Request
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.models.structure_table import OfferedName
 from armrig.numerics.polynomial import filtered
-from armrig.validation.model_search import search
-from armrig.validation.search_result import Candidate, SearchResult
+from armrig.validation.model_search import _ranked, search
+from armrig.validation.search_result import Candidate, Scored, SearchResult
 from armrig_core.errors import InputError
 
 from tests.clients.estimation.test_transfer_functions import data as delayed
+from tests.clients.models.made_fits import made
 from tests.clients.validation.plants import (
     SAMPLES,
     of_second_order,
@@ -311,6 +313,18 @@ def test_a_level_of_only_the_validation_data_is_estimated() -> None:
     assert found.fit.offset
     assert found.chosen.candidate.order == 2
     assert any(note.startswith("in the validation data y is about") for note in found.notes)
+
+
+def test_models_without_a_sample_in_common_are_not_compared() -> None:
+    request = Request(structure="arx", orders={"na": 1, "nb": 1})
+    candidate = Candidate(name="ARX[1 1 1]", order=1, request=request)
+    scored = [
+        Scored(candidate=candidate, fit=made(), error=np.array(error), ahead=np.ones(2))
+        for error in ([0.1, np.nan], [np.nan, 0.1])
+    ]
+
+    with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
+        _ranked(scored, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
 
 
 def test_a_level_that_slow_noise_hides_from_its_test_is_tried_with_the_choice() -> None:
