@@ -266,7 +266,7 @@ def for_simulation(
     """
     model, parts, direct = found.model.stabilised(), unweighted(signals), options.direct
     one = len(model.C) == 1
-    if one:
+    if one and len(model.A) > model.integrator:  # a pole at 1 alone is fixed
         model = model.with_transition(_searched_poles(parts, model, direct=direct))
     still = replace(model, K=np.zeros(model.K.shape))
     at, simulated, _ = completed(parts, still, direct=direct)

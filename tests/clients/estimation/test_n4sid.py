@@ -252,6 +252,22 @@ def test_noise_on_the_output_keeps_the_long_horizon() -> None:
     assert 2 * _excess(fits, [1.0], [1.0]) < _excess(short, [1.0], [1.0])
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_model_for_simulation_may_have_a_pole_at_1_alone(noise: float) -> None:
+    rng = np.random.default_rng(4)
+    u = telegraph(500, 0.3, 1.5, 3.5, seed=rng) - 2.5
+    y = filtered([0.0, 0.2], [1.0, -1.0], u) + noise * rng.standard_normal(500)
+    data = Dataset(u=u, y=y, Ts=1.0)
+
+    fit = n4sid(data, 1, integrator=True, focus="simulation")
+
+    assert fit.A.tolist() == [1.0, -1.0]
+    best = oe(data, nb=1, nf=1, integrator=True)
+    assert compare(data, fit)[0].rms_error == pytest.approx(
+        compare(data, best)[0].rms_error, rel=1e-3, abs=1e-9
+    )
+
+
 @pytest.mark.parametrize("integrator", [False, True])
 def test_a_model_for_simulation_is_the_best_output_error_model(integrator: bool) -> None:
     """It has the same minimum as a search from other starts."""
