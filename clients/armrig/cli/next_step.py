@@ -19,12 +19,7 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS
 from msgspec import structs
 
-from armrig.cli.recorded_data import (
-    SignalChoice,
-    from_arm,
-    from_recording,
-    has_level,
-)
+from armrig.cli.recorded_data import SignalChoice, from_arm, from_recording, has_level
 from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import STRUCTURES
 
@@ -73,8 +68,8 @@ NEXT: Mapping[str, str] = {
     "questions": "armrig report --handout --questions {questions}",
 }
 """Commands that the line `next:` names; names in braces are replaced by values."""
-REASONS = "reasons.toml"
-"""Usual name of the file with the answers to the handout's questions."""
+REASONS = Path("reasons.toml")
+"""Usual file with the answers to the handout's questions."""
 
 
 def say_next(name: str, **values: str | float) -> None:
@@ -101,8 +96,12 @@ def next_line(name: str, **values: str | float) -> str:
 def _goes_on(line: str, described: str) -> str:
     """Return the command, or a later command if the rig runs or the recording already exists."""
     words = shlex.split(line)
-    if words[1:] == ["lab"] and _rig_runs():
-        return _goes_on(NEXT["collect step"].format(rig=""), described)
+    if words[1:] == ["lab"]:
+        with suppress(ImportError, ArmrigError):  # not on Windows
+            from armrig.rig.session import local_rigs
+
+            if "1" in local_rigs():
+                return _goes_on(NEXT["collect step"].format(rig=""), described)
     if words[1] != "collect":
         return line
     own = own_recordings()
@@ -127,20 +126,8 @@ def name_after(kind: str, otherwise: str = "plot") -> str:
     return {"step": "sampling", "greybox": "greybox"}.get(kind, otherwise)
 
 
-def _rig_runs() -> bool:
-    """Return True if a daemon of rig 1 has its socket on this machine."""
-    with suppress(ImportError, ArmrigError):  # not on Windows
-        from armrig.rig.session import local_rigs
-
-        return "1" in local_rigs()
-    return False
-
-
 def own_recordings() -> list[RecordingSummary]:
-    """Return the complete recordings in the recording folder; none if it cannot be read.
-
-    The newest recording is the first.
-    """
+    """Return the complete recordings in the recording folder, newest first; none on an error."""
     from armrig.recordings.files import recording_names as names
     from armrig.recordings.files.catalogue import catalogue
 
@@ -177,8 +164,7 @@ def paired(path: Path, wanted: Literal["estimation", "validation"]) -> str:
 def step_again(recording: Recording) -> str:
     """Return the options that repeat a step if the dead band hid its rise; otherwise "".
 
-    If the chassis rests before the step, a step at another time does not show the rise either. The
-    result is then "", because the user must turn the chassis by hand.
+    A chassis that rests before the step must be turned by hand; the result is then "", too.
     """
     from armrig.recordings.findings import hidden_step, step_options
 
@@ -216,14 +202,18 @@ def free_name() -> str:
     return next(name for name in names if not Path(name).exists())
 
 
-def for_the_report() -> str:
+def say_handout(answers: Path = REASONS, sinusoid: str = "") -> None:
+    """Print the command of the handout's report, with the file `answers` if it exists."""
+    given = f" --answers {quote(str(answers))}" if answers.exists() else ""
+    files, report = _for_the_report(), free_name()
+    say_next("handout", files=files, answers=given, sinusoid=sinusoid, report=report)
+
+
+def _for_the_report() -> str:
     """Return the names of the recordings for the handout's report, with a blank before each name.
 
-    The report uses four complete recordings: step, estimation, validation, chassis. The first three
-    have the same calibration. The function chooses the calibration with which most of these four
-    recordings were made. Of each kind, it takes the newest recording that has a name of the user.
-    If no recording of this kind has a name, it takes the newest one. The result is "" if there is
-    no recording.
+    The report uses a step, an estimation and a validation recording of one calibration, and a
+    recording of the chassis. The calibration is that of most of these recordings.
     """
     own, found = own_recordings(), list[list["RecordingSummary"]]()
     for calibration in dict.fromkeys(s.calibration_sha256 for s in own):
@@ -236,13 +226,8 @@ def for_the_report() -> str:
 
 
 def _newest(kind: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary]:
-    """Return the first recording of a kind that has a name, or the first, in a list; else []."""
+    """Return the newest recording of a kind, if possible with a name; [] if there is none."""
     return sorted((s for s in own if s.kind == kind), key=lambda s: not s.name)[:1]
-
-
-def answers_here() -> str:
-    """Return the option `--answers reasons.toml` if this file exists; otherwise ""."""
-    return f" --answers {REASONS}" if Path(REASONS).exists() else ""
 
 
 def chassis() -> str:
@@ -261,10 +246,9 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     fit, data, signals, columns = found.fit, found.data, found.signals, found.data.signals()
     one = (fit.ny, fit.nu) == (1, 1)
     options, given, file = options_after(found, findings), signals.options(), typed(found.file)
-    if found.validate is not None:
-        validation = typed(found.validate)
-    else:
-        validation = paired(found.file, "validation") if signals.read else ""
+    validation = typed(found.validate) if found.validate else ""
+    if signals.read and not validation:
+        validation = paired(found.file, "validation")
     output, input = (*signals.outputs, *columns.outputs)[0], (*signals.inputs, *columns.inputs)[0]
     channel = signals.of_channel(output, input, data)
     values: dict[str, str | float] = {
@@ -301,10 +285,7 @@ def after_validate(
     signals: SignalChoice,
     estimation: str = "",
 ) -> None:
-    """Print the next command: a comparison with other models, or a test of one channel.
-
-    `estimation` is the name of the estimation data, if the user gave them.
-    """
+    """Print the next command: a comparison with other models, or a test of one channel."""
     channel, recorded = signals, from_recording(data)
     if (fit.ny, fit.nu) == (1, 1):
         estimation = estimation or (paired(file, "estimation") if recorded else "")
@@ -338,11 +319,9 @@ def options_of(request: Request) -> str:
 def options_after(found: Found, findings: Sequence[Finding]) -> str:
     """Return the options with which `armrig identify` applies the remedies of the findings.
 
-    If no finding has a remedy, the result contains the options of the request. If the data must be
-    tested first, the result is `CHECK`. If a search chose the model, another search would not
-    improve its residuals.
+    The result is `CHECK` if the data must be tested first.
     """
-    fit, request, searched = found.fit, found.request, found.search is not None
+    fit, request = found.fit, found.request
     if (fit.ny, fit.nu) != (1, 1):
         return _of_several(found, {f.about for f in findings})
     kind = STRUCTURES[fit.structure]
@@ -369,11 +348,13 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
         return options
     if "check" in remedies:
         return CHECK
-    if "search" in remedies and not searched and fit.structure != "pem":
+    # If a search chose the model, another search would not improve its residuals.
+    if "search" in remedies and found.search is None and fit.structure != "pem":
         # The noise of a process model has no parameters: its colour is no reason for a pole more.
-        if request.form and not _misses_dynamics(found):
+        if form and not _misses_dynamics(found):
             return options
-        if richer := _richer(request.form or ""):
+        if form and ("D" not in form or form[1] < "3"):  # a dead time, or a time constant more
+            richer = f"P{int(form[1]) + 1}{form[2:]}" if "D" in form else f"{form}D"
             return options_of(structs.replace(request, form=richer))
         return "--search" if kind.continuous else f"--structure {fit.structure} --search"
     return options
@@ -401,13 +382,6 @@ def _misses_dynamics(found: Found) -> bool:
 
     tests = found.validation.tests if found.validation else residuals(found.fit, found.data)
     return bool(tests.missing_dynamics < WHITE_LEVEL)
-
-
-def _richer(form: str) -> str:
-    """Return a process with a dead time, or with one time constant more; "" if there is none."""
-    if form and "D" not in form:
-        return f"{form}D"
-    return f"P{int(form[1]) + 1}{form[2:]}" if form and form[1] < "3" else ""
 
 
 def _lower(fit: Fit, many: int, *, integrator: bool) -> dict[str, int]:

@@ -17,7 +17,7 @@ from armrig_core.rig.calibration import ALPHA, THETA_1, ChannelName
 
 import armrig
 from armrig.cli import recorded_data
-from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next, typed
+from armrig.cli.next_step import say_handout, say_next, typed
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, spinner, tell
 from armrig.cli.results import Draw, Output, Shown, shown
 
@@ -515,8 +515,7 @@ def integrate(
     def say_after() -> None:
         given = "" if omega == OMEGA else f" --omega {omega:g}"
         given += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
-        values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
-        say_next("handout", **values, sinusoid=given)
+        say_handout(sinusoid=given)
 
     out.show(
         facts=lambda: (

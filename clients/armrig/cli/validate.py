@@ -16,15 +16,7 @@ from armrig_core.process.printable import printable
 import armrig
 from armrig import plots
 from armrig.cli import physics, recorded_data, results
-from armrig.cli.next_step import (
-    REASONS,
-    after_validate,
-    chassis,
-    for_the_report,
-    free_name,
-    say_next,
-    typed,
-)
+from armrig.cli.next_step import REASONS, after_validate, chassis, say_handout, say_next, typed
 from armrig.cli.options import CalibrationFile, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     echo,
@@ -478,16 +470,14 @@ def report(
     if answers or not all(r.description.arm for r in recordings):
         say_next("open", file=quote(str(output)))
     else:
-        _say_next_answers(Path(REASONS))
+        _say_next_answers(REASONS)
 
 
 def _say_next_answers(path: Path) -> None:
     """Print the next command: the file of the questions, or the report with the answers."""
     if path.exists():
         inform(f"fill in {path} before the next command")
-        answers = f" --answers {quote(str(path))}"
-        values = {"files": for_the_report(), "answers": answers, "report": free_name()}
-        say_next("handout", sinusoid="", **values)
+        say_handout(path)
     else:
         say_next("questions", questions=quote(str(path)))
 
