@@ -54,8 +54,7 @@ def check_run(r: Recording) -> Iterator[Finding]:
     """Check how the run ended, the number of samples that arrived, and that the input changes."""
     came, u = r.samples.size, r.u[np.isfinite(r.u)]
     if r.cut_off:
-        text = f"the file is cut off: it contains {r.N * r.Ts:g} of {r.asked_s:g} s"
-        yield warning("run", text)
+        yield warning("run", f"the file is cut off: it contains {r.N * r.Ts:g} of {r.asked_s:g} s")
     elif r.truncated:
         yield warning("run", f"the file is damaged: {r.damage}")
     elif why := early_end(r):
@@ -64,28 +63,26 @@ def check_run(r: Recording) -> Iterator[Finding]:
         yield unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")
     elif not r.missing:
         yield good("samples", f"all {r.N} samples arrived")
-    elif r.missing > MOST_MISSING * r.N:
-        text = f"{r.missing} of {r.N} samples are missing: `armrig info` and `armrig doctor` "
-        yield warning("samples", f"{text}show why")
     else:
-        yield good("samples", f"{r.missing} of {r.N} samples are missing and marked missing")
+        many, text = r.missing > MOST_MISSING * r.N, f"{r.missing} of {r.N} samples are missing"
+        remedy = ": `armrig info` and `armrig doctor` show why" if many else " and marked missing"
+        yield (warning if many else good)("samples", text + remedy)
     if not u.size or np.ptp(u) == 0:
-        text = "the input never changes, so the data show no dynamics; use an input that switches"
-        yield unusable("input", text)
+        yield unusable("input", "the input never changes; use an input that switches")
     else:
         yield good("input", f"{u.min():.3g} to {u.max():.3g} V")
 
 
 def check_first(r: Recording) -> Finding:
     """Check the share of samples without the first channel, and the longest time without it."""
-    came, (first, *_), seen = r.samples.size, r.description.channels, r.valid.any()
-    name, body = first.name, first.body or "shaft"
-    about, lost = "output", "the value is outside the converter's range; look at `armrig watch`"
-    if first.turns:
-        about, lost = "angle", "the wiper is in the dead band; look at `armrig watch` while you "
-        lost += f"turn the {body} by hand"
-    if not seen:
-        return unusable(about, f"no sample of {came} shows {name}: a wire is broken, or {lost}")
+    came, first, name = r.samples.size, r.description.channels[0], r.first
+    about, body = "angle" if first.turns else "output", first.body or "shaft"
+    if not r.valid.any():
+        lost = "the value is out of the converter's range"
+        if first.turns:
+            lost = f"the wiper is in the dead band (turn the {body} by hand)"
+        text = f"no sample of {came} shows {name}: a wire is broken, or {lost}"
+        return unusable(about, f"{text}; look at `armrig watch`")
     if not first.turns:
         if not r.hidden:
             return good(about, f"{name} is inside the converter's range in all samples")
@@ -94,18 +91,17 @@ def check_first(r: Recording) -> Finding:
     share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
     if unseen > LONGEST_UNSEEN_S:
         text = f"{name} is hidden for {unseen:.1f} s without a break: the {body} was in the dead "
-        return warning(about, text + "band, or a wire is loose")
+        return warning(about, f"{text}band, or a wire is loose")
     text = f"{name} is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
-    text += "after it)"
     if share > MOST_HIDDEN:
-        return warning(about, f"{text}: too many for a dead band; check the potentiometer")
-    return good(about, text)
+        text += "after it): too many for a dead band; check the potentiometer"
+        return warning(about, text)
+    return good(about, f"{text}after it)")
 
 
 def check_second(r: Recording) -> Iterator[Finding]:
     """Check that the second channel is not at an end of its track, or rests in a greybox run."""
-    first, *others = r.description.channels
-    for second in others:
+    for second in r.description.channels[1:]:
         clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
         if r.manifest.kind == "greybox":
             yield _check_removed_arm(r, second.name)
@@ -113,22 +109,19 @@ def check_second(r: Recording) -> Iterator[Finding]:
             about, end = ("arm", "track") if second.body else ("output", "range")
             text = f"{second.name} was at the end of its {end} in {clipped} of {r.samples.size} "
             text += f"samples. These samples count as missing in {second.name}; "
-            yield warning(about, f"{text}{first.name} is not affected")
+            yield warning(about, f"{text}{r.first} is not affected")
 
 
 def _check_removed_arm(r: Recording, name: str) -> Finding:
     moved, rehearsed = second_moves(r), r.manifest.rehearsal
     configured = rehearsed is not None and rehearsed.deflects
-    if moved and configured:
-        text = f"{name} moves, and the daemon's configuration has an arm: remove the rotating "
-        return unusable("arm", text + "part (handout, figure 6) and set [arm] removed = true")
-    if moved:
-        text = f"{name} moves, although the rotating part must be removed: remove the rotating part"
-        return warning("arm", text)
-    if configured:
-        text = f"{name} rests, but the daemon's configuration has an arm: set [arm] removed = "
-        return warning("arm", text + "true, or the rehearsal uses the model of another rig")
-    return good("arm", "the rotating part is removed")
+    if not (moved or configured):
+        return good("arm", "the rotating part is removed")
+    parts = ["remove the rotating part (handout, figure 6)"] * moved
+    remedy = " and ".join([*parts, *["set [arm] removed = true"] * configured])
+    known = ", and the daemon's configuration has an arm" * configured
+    grade = unusable if moved and configured else warning
+    return grade("arm", f"{name} {'moves' if moved else 'rests'}{known}: {remedy}")
 
 
 def second_moves(r: Recording) -> bool:
@@ -146,14 +139,11 @@ def check_signal(first: Channel, signal: float, noise: float, step: float) -> It
     text = f"signal to noise {ratio:.2g} to 1: {first.name} deviates from {steady} by "
     text += f"{error(signal, first.unit)} rms, and the noise, which an ARX model does not explain, "
     text += f"is {error(noise, first.unit)} ({noise / step:.2g} steps of the converter)"
-    if ratio < NO_RATIO:
-        yield unusable(
-            "signal", f"{text}; the signal is only noise: use levels with a larger difference"
-        )
-    elif ratio < LEAST_RATIO:
-        yield warning("signal", f"{text}; use levels with a larger difference")
-    else:
+    if not ratio < LEAST_RATIO:
         yield good("signal", text)
+        return
+    grade, why = (unusable, "the signal is only noise: ") if ratio < NO_RATIO else (warning, "")
+    yield grade("signal", f"{text}; {why}use levels with a larger difference")
 
 
 def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
@@ -174,12 +164,9 @@ def check_turns(r: Recording) -> Iterator[Finding]:
     """Check that the number of turns is known everywhere."""
     if r.turns_unknown:
         at = ", ".join(f"{r.t[i]:.2f}" for i in r.turns_unknown[:3])
-        more = ", …" if len(r.turns_unknown) > 3 else ""
-        text = (
-            f"the number of turns is unknown from {at}{more} s on, after too many missing samples "
-        )
-        text += "in a row (or Ts is too long): the data are divided there"
-        yield warning("turns", text)
+        at += ", …" if len(r.turns_unknown) > 3 else ""
+        text = f"the number of turns is unknown from {at} s on, after too many missing samples in "
+        yield warning("turns", f"{text}a row (or Ts is too long): the data are divided there")
 
 
 def converter_step(r: Recording) -> int:
@@ -191,14 +178,13 @@ def converter_step(r: Recording) -> int:
 def hidden_step(r: Recording) -> Finding | None:
     """Return a warning if the dead band hides the rise of a step of a turning shaft, else None.
 
-    Its numbers are times in s. `begins_s` and `ends_s` are those of the last sample before the
-    hidden interval, and of the first sample after it, from the step. A step at `at_s`, in a run of
-    `length_s`, shows its rise if nobody turns the chassis until then; without these two numbers the
-    chassis rests before the step.
+    Its numbers are times in s. `begins_s` and `ends_s`, after the step, are those of the last
+    sample before the hidden interval and of the first sample after it. A step at `at_s`, in a run
+    of `length_s`, shows its rise if nobody turns the chassis until then; without these two numbers
+    the chassis rests before the step.
 
-    The function takes the equivalent time (`armrig.numerics.step_times`) as the duration of the
-    rise. The equivalent time is the lag of the angle relative to its final straight line. It can be
-    computed without samples of the rise.
+    The duration of the rise is the lag of the angle relative to its final straight line, the
+    equivalent time of `armrig.numerics.step_times`, which needs no samples of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
     if r.manifest.kind != "step" or edges.size != 1 or not r.description.channels[0].turns:
@@ -219,10 +205,10 @@ def hidden_step(r: Recording) -> Finding | None:
     gap = max(gaps, key=lambda g: g.stop - g.start, default=None)
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:
         return None
-    numbers = {"begins_s": (gap.start - 1 - at) * r.Ts, "ends_s": (gap.stop - at) * r.Ts}
-    text = f"{r.first} is hidden from {1e3 * numbers['begins_s']:.0f} to "
-    text += f"{1e3 * numbers['ends_s']:.0f} ms after the step, on the rise: the 63 % time is "
-    text += "inaccurate. Repeat with "
+    begins_s, ends_s = (gap.start - 1 - at) * r.Ts, (gap.stop - at) * r.Ts
+    numbers = {"begins_s": begins_s, "ends_s": ends_s}
+    text = f"{r.first} is hidden from {1e3 * begins_s:.0f} to {1e3 * ends_s:.0f} ms after the step,"
+    text += " on the rise: the 63 % time is inaccurate. Repeat with "
     if abs(v0) <= _MIN_SPEED_RAD_S:
         body = r.description.channels[0].body or "shaft"
         return warning("step", f"{text}the {body} turned by hand by a quarter turn", **numbers)

@@ -85,9 +85,8 @@ class DataVerdict:
 
     def __repr__(self) -> str:
         """Describe the verdict and all findings, one finding per line."""
-        outcome = "can be used" if self.usable else "cannot be used"
-        if self.usable and self.warnings:
-            outcome += ", with care"
+        care = ", with care" if self.warnings else ""
+        outcome = f"can be used{care}" if self.usable else "cannot be used"
         width = max(len(f.about) for f in self.findings)
         signs = {"good": " ", "warning": "?", "unusable": "!"}
         rows = [f"{signs[f.level]} {f.about:{width}}  {f.text}" for f in self.findings]
@@ -97,12 +96,9 @@ class DataVerdict:
 def data_verdict(recording: Recording) -> DataVerdict:
     """Judge the data of a recording: run, samples, input, angles, signal, timing and turns.
 
-    The signal is the rms deviation of the first channel from straight lines, one line for each
-    second, or from its mean if the channel does not turn. The power of the noise is subtracted. In
-    runs longer than 3 s, the first second is left out, because a shaft starts to turn in this
-    second. The noise is the standard deviation of the residuals of an ARX model of order 10 or
-    less. If the noise on the angle is white, this value is close to its standard deviation. The
-    value is at least the step of the converter divided by sqrt(12).
+    The noise is that of an ARX model of order 10 or less, close to the standard deviation of a
+    white noise on the angle. It is at least the step of the converter divided by sqrt(12). In runs
+    longer than 3 s, the signal is that after the first second, in which a shaft starts to turn.
 
     Parameters
     ----------
@@ -112,7 +108,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
     Returns
     -------
     DataVerdict
-        `findings`, their summaries `usable` and `warnings`, and the numbers that were judged.
+        Findings, their summaries `usable` and `warnings`, and the numbers that were judged.
 
     Examples
     --------
@@ -131,19 +127,15 @@ def data_verdict(recording: Recording) -> DataVerdict:
     noise = max(_noise(seen), step / 12**0.5) if seen else float("nan")
     first = recording.description.channels[0]
     signal = _signal(seen, noise, lines=first.turns) if seen else float("nan")
-    hidden = findings.hidden_step(recording)
-    found = [
-        *findings.check_run(recording),
-        findings.check_first(recording),
-        *([hidden] if hidden else ()),
-        *findings.check_second(recording),
-        *(findings.check_signal(first, signal, noise, step) if seen else ()),
-        *(findings.check_timing(recording, seen, noise) if seen else ()),
-        *findings.check_turns(recording),
-    ]
+    found = [*findings.check_run(recording), findings.check_first(recording)]
+    found += filter(None, [findings.hidden_step(recording)])
+    found += findings.check_second(recording)
+    if seen:
+        found += findings.check_signal(first, signal, noise, step)
+        found += findings.check_timing(recording, seen, noise)
     return DataVerdict(
         recording=recording.sha256,
-        findings=tuple(found),
+        findings=(*found, *findings.check_turns(recording)),
         signal_rad=signal,
         noise_rad=noise,
         step_rad=step,
@@ -209,12 +201,11 @@ def doubts(recording: Recording) -> Iterator[Finding]:
 
 
 def emulation(recordings: Sequence[Recording]) -> list[str]:
-    """Return a list with a sentence that names the emulated recordings; empty if there are none."""
+    """Return a list of one sentence on the emulated recordings; empty if there are none."""
     names = [r.path.name for r in recordings if r.manifest.emulated]
-    if not names:
-        return []
-    where = "" if len(names) == len(recordings) else f" in {listed(names)}"
-    return [f"The rig was emulated{where}: these are not measurements of a real rig."]
+    where = f" in {listed(names)}" if 0 < len(names) < len(recordings) else ""
+    text = f"The rig was emulated{where}: these are not measurements of a real rig."
+    return [text] if names else []
 
 
 def early_ends(recordings: Sequence[Recording]) -> Iterator[Finding]:
@@ -237,8 +228,8 @@ def different_calibrations(recordings: Sequence[Recording]) -> Iterator[Finding]
     if len(of) > 1:
         groups = "; ".join(listed(names) for names in of.values())
         text = f"The recordings were made with {len(of)} different calibrations ({groups}): their "
-        text += "angles and voltages cannot be compared. Read all recordings with one calibration, "
-        yield warning("calibrations", f"{text}`--calibration FILE`")
+        text += "angles and voltages cannot be compared; use one for all, `--calibration FILE`"
+        yield warning("calibrations", text)
 
 
 def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -> Iterator[Finding]:
@@ -312,15 +303,11 @@ def doubts_of_pair(
         yield from different_calibrations(pair)
     if one_plant and alone[0] != alone[1]:
         of, of_other = (f"the {body} alone" if part else "the whole rig" for part in alone)
-        text = f"{a} is of {of}, {b} of {of_other}: the {body} alone and the "
-        yield warning("plant", f"{text}whole rig are two plants")
+        yield warning("plant", f"{a} is of {of}, {b} of {of_other}: they are two plants")
 
 
 def _different_descriptions(ours: Description, theirs: Description) -> str:
-    """Return why signals of the same name are not the same quantity; "" for equal signals.
-
-    A description may have limits, a model or an output that the other description does not have.
-    """
+    """Return why signals of the same name are not the same quantity; "" for equal signals."""
     common = [name for name in ours.outputs if name in theirs.outputs]
     if not common:
         return "no output has the same name"
