@@ -70,44 +70,37 @@ def search(
 ) -> SearchResult:
     """Estimate many models, rank them on other data, and choose the simplest of the good models.
 
-    A candidate of order n has n poles and n numerator coefficients. A Box-Jenkins candidate also
-    has a noise model; nc = nd = 1 and nc = nd = 2 are tried. The best candidate has the least mean
-    squared error on the validation data. A candidate is as good as the best if its mean of e² -
-    e²_best is at most the standard error of this mean. Successive errors of a simulation are
-    correlated, so the standard error is the largest of those from 30, 15 and 7 batch means.
+    A candidate of order n has n poles and n numerator coefficients; "bj" has nc = nd = 1 or 2, too.
+    The best candidate has the least mean squared error on the validation data. A candidate is as
+    good if its mean of e² - e²_best is at most the standard error of this mean. Successive errors
+    are correlated, so this is the largest standard error of 30, 15 and 7 batch means. A simulation
+    does not distinguish drift from wrong dynamics, so only candidates that also predict one step
+    ahead as well as the best remain. Of these, the one with the fewest parameters is chosen.
 
-    The poles and the delay of the choice suggest process models with fewer parameters, such as
-    "P2D", which are then candidates, too. In closed loop they are not tried, since feedback biases
-    them.
+    The choice suggests process models with fewer parameters, such as "P2D", which are then
+    candidates, too. In closed loop they are not tried, since feedback biases them.
 
-    Of the candidates that are as good as the best, those remain that also predict one
-    step ahead as well as the best of them. A simulation does not distinguish drift from wrong
-    dynamics. The remaining candidate with the fewest parameters is chosen.
+    No candidate has a pole on or outside the unit circle, except a known integrator: the estimators
+    are called with `stable=True`. The findings of the chosen model report a pole that was moved.
 
-    No candidate has a pole on or outside the unit circle, except a known integrator. The estimators
-    are called with `stable=True`. If a pole was moved into the unit circle, the findings of the
-    chosen model report this.
-
-    For several outputs, the squared error is the sum over the outputs of (y - ŷ)² / var y. For
-    several signals, an output with an integrator has one pole more than n, and one more numerator
-    coefficient for each input. "oe" has a shared denominator. If samples are missing, "ss" has
-    no K.
+    For several outputs, the squared error is the sum over the outputs of (y - ŷ)² / var y. An
+    output with an integrator then has one pole more than n, and one more numerator coefficient for
+    each input. "oe" has a shared denominator. If samples are missing, "ss" has no K.
 
     Parameters
     ----------
     data : Dataset or Signals
         Data to estimate from.
     validation : Dataset or Signals, optional
-        Data to rank the models on. By default each model is estimated from the first half of `data`
-        and from the second, and ranked on the other half. The chosen model is then estimated again
-        from all `data`, with all start values of its estimator. If u rests in one half, the cut is
-        elsewhere. If no cut leaves two parts in which u moves, the models are ranked by Akaike's
-        FPE on the data that estimated them.
+        Data to rank the models on. By default each half of `data` estimates models that are ranked
+        on the other half, and all `data` then estimate the chosen model, with all start values. If
+        u rests in a half, the cut is elsewhere. If no cut leaves two parts in which u moves,
+        Akaike's FPE ranks the models on the data that estimated them.
     families : sequence of str, optional
         Names of structures in discrete time, such as "oe"; by default all but "ararx", "ss" and
-        "pem", and the process models that they suggest. In closed loop the default contains only
-        structures whose noise model prevents a bias by feedback. For several signals "ss", "n4sid"
-        and "oe", or only "oe" with an integrator or a level, which a state-space model cannot fix.
+        "pem". In closed loop the default contains only structures whose noise model prevents a bias
+        by feedback. For several signals "ss", "n4sid" and "oe", or only "oe" with an integrator or
+        a level, which a state-space model cannot fix.
     orders : iterable of int, optional
         Numbers of poles to try, >= 1, including the pole of an integrator, which does not count for
         several signals. The default is 1 to 5, and 6 to 8 as long as the choice is a model of the
@@ -115,20 +108,18 @@ def search(
     nk : int or iterable of int, optional
         Numbers of samples before u affects y; each number is tried. The default is the nk that
         `delay` finds, at least 1; for several signals 1. If a direct term is not ruled out, 0 is
-        tried, too, but not in closed loop, because a controller causes an apparent direct term. If
-        the data do not distinguish the two, 0 is tried, and `doubts` contains this finding.
+        tried, too, but not in closed loop, because a controller causes an apparent direct term.
     integrator : bool, str or sequence of str, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
-        theta_1; for any other output a test decides. If the test does not distinguish an integrator
-        from a slow pole, "n4sid" is tried with and without a pole at 1. If one kind is better by 2
-        standard errors, the other structures are of this kind; otherwise both kinds are tried. For
-        several signals: the outputs with a pole at 1, by default theta_1 if "oe" is tried.
+        theta_1; for any other output a test decides. If the test does not decide, "n4sid" is tried
+        with and without a pole at 1. If neither kind is better by 2 standard errors, the other
+        structures are tried with both kinds, too. For several signals: the outputs with a pole at
+        1, by default theta_1 if "oe" is tried.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option; of several
         signals only in "oe". The default is True if an output has a constant part, above 2 (of
         several signals 4) standard deviations in one of the two data sets, that u does not explain.
-        With an integrator, the default is False. If no constant part is found, the choice is also
-        tried with the offset, since slow noise hides a constant part from the test.
+        Otherwise the choice is also tried with the offset. With an integrator, it is False.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
         estimated with `focus="simulation"`. In closed loop the default for one input and output is
@@ -138,8 +129,7 @@ def search(
         in the thread of the caller.
     progress : callable, optional
         Called with the number of finished candidates, the number of all candidates, and the name of
-        the next candidate. A candidate that is not needed counts as finished. After the last
-        candidate the name is "".
+        the next candidate, at the end "". A candidate that is not needed counts as finished.
 
     Returns
     -------
@@ -154,7 +144,6 @@ def search(
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
     >>> found.fit.heading
