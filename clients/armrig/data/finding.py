@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -41,6 +41,14 @@ class Finding:
     """Remedy as a code, for the next command."""
     numbers: Mapping[str, float] = field(default_factory=dict, hash=False)
     """Numbers in the text, by name."""
+
+
+def lines_of(findings: Sequence[Finding], doubt: str = "!") -> str:
+    """Return a line for each finding: a mark for its level, its subject and its text."""
+    marks = {"good": " ", "warning": doubt, "unusable": "!"}
+    rows = [(marks[f.level], f.about.replace("_", " "), f.text) for f in findings]
+    width = max((len(about) for _, about, _ in rows), default=0)
+    return "\n".join(f"{mark} {about:{width}}  {text}" for mark, about, text in rows)
 
 
 def good(about: str, text: str, **numbers: float) -> Finding:

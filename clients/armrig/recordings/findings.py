@@ -23,11 +23,8 @@ if TYPE_CHECKING:
 
 
 LEAST_RATIO, NO_RATIO = 3.0, 0.3
-"""Signal-to-noise ratios.
-
-Below the first ratio, a recording of 30 s determines the inertias with errors of some per cent.
-Below the second ratio, the recording does not determine the inertias.
-"""
+"""Signal-to-noise ratios. Below the first, a recording of 30 s determines the inertias with errors
+of some per cent; below the second, it does not determine them."""
 MOST_HIDDEN = 0.15
 """Largest share of samples without an angle that a dead band of an eighth of a turn explains."""
 MOST_MISSING = 0.01

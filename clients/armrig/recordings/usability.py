@@ -14,7 +14,7 @@ from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description
 
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding, warning
+from armrig.data.finding import Finding, lines_of, warning
 from armrig.numerics.quantities import listed
 from armrig.numerics.regressors import whitening
 from armrig.recordings import findings
@@ -45,11 +45,9 @@ class DataVerdict:
     findings: tuple[Finding, ...]
     """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Rms deviation of a turning shaft from straight lines, one line for each second, in rad.
-
-    The power of the noise is subtracted. For another first channel, the deviation from its mean, in
-    its unit; the unit also holds for `noise_rad` and `step_rad`.
-    """
+    """Rms deviation of a turning shaft from straight lines, one line for each second, in rad; the
+    power of the noise is subtracted. For another first channel, the deviation from its mean. This
+    number, `noise_rad` and `step_rad` are then in the unit of the channel."""
     noise_rad: float
     """Standard deviation of the part of the first channel that no ARX model explains, in rad."""
     step_rad: float
@@ -87,10 +85,7 @@ class DataVerdict:
         """Describe the verdict and all findings, one finding per line."""
         care = ", with care" if self.warnings else ""
         outcome = f"can be used{care}" if self.usable else "cannot be used"
-        width = max(len(f.about) for f in self.findings)
-        signs = {"good": " ", "warning": "?", "unusable": "!"}
-        rows = [f"{signs[f.level]} {f.about:{width}}  {f.text}" for f in self.findings]
-        return "\n".join([f"recording {self.recording[:12]}: {outcome}", *rows])
+        return f"recording {self.recording[:12]}: {outcome}\n{lines_of(self.findings, '?')}"
 
 
 def data_verdict(recording: Recording) -> DataVerdict:
@@ -155,10 +150,7 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float, *, lines: bool) -> float:
-    """Return the rms deviation of y from `lines`, one for each second, or from its mean.
-
-    The power of the noise is subtracted.
-    """
+    """Return `DataVerdict.signal_rad`: the deviation from `lines`, or from the mean."""
     if not lines:
         return float(np.sqrt(max(float(np.nanvar(data.y)) - noise**2, 0.0)))
     n = max(8, round(_STRETCH_S / data.Ts))
@@ -209,10 +201,7 @@ def emulation(recordings: Sequence[Recording]) -> list[str]:
 
 
 def early_ends(recordings: Sequence[Recording]) -> Iterator[Finding]:
-    """Yield a finding for each recording that ended early, with the reason.
-
-    A recording without a fixed length (`armrig record`) cannot end early.
-    """
+    """Yield a finding for each recording of a fixed length that ended early, with the reason."""
     for r in recordings:
         if (why := findings.early_end(r)) and r.manifest.samples:
             text = f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} "
@@ -233,10 +222,7 @@ def different_calibrations(recordings: Sequence[Recording]) -> Iterator[Finding]
 
 
 def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -> Iterator[Finding]:
-    """Yield the doubts about the calibration that reads a recording, each a full sentence.
-
-    A calibration that was made after the recording is never stale.
-    """
+    """Yield the doubts about the calibration that reads a recording, each a full sentence."""
     if calibration is None:
         text = "The recording has no calibration: the daemon computed its angles."
         yield warning("no calibration", text)
@@ -258,7 +244,7 @@ def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -
     except (ValueError, TypeError):  # not a date, or only one of the two has an offset
         yield warning("age", "The age of the calibration is not known.")
         return
-    if age > timedelta(days=STALE_DAYS):
+    if age > timedelta(days=STALE_DAYS):  # negative if the rig was calibrated after the recording
         text = f"The calibration was {age.days} days old, more than {STALE_DAYS} days: calibrate "
         yield warning("age", f"{text}the rig again.")
 
@@ -278,10 +264,8 @@ def doubts_of_pair(
 ) -> Iterator[Finding]:
     """Yield the doubts about validating the models of `first` with `other`.
 
-    If `one_plant` is False, one recording may be of a part alone and the other recording of the
-    whole rig.
-
-    Raises InputError if the recordings have no output in common, or describe a signal differently.
+    If `one_plant` is False, only one recording may be of the whole rig. Raises InputError if the
+    recordings have no output in common, or describe a signal differently.
     """
     way_out = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
     yield from doubts_of_estimation(other, f"{way_out}--validation`)")
@@ -327,8 +311,7 @@ def _different_descriptions(ours: Description, theirs: Description) -> str:
 def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[Finding]:
     """Return the doubts about each recording, about pairs of recordings, and about calibrations.
 
-    Recordings of steps and staircases are in no pair. Each pair consists of the first remaining
-    recording and a later recording.
+    A pair is the first recording that is no step or staircase, and a later such recording.
     """
     found = [finding for r in recordings for finding in doubts(r)]
     excited = [r for r in recordings if r.manifest.kind not in NO_MODEL]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -11,7 +11,7 @@ import numpy as np
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
-from armrig.data.finding import Finding, good, warning
+from armrig.data.finding import Finding, good, lines_of, warning
 from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift
 from armrig.data.treatment.integrating import Integration, integration, may_be_one
@@ -47,8 +47,7 @@ _SAME_POLE = 1e-6  # distance in the z plane of equal poles of two channels
 _Pair = tuple[complex, complex, float]
 """A pole, a zero, and the p value of their difference."""
 ORDER = 4
-"""Number of poles, and number of numerator coefficients, of the model for which u must be exciting;
-the arm has 4 poles."""
+"""Order of the model for which u must be exciting; the arm has 4 poles."""
 _MAX_MISSING_SHARE = 0.2
 _RICHER = "play a u that switches often (telegraph, PRBS)"
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1, in σ, of a pole that is not 1; σ may be too small
@@ -70,7 +69,7 @@ class Advice:
 
     def explain(self) -> str:
         """Return a line for each finding; the findings that need action are first."""
-        return _lines(self.findings)
+        return lines_of(sorted(self.findings, key=lambda f: f.level == "good"))
 
     def __repr__(self) -> str:
         """Return a count and the findings."""
@@ -79,24 +78,13 @@ class Advice:
         return f"advice on {self.of}: {said}\n{self.explain()}"
 
 
-def _lines(findings: Iterable[Finding]) -> str:
-    ranked = sorted(findings, key=lambda f: f.level == "good")
-    width = max((len(f.about) for f in ranked), default=0)
-    return "\n".join(
-        f"{' ' if f.level == 'good' else '!'} {f.about.replace('_', ' '):{width}}  {f.text}"
-        for f in ranked
-    )
-
-
 @each_channel()
 def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Examine data or a model, and return the findings with their remedies.
 
     For data, the advice covers excitation, integrator, missing samples, outliers, drift, feedback,
-    delay and linearity. For a model, it contains the findings of the estimation, and covers the
-    residuals and an integrator that is not fixed. Poles and zeros may cancel (the order is too
-    high), and a pole may be real and negative, which no sampled rig has. The first coefficient of B
-    may be 0 (a delay).
+    delay and linearity. For a model, it contains the findings of the estimation. It also covers the
+    residuals, superfluous orders, an integrator that is not fixed, and a delay.
 
     Parameters
     ----------
@@ -121,7 +109,6 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> print(armrig.advice(armrig.oe(data, nb=3, nf=3)))
     advice on OE[3 3 1] of alpha: nothing to act on
@@ -138,15 +125,14 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     each = dict(_examined_channels(fit))
     if (fit.ny, fit.nu) == (1, 1):
         return each[fit.outputs[0], fit.inputs[0]]
-    return ByChannel(results=each, refused={}, together=_lines(fit.findings))  # type: ignore[return-value]
+    together = Advice(of=fit.label, findings=fit.findings).explain()
+    return ByChannel(results=each, refused={}, together=together)  # type: ignore[return-value]
 
 
 def _examined_channels(model: Fit) -> Iterator[tuple[Name, Advice]]:
-    """Yield the names of each channel and the advice on it, with the findings of the estimation.
-
-    A model in continuous time is examined as sampled.
-    """
+    """Yield the names of each channel and the advice on it, with the findings of the estimation."""
     kind = DESCRIBED.get(model.structure, CHANNEL)
+    # A model in continuous time is examined as sampled.
     fit = model if model.Ts else model.to_discrete()
     channels = {(fit.outputs[i], fit.inputs[j]): one for i, j, one in fit.channels()}
     pairs = {name: overlapping(one) for name, one in channels.items()}
@@ -204,10 +190,8 @@ def _about_overlap(pairs: list[_Pair], kind: RegisteredStructure) -> Finding:
     text = f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order "
     each = [name for name in ("nb", kind.poles) if name in kind.orders]
     lower = " and ".join(each) or "the number of time constants"
-    lower = "the order" if lower == "order" else lower
-    poles = sum(2 if pole.imag else 1 for pole, *_ in pairs)
-    text += f"is too high by the number of pairs; lower {lower}"
-    return warning("order", text, "order", poles=poles)
+    text += f"is too high by the number of pairs; lower {'the ' * (lower == 'order')}{lower}"
+    return warning("order", text, "order", poles=sum(1 + bool(pole.imag) for pole, *_ in pairs))
 
 
 def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
@@ -234,11 +218,8 @@ def _real_poles(fit: Fit) -> list[tuple[float, float]]:
 
 
 def _about_pole_at_1(fit: Fit, kind: RegisteredStructure) -> Iterator[Finding]:
-    if fit.integrator:
-        return
-    known = fit.output in INTEGRATING_OUTPUTS
     at_1 = [pole for pole in _real_poles(fit) if may_be_one(*pole, fit.N)]
-    if at_1 or known:
+    if not fit.integrator and (at_1 or fit.output in INTEGRATING_OUTPUTS):
         text = f"{fit.output} integrates, and no pole of the model is 1"
         text = f"pole {near_one(*at_1[0])} is 1 within its accuracy" if at_1 else text
         has = kind.continuous or "integrator" in kind.takes
@@ -389,9 +370,9 @@ def _about_rails(data: Dataset) -> Iterator[Finding]:
     """Yield a warning if y stays exactly at its largest or smallest value."""
     at, rails = rails_of(data.y) if data.valid.any() else (data.valid, [])
     if rails:
-        text = f"{np.count_nonzero(at)} of {data.N} samples of {data.output} equal its "
-        text += "largest or smallest value, as at the rail of a converter: mark them missing"
-        yield warning("rails", text + " (--mask-rails)", "rails")
+        text = f"{np.count_nonzero(at)} of {data.N} samples of {data.output} are at its largest or "
+        text += "smallest value, as at a converter's rail: mark them missing (--mask-rails)"
+        yield warning("rails", text, "rails")
 
 
 def _about_integrator(decided: Integration) -> Finding:
@@ -419,36 +400,31 @@ def _about_outliers(data: Dataset) -> Finding:
 
 
 def _about_drift(data: Dataset) -> Iterator[Finding]:
-    try:
+    with suppress(ValueError):
         found = drift(data, integrator=False)
-    except ValueError:
-        return
-    for i, line in enumerate(found, 1):
-        name = "drift" if len(found) == 1 else f"drift {i}"
-        drifts = abs(line.z) > BAND_99_PERCENT
-        remedy = "; remove it, detrend(data, order=1)"
-        yield warning(name, f"{line}{remedy}") if drifts else good(name, str(line))
+        for i, line in enumerate(found, 1):
+            name = "drift" if len(found) == 1 else f"drift {i}"
+            drifts = abs(line.z) > BAND_99_PERCENT
+            remedy = "; remove it, detrend(data, order=1)" if drifts else ""
+            yield (warning if drifts else good)(name, f"{line}{remedy}")
 
 
-def about_feedback(known: Tested) -> Iterator[Finding]:
-    """Yield the result of the test for feedback."""
-    loop = known.loop
-    if loop is None:
-        return
+def about_feedback(known: Tested) -> list[Finding]:
+    """Return the result of the test for feedback; [] without a test."""
+    if (loop := known.loop) is None:
+        return []
     if loop.feedback is None:
-        yield good("feedback", f"not tested: {'; '.join(loop.remarks)}")
-        return
+        return [good("feedback", f"not tested: {'; '.join(loop.remarks)}")]
     p = f"p {p_relation(loop.p_value)}"
     if not loop.feedback:
-        yield good("feedback", f"none is found ({p})")
-        return
+        return [good("feedback", f"none is found ({p})")]
     able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
     text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use {able} "
     text = "; ".join([f"{text}with nk >= 1, or record in open loop", *loop.remarks])
     if loop.p_value >= CHANCE_LEVEL:
         chance = f"one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
         text += f". By chance {chance}"
-    yield warning("feedback", text, "check")
+    return [warning("feedback", text, "check")]
 
 
 def _about_delay(known: Tested) -> Finding:
