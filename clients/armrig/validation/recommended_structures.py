@@ -99,24 +99,22 @@ class _Record:
     The difference of description lengths of other samples would depend on the unit of y.
     """
 
-    parts: tuple[Dataset, ...]
+    parts: tuple[tuple[Vector, Vector], ...]
+    """Signals u and y of each experiment; a missing y is NaN."""
     latest: int
     """Largest nk of a structure."""
 
     def require_samples(self, past: int = 0) -> None:
         """Refuse data whose experiments are too short for the lowest order of `_FIRST_ORDERS`."""
         needed = past + self.latest + 3 * (2 * _FIRST_ORDERS[0] + _EXTRA_COEFFICIENTS)
-        longest = max(part.N for part in self.parts)
+        longest = max(y.size for _, y in self.parts)
         require_samples("an experiment for structure hints", needed=needed, got=longest)
 
     def filtered(self, D: Vector) -> _Record:
         """Return the signals D u and D y, without the samples that need values before the start."""
-        p, found = D.size - 1, []
-        for part in self.parts:
-            if p < part.N:
-                u, y = (filtered(D, [1.0], x)[p:] for x in (part.u, part.y))
-                found.append(part[p:].replaced(step=None, u=u, y=y, valid=np.isfinite(y)))
-        return replace(self, parts=tuple(found))
+        p = D.size - 1
+        parts = [(filtered(D, [1.0], u)[p:], filtered(D, [1.0], y)[p:]) for u, y in self.parts]
+        return replace(self, parts=tuple(part for part in parts if part[1].size))
 
     def problem(self, s: Recommended) -> PolynomialProblem:
         """Return the estimation problem, with u shifted by its delay.
@@ -128,12 +126,9 @@ class _Record:
         n = Structure(
             nb=(s.nb,), nf=(s.nf - s.integrator,), nk=(s.nk - d,), integrator=letter, offset=True
         )
-        later = [
-            p[cut:].replaced(step=None, u=p.u[cut - d : p.N - d]) for p in self.parts if cut < p.N
-        ]
-        return PolynomialProblem(
-            experiments=tuple((prepared(p.u, p.y, n),) for p in later), rows=(n,)
-        )
+        parts = [(u[cut - d : u.size - d], y[cut:]) for u, y in self.parts if cut < y.size]
+        each = tuple((prepared(u, y, n),) for u, y in parts)
+        return PolynomialProblem(experiments=each, rows=(n,))
 
 
 def process_forms(poles: NDArray[Any], *, nk: int, integrator: bool) -> dict[int, str]:
@@ -164,20 +159,18 @@ def recommended(
     An autoregression 1/D describes the residuals of a first model, so that the noise of the
     filtered signals D u and D y is white. The output-error estimate then maximises the likelihood,
     and the description length (MDL) distinguishes the orders. Each order is fitted at the given
-    lags, the likeliest first, and at the lags that ARX models prefer. Then all neighbours of the
-    best structures are fitted. If `decide` is True, the description length may decide against
-    `integrates`; if it does not decide, the result has structures with and without an integrator.
+    lags, the likeliest first, and at the lags that ARX models prefer. If `decide` is True, the
+    description length may decide against `integrates`, or for neither.
     """
     data = _busiest(data)
     nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_MAX_LAGS]
-    record = _Record(parts=tuple(data.experiments()), latest=max(*nks, 1) + _EXTRA_COEFFICIENTS)
+    parts = tuple((part.u, part.y) for part in data.experiments())
+    record = _Record(parts=parts, latest=max(*nks, 1) + _EXTRA_COEFFICIENTS)
     record.require_samples()
     kinds = (False, True) if decide else (integrates,)
     first = [m for i in kinds for n in _FIRST_ORDERS for m in _full(record, n, nks, i)]
     if not first:
-        raise InputError(
-            "u excites no model of third order: record with a richer input (telegraph, PRBS)"
-        )
+        raise InputError("u excites no model of third order: play a telegraph or a PRBS")
     D, _ = autoregression(_joined([first])[0].residuals(), mdl)
     record.require_samples(past=D.size - 1)
     white = record.filtered(D)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,6 @@ LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until o
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
 _ROUNDING = 1e-9  # 1/sample; a slower pole counts as a pole at 1
 FLAT_SLOPE = 5.0  # largest slope of a gain that counts as constant, in dB a decade
-_ORDINALS = {1: "first", 2: "second", 3: "third"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -56,38 +54,34 @@ class StructureHints:
     integrator: bool
     """True if y integrates: the first structure has a pole at 1."""
     integrator_shown: bool
-    """True if the data decide whether y integrates. Otherwise `structures` includes a structure
-    with and a structure without an integrator."""
+    """True if the data decide whether y integrates. Otherwise `structures` has both kinds."""
     low_slope: float | None
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
     the slope of the first structure differs by more than 3 dB a decade."""
     process: str
     """Form of `process` with the poles of the first structure, or "" if a zero is needed."""
     high_slope: float | None
-    """Slope of |G| in dB a decade at the highest frequencies at which u explains y; they span a
-    third of a decade. None if the slope of the first structure differs by more than 3 dB a
-    decade."""
+    """Slope of |G| in dB a decade over `high_band`; None as for `low_slope`."""
     high_band: Vector
-    """Frequencies at which `high_slope` was estimated, in rad/s."""
+    """Highest frequencies at which u explains y (coherence above one half), in rad/s. They span a
+    third of a decade. Near the Nyquist frequency, sampling hides the slope."""
     relative_degree: int
-    """Number of poles minus number of zeros, from the slope at high frequency; 0 if ``|G|`` does
-    not fall, or if no slope can be estimated."""
+    """Number of poles minus number of zeros: each such pole changes `high_slope` by -20 dB a
+    decade. 0 if ``|G|`` does not fall, or if no slope can be estimated."""
     resonances: tuple[float, ...]
-    """Frequencies in rad/s of the peaks of |G| of the first structure, where u explains y. If y
-    integrates, |G| is the response of the rate of y."""
+    """Frequencies in rad/s of the peaks of |G| of the first structure, at least 2 dB high, where u
+    explains y. If y integrates, |G| is the response of the rate of y."""
     antiresonances: tuple[float, ...]
-    """Frequencies in rad/s of the dips of |G| of the first structure, where u explains y."""
+    """Frequencies in rad/s of the dips of this |G|."""
     nk_interval: tuple[int, int] | None
-    """Least and greatest nk that the test `armrig.delay` does not rule out. None if this test
-    raised an error, or if this range does not contain `nk`."""
+    """Least and greatest nk that `armrig.delay` allows; None if it failed, or excludes `nk`."""
     excess: Mapping[int, float]
-    """Description length of the best structure with each number of poles, minus the description
-    length of the first structure. A difference of less than 2 hardly counts."""
+    """Description length above that of the first structure, by the number of poles; a difference
+    of less than 2 hardly counts."""
     excitation: int
     """Order of persistence of excitation of u; at least nb + nf if u determines the parameters."""
     trusted: float
-    """Highest frequency at which u explains y, in rad/s; 0 if u explains y at fewer than three
-    frequencies."""
+    """Highest frequency at which u explains y, in rad/s; 0 if there are fewer than three."""
     spectrum: SpectralEstimate
     """Estimated frequency response from u to y."""
     response: ImpulseResponse
@@ -136,30 +130,18 @@ class StructureHints:
 
 @each_channel(together=lambda found: f"all channels: {call_of_all(found)}")
 @takes_recordings
-def structure_hints(
-    data: Dataset,
-    *,
-    integrator: bool | None = None,
-) -> StructureHints:
+def structure_hints(data: Dataset, *, integrator: bool | None = None) -> StructureHints:
     """Recommend at most three structures, with the reasons for them.
 
     The structures are the output-error structures with the shortest description lengths, after a
     filter has whitened the noise (`recommended`). If the data show whether y integrates, one of the
-    structures has nb = nf, like a plant under a zero-order hold. The reasons are the following;
-    the results of nonparametric estimates are reported if the first structure agrees:
+    structures has nb = nf, like a plant under a zero-order hold. The fields of `StructureHints` are
+    the reasons; slopes of nonparametric estimates are reported if the first structure agrees.
 
-    - Integrator: the test of `delay` and `search` (`armrig.data.treatment.integrating`). If the
-      data do not distinguish an integrator from a slow pole, the description lengths decide; if
-      these hardly differ, structures with and without an integrator are recommended. The output
-      theta_1 is taken as integrating. With an integrator the slope of the gain at low frequency is
-      -20 dB a decade.
-    - Order: the differences of the description lengths.
-    - Number of poles minus number of zeros: the slope at the highest frequencies at which u
-      explains y (coherence above one half). Each pole in excess of the zeros changes the slope by
-      -20 dB a decade. Sampling hides the slope near the Nyquist frequency.
-    - Resonances and antiresonances: the peaks and dips of the gain of the first structure, at least
-      2 dB high.
-    - Delay: the result of `delay`.
+    The output theta_1 is taken as integrating. For any other output the test of `delay` and
+    `search` decides (`armrig.data.treatment.integrating`). If the test does not distinguish an
+    integrator from a slow pole, the description lengths decide. If these hardly differ, structures
+    with and without an integrator are recommended.
 
     Parameters
     ----------
@@ -180,8 +162,7 @@ def structure_hints(
     Raises
     ------
     ValueError
-        There are too few samples, or both of two conditions hold: u explains y at too few
-        frequencies, and `delay` raises an error.
+        There are too few samples; or `delay` raises an error and u explains y at few frequencies.
 
     References
     ----------
@@ -189,7 +170,6 @@ def structure_hints(
 
     Examples
     --------
-    >>> import armrig
     >>> hints = armrig.structure_hints(armrig.example_recording().dataset("theta_1")[:400])
     >>> hints.structures[0]
     Recommended(nb=4, nf=4, nk=1, integrator=True)
@@ -273,17 +253,11 @@ def _extremes(best: Fitted, omega: Vector, Ts: float) -> list[tuple[float, ...]]
     return [tuple(map(float, w[at])) for at in found]
 
 
-def _extremes_told(h: StructureHints) -> str:
-    """Return the resonances and antiresonances, with the poles and zeros that they need."""
-    told = []
-    for x, name, wants in (
-        (h.resonances, "resonance", "poles"),
-        (h.antiresonances, "antiresonance", "zeros"),
-    ):
-        at = ", ".join(f"{w:.3g}" for w in x)
-        several, each = ("s", " each") if len(x) > 1 else ("", "")
-        told.append(f"{name}{several} at {at} rad/s (two {wants}{each})" if x else f"no {name}")
-    return ", ".join(told)
+def _extremes_told(omega: tuple[float, ...], name: str, wants: str) -> str:
+    """Return the resonances or antiresonances, with the poles or zeros that they need."""
+    several, each = ("s", " each") if len(omega) > 1 else ("", "")
+    at = f"{several} at {', '.join(f'{w:.3g}' for w in omega)} rad/s (two {wants}{each})"
+    return f"{name}{at}" if omega else f"no {name}"
 
 
 def _process_told(form: str) -> str:
@@ -291,7 +265,8 @@ def _process_told(form: str) -> str:
     parts = {"D": "dead time", "I": "an integrator", "U": "a resonance"}
     has = [name for letter, name in parts.items() if letter in form]
     more = f" with {listed(has)}" if has else ""
-    return f'a {_ORDINALS[int(form[1])]}-order process{more}: process(data, "{form}")'
+    ordinal = ("first", "second", "third")[int(form[1]) - 1]
+    return f'a {ordinal}-order process{more}: process(data, "{form}")'
 
 
 def _named(s: Recommended) -> str:
@@ -305,16 +280,14 @@ def call_of_all(found: Mapping[Name, StructureHints]) -> str:
     have a root at 1 in B, too.
     """
     integrating = tuple(dict.fromkeys(output for (output, _), h in found.items() if h.integrator))
-    inputs = list(dict.fromkeys(input for _, input in found))
-    more = {name: name[0] in integrating and not h.integrator for name, h in found.items()}
-
-    def orders(order: str) -> Any:
-        n = [getattr(h, order) + (order != "nk" and more[name]) for name, h in found.items()]
-        rows = [n[i : i + len(inputs)] for i in range(0, len(n), len(inputs))]
-        return n[0] if len(set(n)) == 1 else rows
-
-    given = ", ".join(f"{order}={orders(order)}" for order in ("nb", "nf", "nk"))
-    return f"oe(data, {given}, integrator={integrating or False})"
+    nu = len({input for _, input in found})
+    more = [name[0] in integrating and not h.integrator for name, h in found.items()]
+    given = ""
+    for order, root in (("nb", more), ("nf", more), ("nk", [False] * len(more))):
+        n = [getattr(h, order) + extra for h, extra in zip(found.values(), root, strict=True)]
+        rows = [n[i : i + nu] for i in range(0, len(n), nu)]
+        given += f"{order}={n[0] if len(set(n)) == 1 else rows}, "
+    return f"oe(data, {given}integrator={integrating or False})"
 
 
 def _findings(h: StructureHints) -> Iterator[Finding]:
@@ -324,8 +297,9 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
         yield warning("excitation", poor_input(h.excitation, many))
     yield _about_integrator(h)
     if h.resonances or h.antiresonances:
-        what = "the rate" if h.integrator else "y"
-        yield good(f"shape of {what}", _extremes_told(h))
+        peaks = _extremes_told(h.resonances, "resonance", "poles")
+        dips = _extremes_told(h.antiresonances, "antiresonance", "zeros")
+        yield good(f"shape of {'the rate' if h.integrator else 'y'}", f"{peaks}, {dips}")
     near = [f"nf = {n} by {d:.1f}" for n, d in h.excess.items() if abs(n - h.nf) == 1]
     more = f"; it is longer with {listed(near)} (below {BARE:g} hardly counts)" if near else ""
     yield good("order", f"nf = {h.nf} has the shortest description (MDL){more}")
