@@ -46,6 +46,8 @@ _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of
 _MIN_BATCHES = 7  # fewest batches for a standard error
 _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
 _BOTH_TRIED = "y may integrate, so structures were tried with and without a pole at 1"
+_Data = Dataset | Signals
+_Fold = tuple[_Data, _Data]
 _Ranking = tuple[list[Scored], Vector, Vector, Vector, int]
 _Stage = tuple[list[Candidate], int, Callable[[_Ranking], list[Candidate]]]
 _OWN_DATA = (
@@ -97,10 +99,9 @@ def search(
         u rests in a half, the cut is elsewhere. If no cut leaves two parts in which u moves,
         Akaike's FPE ranks the models on the data that estimated them.
     families : sequence of str, optional
-        Names of structures in discrete time, such as "oe"; by default all but "ararx", "ss" and
-        "pem". In closed loop the default contains only structures whose noise model prevents a bias
-        by feedback. For several signals "ss", "n4sid" and "oe", or only "oe" with an integrator or
-        a level, which a state-space model cannot fix.
+        Names of structures in discrete time, such as "oe". The default is all but "ararx", "ss" and
+        "pem"; in closed loop those whose noise model prevents a bias by feedback. For several
+        signals it is "ss", "n4sid" and "oe", or only "oe" with an integrator or a level.
     orders : iterable of int, optional
         Numbers of poles to try, >= 1, including the pole of an integrator, which does not count for
         several signals. The default is 1 to 5, and 6 to 8 as long as the choice is a model of the
@@ -125,8 +126,7 @@ def search(
         estimated with `focus="simulation"`. In closed loop the default for one input and output is
         1, because a model that is biased by feedback would have the best simulation.
     executor : concurrent.futures.Executor, optional
-        Executor for the estimates, such as a ``ProcessPoolExecutor``; by default the estimates run
-        in the thread of the caller.
+        Executor of the estimates, such as ``ProcessPoolExecutor``; by default the caller's thread.
     progress : callable, optional
         Called with the number of finished candidates, the number of all candidates, and the name of
         the next candidate, at the end "". A candidate that is not needed counts as finished.
@@ -193,9 +193,8 @@ def search(
     tell(total, total, "")
     if ranking is None:
         first, reason = next(iter(failed.items()))
-        raise InputError(
-            f"none of the structures could be estimated; the first, {first.name}: {reason}"
-        )
+        text = f"the first, {first.name}: {reason}"
+        raise InputError(f"none of the structures could be estimated; {text}")
     ranked, rms, excess, excess_std, chosen = ranking
     tests = residuals(ranked[chosen].fit, validation)
     request = ranked[chosen].candidate.request
@@ -220,9 +219,9 @@ def search(
 
 
 def _planned(
-    whole: Dataset | Signals,
-    data: Dataset | Signals,
-    validation: Dataset | Signals,
+    whole: _Data,
+    data: _Data,
+    validation: _Data,
     families: Sequence[OfferedName] | None,
     orders: list[int],
     nk: int | Iterable[int] | None,
@@ -309,10 +308,7 @@ def _candidates(
 
 
 def _offset(
-    data: Dataset | Signals,
-    validation: Dataset | Signals,
-    offset: bool | None,
-    families: Sequence[OfferedName],
+    data: _Data, validation: _Data, offset: bool | None, families: Sequence[OfferedName]
 ) -> tuple[bool, list[str]]:
     """Decide whether the input offset is estimated; return the decision and a note."""
     able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
@@ -381,11 +377,7 @@ def _processes(ranking: _Ranking) -> list[Candidate]:
 
 
 def _score(
-    candidate: Candidate,
-    folds: list[tuple[Dataset | Signals, Dataset | Signals]],
-    horizon: int | None,
-    *,
-    own: bool = False,
+    candidate: Candidate, folds: list[_Fold], horizon: int | None, *, own: bool = False
 ) -> Scored | str:
     """Return the candidate's first model and the errors of each model, or why none is usable.
 
@@ -412,7 +404,7 @@ def _score(
     )
 
 
-def _fault(fit: Fit, error: Vector, data: Dataset | Signals) -> str:
+def _fault(fit: Fit, error: Vector, data: _Data) -> str:
     """Return the reason why the model is not usable, or ""."""
     # If the error grows to the end of the data, the standard error of its mean square is as large
     # as the mean square. The ranking alone would not reject such a candidate.
@@ -423,12 +415,8 @@ def _fault(fit: Fit, error: Vector, data: Dataset | Signals) -> str:
     return next((f.text for f in fit.findings if "modulus" in f.numbers), "")
 
 
-def _ranked(scored: list[Scored], judged: Dataset | Signals) -> _Ranking:
-    """Return the candidates, best first, their rms, excess and its standard error, and the choice.
-
-    Of the candidates within one standard error of the best, the choice is the simplest that
-    predicts one step ahead as well as the best predictor.
-    """
+def _ranked(scored: list[Scored], judged: _Data) -> _Ranking:
+    """Return the candidates, best first; their rms, excess and its standard error; the choice."""
     loss, excess, excess_std = _compared([j.error for j in scored], judged)
     order = np.argsort(loss, kind="stable")
     ranked, excess, excess_std = [scored[i] for i in order], excess[order], excess_std[order]
@@ -442,12 +430,8 @@ def _ranked(scored: list[Scored], judged: Dataset | Signals) -> _Ranking:
     return ranked, np.sqrt(loss[order]), excess, excess_std, chosen
 
 
-def _compared(errors: list[Vector], judged: Dataset | Signals) -> tuple[Vector, Vector, Vector]:
-    """Return each model's mean squared error, its excess over the least, and the standard error.
-
-    The standard error is the largest of those from 30, 15 and 7 batches, since the batches must be
-    longer than the unknown correlation time of the errors.
-    """
+def _compared(errors: list[Vector], judged: _Data) -> tuple[Vector, Vector, Vector]:
+    """Return each model's mean squared error, its excess over the least, and the standard error."""
     y = np.where(judged.valid, judged.y, np.nan).reshape(judged.N, -1)
     std = np.nanstd(y, axis=0) if y.shape[1] > 1 else np.ones(1)
     scaled = np.array([e.reshape(y.shape) / std for e in errors])
@@ -459,6 +443,7 @@ def _compared(errors: list[Vector], judged: Dataset | Signals) -> tuple[Vector, 
     difference = squared - squared[np.argmin(squared.mean(axis=1))]
     means = np.array([batch_means(d) for d in difference])
     std_of_mean = standard_error(means)
+    # The batches must be longer than the correlation time of the errors, which is not known.
     while (K := means.shape[1]) >= _MIN_BATCHES * 2:
         means = means[:, : K // 2 * 2].reshape(len(means), -1, 2).mean(axis=2)
         std_of_mean = np.maximum(std_of_mean, standard_error(means))
@@ -467,14 +452,8 @@ def _compared(errors: list[Vector], judged: Dataset | Signals) -> tuple[Vector, 
     return loss, difference.mean(axis=1), np.maximum(std_of_mean, least_std)
 
 
-def _estimation_and_validation(
-    data: Dataset | Signals,
-) -> tuple[Dataset | Signals, Dataset | Signals]:
-    """Return two parts in which each input moves, cut as near to the middle as possible.
-
-    Without an input that moves, a part does not distinguish models. If no cut leaves two such
-    parts, all data are returned twice.
-    """
+def _estimation_and_validation(data: _Data) -> _Fold:
+    """Return two parts in which each input moves, cut near the middle; if impossible, all twice."""
     u = data.u.reshape(data.N, -1)
     if not np.ptp(u):
         raise InputError(CONSTANT_INPUT)

@@ -32,11 +32,9 @@ class Candidate:
     request: Request
     """Request that estimates the model."""
     named_by_pole: bool = False
-    """True if `name` states a pole at 1, because the search tries the structure with and without
-    it."""
+    """True if the search tries the structure with and without a pole at 1."""
     named_by_level: bool = False
-    """True if `name` states the offset, which counts as a parameter, because the search tries the
-    structure with and without it."""
+    """True if `name` states the offset, which then counts as a parameter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,8 +46,7 @@ class Scored:
     fit: Fit
     """The model, estimated from the first half if the data were halved."""
     error: Vector
-    """y - ŷ on other data, (N,) or (N, ny), NaN where it is unknown. If the data were halved, these
-    are the errors on both halves."""
+    """y - ŷ on other data, or on both halves, (N,) or (N, ny); NaN where it is unknown."""
     ahead: Vector
     """The same errors one step ahead."""
 
@@ -76,7 +73,6 @@ class SearchResult:
 
     Examples
     --------
-    >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
     >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
     >>> [scored.candidate.name for scored in found.ranked]
@@ -86,8 +82,8 @@ class SearchResult:
     ranked: tuple[Scored, ...]
     """Candidates with a usable model, best first."""
     rms: Vector
-    """Root mean square error of each candidate in `ranked`, in `unit`. For several outputs: root of
-    the sum of the mean squared errors, each divided by the variance of the output."""
+    """Root mean square error of each candidate in `ranked`, in `unit`. The squared error of several
+    outputs is the sum of (y - ŷ)² / var y."""
     excess: Vector
     """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
@@ -97,14 +93,11 @@ class SearchResult:
     failed: dict[Candidate, str]
     """Reason why a candidate has no usable model, for each such candidate."""
     doubts: tuple[Finding, ...]
-    """Findings about problems of the data, such as poor excitation, wrong samples, feedback, or a
-    constant part of y that u does not explain."""
+    """Findings about problems of the data, such as poor excitation, wrong samples or feedback."""
     notes: tuple[str, ...]
-    """Sentences on decisions that the search based on the data, such as an integrator or an
-    offset."""
+    """Sentences on decisions about the data, such as an integrator or an offset."""
     halved: bool
-    """True if each half of the data estimated models that were ranked on the other half. The chosen
-    model was then estimated from all the data."""
+    """True if each half of the data estimated models that were ranked on the other half."""
     tests: ResidualTest
     """Tests of the chosen model's residuals on the validation data."""
     horizon: int | None
@@ -132,8 +125,7 @@ class SearchResult:
 
         Examples
         --------
-        >>> import armrig
-        >>> data = armrig.example_recording().dataset("alpha")
+            >>> data = armrig.example_recording().dataset("alpha")
         >>> armrig.search(data, families=["arx", "oe"], orders=[2, 3]).plot()
         <Figure size ... with 1 Axes>
         """
@@ -147,8 +139,7 @@ class SearchResult:
 
         Examples
         --------
-        >>> import armrig
-        >>> data = armrig.example_recording().dataset("alpha")
+            >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).explain())
         - best simulation of the validation data: OE[3 3 1], rms error 0.0035... rad
         - chosen: the best, since no simpler model is within one standard error of it
@@ -167,8 +158,7 @@ class SearchResult:
 
         Examples
         --------
-        >>> import armrig
-        >>> data = armrig.example_recording().dataset("alpha")
+            >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).table())
         5 models, simulated, ranked by their error on the part of the data that did not ...
           model            parameters   rms [rad]  excess mean square ± se [rad²]
@@ -177,7 +167,7 @@ class SearchResult:
           OE[2 2 1]                 4     0.0338...               0.0011... ± 9.4e-05
           ARX[3 3 1]                6    0.075...
         """
-        what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
+        what = f"predicted {plural(n, 'sample')} ahead" if (n := self.horizon) else "simulated"
         count = len(self.ranked) + len(self.failed)
         where = "part of the data that did not estimate them" if self.halved else "validation data"
         width = max(len(j.candidate.name) for j in self.ranked)
@@ -193,10 +183,8 @@ class SearchResult:
             j = self.ranked[i]
             of_best = "" if i == 0 else f"{self.excess[i]:.3g} ± {self.excess_std[i]:.2g}"
             mark = "  <- chosen" if i == self.chosen_index else ""
-            lines.append(
-                f"  {j.candidate.name:{width}} {j.parameters:10} {self.rms[i]:11.5g}  "
-                f"{of_best:>{max(24, len(over))}}{mark}"
-            )
+            row = f"  {j.candidate.name:{width}} {j.parameters:10} {self.rms[i]:11.5g}  "
+            lines.append(f"{row}{of_best:>{max(24, len(over))}}{mark}")
         if len(self.ranked) > len(shown):
             lines.append(f"  … and {len(self.ranked) - len(shown)} more")
         return "\n".join(lines)
@@ -206,42 +194,33 @@ class SearchResult:
         return f"{self.table()}\n{self.explain()}"
 
 
-def _ahead(horizon: int) -> str:
-    return f"{plural(horizon, 'sample')} ahead"
-
-
 def _reasons(found: SearchResult) -> Iterator[str]:
     best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
-    what = "simulation" if found.horizon is None else f"prediction {_ahead(found.horizon)}"
+    what = f"prediction {plural(n, 'sample')} ahead" if (n := found.horizon) else "simulation"
     of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
     yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
     fewer = [k for k, j in enumerate(found.ranked) if j.parameters < chosen.parameters]
     as_good = bool(found.within[fewer].any())
     if i:
-        yield (
-            f"chosen: {chosen.candidate.name}, {plural(chosen.parameters, 'parameter')} instead of "
-            f"{best.parameters}; its mean squared error is higher by {found.excess[i]:.2g} ± "
-            f"{found.excess_std[i]:.2g}, within its standard error"
-        )
+        text = f"chosen: {chosen.candidate.name}, {plural(chosen.parameters, 'parameter')} instead "
+        text += f"of {best.parameters}; its mean squared error is higher by "
+        yield f"{text}{found.excess[i]:.2g} ± {found.excess_std[i]:.2g}, within its standard error"
     else:
         why = "" if as_good else ", since no simpler model is within one standard error of it"
         yield f"chosen: the best{why}"
     if as_good:
         yield "simpler models are within one standard error, but predict worse one step ahead"
     elif fewer:
-        k = fewer[0]
-        yield (
-            f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "
-            f"{found.ranked[k].parameters}, rms error {found.rms[k]:.4g}, and a mean squared "
-            f"error {found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors above "
-            "the least"
-        )
-    n = chosen.candidate.order
-    if n == max(c.order for c in (*(j.candidate for j in found.ranked), *found.failed)):
-        yield (
-            f"order {n} is the highest that was tried, so a higher order may be better: search "
-            f"with --max-order {2 * n} (in Python, orders=range(1, {2 * n + 1}))"
-        )
+        k, simpler = fewer[0], found.ranked[fewer[0]]
+        sigmas = found.excess[k] / max(found.excess_std[k], 1e-300)
+        text = f"fewer parameters are not enough: {simpler.candidate.name} has {simpler.parameters}"
+        text += f", rms error {found.rms[k]:.4g}, and a mean squared error "
+        yield f"{text}{sigmas:.1f} standard errors above the least"
+    order = chosen.candidate.order
+    if order == max(c.order for c in (*(j.candidate for j in found.ranked), *found.failed)):
+        text = f"order {order} is the highest that was tried, so a higher order may be better: "
+        text += f"search with --max-order {2 * order} "
+        yield f"{text}(in Python, orders=range(1, {2 * order + 1}))"
     yield from found.notes
     if found.tests.powerless:
         yield f"the tests of its residuals have no power: {found.tests.powerless}"
