@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 _MAX_NAME_LENGTH = 28  # letters of a name before the suffix; further letters are cut off
 _AGAIN = "-again"  # suffix of the name of a repeated step
-_Pair = tuple["RecordingSummary", "RecordingSummary"]
-"""A recording for estimation and its recording for validation."""
 
 NEXT: Mapping[str, str] = {
     "collect step": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -68,6 +66,8 @@ NEXT: Mapping[str, str] = {
     "questions": "armrig report --handout --questions {questions}",
 }
 """Commands that the line `next:` names; names in braces are replaced by values."""
+OF_KIND: Mapping[str, str] = {"step": "sampling", "greybox": "greybox"}
+"""Name of the command after a recording of a kind, if the kind has such a command."""
 REASONS = Path("reasons.toml")
 """Usual file with the answers to the handout's questions."""
 
@@ -106,9 +106,11 @@ def _goes_on(line: str, described: str) -> str:
         return line
     own = own_recordings()
     of_rig = [s for s in own if described in ("", s.description_sha256 or described)]
+    validated = [first for first, _ in _pairs(of_rig, "blackbox")]
     if "--validation" in words:
-        pair = _estimation(of_rig, float(words[words.index("--Ts") + 1]))
-        return NEXT["plot"].format(file=pair) if pair else line
+        Ts = float(words[words.index("--Ts") + 1])
+        made = next((s for s in validated if s.Ts == Ts), None)
+        return NEXT["plot"].format(file=typed(made.path)) if made else line
     if words[-2] != "--name":
         return line
     names = f"{words[-1]}{_AGAIN}", words[-1]  # prefer the repeated run
@@ -116,14 +118,9 @@ def _goes_on(line: str, described: str) -> str:
     found = [s for s in named if s in of_rig]
     if not found:  # a recording of another rig keeps its name
         return line.rpartition("--name")[0].rstrip() if named else line
-    if found[0].kind == "step" and (pair := _estimation(of_rig)):
-        return NEXT["hints"].format(file=pair, given="")
-    return NEXT[name_after(found[0].kind)].format(file=typed(found[0].path))
-
-
-def name_after(kind: str, otherwise: str = "plot") -> str:
-    """Return the name of the command after a recording of a kind."""
-    return {"step": "sampling", "greybox": "greybox"}.get(kind, otherwise)
+    if found[0].kind == "step" and validated:
+        return NEXT["hints"].format(file=typed(validated[0].path), given="")
+    return NEXT[OF_KIND.get(found[0].kind, "plot")].format(file=typed(found[0].path))
 
 
 def own_recordings() -> list[RecordingSummary]:
@@ -136,29 +133,19 @@ def own_recordings() -> list[RecordingSummary]:
     return []
 
 
-def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[_Pair]:
-    """Return estimation and validation recordings of equal sampling time and calibration.
-
-    The pair with the newest validation recording is the first. Without `kinds`, all are returned.
-    """
+def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[tuple[RecordingSummary, ...]]:
+    """Return estimation and validation recordings of one Ts and calibration, newest first."""
     runs = {s.run_id: s for s in own}
     found = [(runs[s.validation_of], s) for s in own if s.is_validation and s.validation_of in runs]
     same = attrgetter("Ts", "calibration_sha256")
     return [(a, b) for a, b in found if same(a) == same(b) and b.kind in (kinds or (b.kind,))]
 
 
-def _estimation(own: Sequence[RecordingSummary], Ts: float | None = None) -> str:
-    """Return the newest estimation recording with a validation recording; "" if none exists."""
-    found = (first for first, _ in _pairs(own, "blackbox") if Ts in (None, first.Ts))
-    return next((typed(first.path) for first in found), "")
-
-
 def paired(path: Path, wanted: Literal["estimation", "validation"]) -> str:
     """Return the name of the wanted recording of the pair with `path`; "" if none exists."""
-    place = 1 if wanted == "validation" else 0
-    pairs = _pairs(own_recordings())
-    found = (pair for pair in pairs if pair[1 - place].path.absolute() == path.absolute())
-    return next((typed(pair[place].path) for pair in found), "")
+    pairs = [(a, b) if wanted == "validation" else (b, a) for a, b in _pairs(own_recordings())]
+    found = (other for own, other in pairs if own.path.absolute() == path.absolute())
+    return next((typed(other.path) for other in found), "")
 
 
 def step_again(recording: Recording) -> str:
@@ -169,11 +156,10 @@ def step_again(recording: Recording) -> str:
     from armrig.recordings.findings import hidden_step, step_options
 
     manifest, hidden = recording.manifest, hidden_step(recording)
-    if hidden is None or not (options := step_options(hidden.numbers)):
-        return ""
+    options = step_options(hidden.numbers) if hidden else ""
     name = manifest.experiment.partition("-")[2]
     named = f" --name {quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
-    return f" --Ts {manifest.Ts:g} {options}{named}"
+    return f" --Ts {manifest.Ts:g} {options}{named}" if options else ""
 
 
 def naming(rig: str, connect: str | None = None) -> str:
@@ -295,24 +281,16 @@ def after_validate(
         of_arm = from_arm(data) and not INTEGRATING_OUTPUTS.isdisjoint(fit.outputs)
         name = "simulate" if of_arm else "check"
     part = SignalChoice(calibration=signals.calibration, start=signals.start, stop=signals.stop)
-    say_next(
-        name,
-        file=typed(file),
-        estimation=estimation,
-        model=quote(str(model)),
-        given=channel.options(data),
-        part=part.options(),
-    )
+    values = {"file": typed(file), "estimation": estimation, "model": quote(str(model))}
+    say_next(name, **values, given=channel.options(data), part=part.options())
 
 
 def options_of(request: Request) -> str:
     """Return the options of `armrig identify` for a request."""
     asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
     values = {name: x for name, x in (request.counts | asked).items() if x is not None}
-    given = [
-        flag(name) if x is True or isinstance(x, tuple) else f"{flag(name)} {x}"
-        for name, x in values.items()
-    ]
+    flags = {name: x is True or isinstance(x, tuple) for name, x in values.items()}
+    given = [flag(name) if flags[name] else f"{flag(name)} {x}" for name, x in values.items()]
     return " ".join([f"--structure {request.structure}", *given])
 
 
@@ -325,9 +303,9 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     if (fit.ny, fit.nu) != (1, 1):
         return _of_several(found, {f.about for f in findings})
     kind = STRUCTURES[fit.structure]
-    orders, remedies = fit.orders, {f.remedy for f in findings}
+    remedies = {f.remedy for f in findings}
     if "structure" in remedies:
-        oe = request.of_structure("oe", {"nb": orders["nb"], "nf": orders[kind.poles]})
+        oe = request.of_structure("oe", {"nb": fit.orders["nb"], "nf": fit.orders[kind.poles]})
         return options_of(structs.replace(oe, integrator=True, offset=False))
     # A constant level of y looks like an integrator. Angles are not tested for a level.
     level = "level" in remedies and not fit.integrator

@@ -17,7 +17,7 @@ from armrig_core.process.options import argument, chosen
 from armrig_core.process.printable import printable
 
 import armrig
-from armrig.cli.next_step import name_after, say_next, typed
+from armrig.cli.next_step import OF_KIND, say_next, typed
 from armrig.cli.options import CalibrationFile, From, Json, To
 from armrig.cli.printing import (
     columns,
@@ -286,7 +286,7 @@ def plot(
         print_json(found.facts() | {"figure": written})
         return
     print_table(*found.rows())
-    say_next(name_after(recording.manifest.kind, "hints"), file=typed(file))
+    say_next(OF_KIND.get(recording.manifest.kind, "hints"), file=typed(file))
 
 
 def verify(file: File, json: Json = False) -> None:

@@ -21,7 +21,7 @@ from armrig_core.process.options import Commands, chosen, group, option
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 
 import armrig
-from armrig.cli.next_step import name_after, naming, own_recordings, say_next, step_again, typed
+from armrig.cli.next_step import OF_KIND, naming, own_recordings, say_next, step_again, typed
 from armrig.cli.options import Connect, From, Json, RigId, SamplingTime, To
 from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
@@ -350,7 +350,7 @@ def _say_next(kind: str, first: Path, rig: str) -> None:
     if again:
         say_next("collect step again", again=f"{rig}{again}")
     else:
-        say_next(name_after(kind), file=typed(first))
+        say_next(OF_KIND.get(kind, "plot"), file=typed(first))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

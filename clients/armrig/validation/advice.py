@@ -191,7 +191,7 @@ def _about_overlap(pairs: list[_Pair], kind: RegisteredStructure) -> Finding:
     each = [name for name in ("nb", kind.poles) if name in kind.orders]
     lower = " and ".join(each) or "the number of time constants"
     text += f"is too high by the number of pairs; lower {'the ' * (lower == 'order')}{lower}"
-    return warning("order", text, "order", poles=sum(1 + bool(pole.imag) for pole, *_ in pairs))
+    return warning("order", text, "order", poles=sum(2 if pole.imag else 1 for pole, *_ in pairs))
 
 
 def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
