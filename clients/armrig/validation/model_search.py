@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import InputError
 from msgspec import structs
+from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals, Vector
@@ -44,11 +45,13 @@ _SAME_LOSS = 1e-6  # share of a loss by which searches that end in the same mini
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of u in the data
 _MIN_BATCHES = 7  # fewest batches for a standard error
+_MAX_LOST_FIT = 0.02  # greatest excess of the choice's rms error, as a share of the std of y
+_FINALISTS = 3  # candidates that are estimated again with all starts
 _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
 _BOTH_TRIED = "y may integrate, so structures were tried with and without a pole at 1"
 _Data = Dataset | Signals
 _Fold = tuple[_Data, _Data]
-_Ranking = tuple[list[Scored], Vector, Vector, Vector, int]
+_Ranking = tuple[list[Scored], Vector, Vector, Vector, NDArray[np.bool_], int]
 _Stage = tuple[list[Candidate], int, Callable[[_Ranking], list[Candidate]]]
 _OWN_DATA = (
     "u moves in one part of the data only, so Akaike's FPE ranked the models on the data that "
@@ -73,9 +76,10 @@ def search(
     """Estimate many models, rank them on other data, and choose the simplest of the good models.
 
     A candidate of order n has n poles and n numerator coefficients; "bj" has nc = nd = 1 or 2, too.
-    The best candidate has the least mean squared error on the validation data. A candidate is as
-    good if its mean of e² - e²_best is at most the standard error of this mean. Successive errors
-    are correlated, so this is the largest standard error of 30, 15 and 7 batch means. A simulation
+    The best candidate has the least mean squared error on the validation data. Two conditions make
+    a candidate as good. Its mean of e² - e²_best is at most the standard error of this mean, and
+    its rms error is larger by at most 2 % of the standard deviation of y. Successive errors are
+    correlated, so the first is the largest standard error of 30, 15 and 7 batch means. A simulation
     does not distinguish drift from wrong dynamics, so only candidates that also predict one step
     ahead as well as the best remain. Of these, the one with the fewest parameters is chosen.
 
@@ -94,9 +98,11 @@ def search(
     data : Dataset or Signals
         Data to estimate from.
     validation : Dataset or Signals, optional
-        Data to rank the models on. By default each half of `data` estimates models that are ranked
-        on the other half, and all `data` then estimate the chosen model, with all start values. If
-        u rests in a half, the cut is elsewhere. If no cut leaves two parts in which u moves,
+        Data to rank the models on; the three best whose few start values led to different minima
+        are then estimated again with all. By default each half of `data` estimates models that are
+        ranked on the other half, and all `data` then estimate the chosen model, with all start
+        values. If its errors are then larger than those of the halves, the next choice replaces it.
+        If u rests in a half, the cut is elsewhere. If no cut leaves two parts in which u moves,
         Akaike's FPE ranks the models on the data that estimated them.
     families : sequence of str, optional
         Names of structures in discrete time, such as "oe". The default is all but "ararx", "ss" and
@@ -176,11 +182,14 @@ def search(
     suggests = families is None and open_loop and isinstance(data, Dataset)
     # Candidates, the largest number of them, and the function that chooses them by the ranking.
     stages: list[_Stage] = [(group, len(group), partial(_needed, group)) for group in groups]
+    again = not halved and any(c.request.starts for c in candidates)
+    stages += [([], _FINALISTS, _finalists)] if again else []
     stages += [([], 1, _with_level)] if offset is None else []
     stages += [([], MAX_TIME_CONSTANTS, _processes)] if suggests else []
     done, total = 0, sum(most for _, most, _ in stages)
     for group, most, of_ranking in stages:
         needed = group if ranking is None else of_ranking(ranking)
+        scored = [one for one in scored if one.candidate.name not in {c.name for c in needed}]
         coming = iter(runner(score, needed))
         for k, candidate in enumerate(needed, start=done):
             tell(k, total, candidate.name)
@@ -195,18 +204,25 @@ def search(
         first, reason = next(iter(failed.items()))
         text = f"the first, {first.name}: {reason}"
         raise InputError(f"none of the structures could be estimated; {text}")
-    ranked, rms, excess, excess_std, chosen = ranking
-    tests = residuals(ranked[chosen].fit, validation)
-    request = ranked[chosen].candidate.request
-    if halved or request.replicates is not None:
-        fit = structs.replace(request, replicates=None, starts=None).estimated(whole)
-        ranked[chosen] = replace(ranked[chosen], fit=fit)
+    while True:
+        ranked, rms, excess, excess_std, as_good, chosen = ranking
+        best = ranked[chosen]
+        fit, request = best.fit, best.candidate.request
+        if halved or request.replicates is not None:
+            fit = structs.replace(request, replicates=None, starts=None).estimated(whole)
+        if not halved or len(ranked) == 1 or _is_as_good(fit, best.error, whole, horizon):
+            break
+        failed[best.candidate] = "the model of all the data has larger errors than those of halves"
+        ranking = _ranked([one for one in ranked if one is not best], judged)
+    tests = residuals(best.fit, validation)
+    ranked[chosen] = replace(best, fit=fit)
     outputs = validation.signals()
     return SearchResult(
         ranked=tuple(ranked),
         rms=rms,
         excess=excess,
         excess_std=excess_std,
+        as_good=as_good,
         chosen_index=chosen,
         failed=failed,
         doubts=tuple(against),
@@ -336,7 +352,7 @@ def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     `_MIN_EXCESS_SIGMAS` standard errors, or the other way round, no such model is needed. A higher
     order is needed if the choice so far has the highest order.
     """
-    ranked, _, excess, excess_std, chosen = ranking
+    ranked, _, excess, excess_std, _, chosen = ranking
     highest = max(s.candidate.order for s in ranked)
     if candidates[0].order > highest > ranked[chosen].candidate.order:
         return []
@@ -345,6 +361,13 @@ def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     if worse.any() and (excess > _MIN_EXCESS_SIGMAS * excess_std)[worse].all():
         return [c for c in candidates if c.request.integrator == best or not c.named_by_pole]
     return candidates
+
+
+def _finalists(ranking: _Ranking) -> list[Candidate]:
+    """Return the best candidates again, with all starts, if their few starts disagreed."""
+    doubtful = [s.candidate for s in ranking[0] if not s.fit.agreed and s.candidate.request.starts]
+    again = [structs.replace(c.request, starts=None) for c in doubtful[:_FINALISTS]]
+    return [replace(c, request=r) for c, r in zip(doubtful, again, strict=False)]
 
 
 def _with_level(ranking: _Ranking) -> list[Candidate]:
@@ -420,14 +443,31 @@ def _ranked(scored: list[Scored], judged: _Data) -> _Ranking:
     loss, excess, excess_std = _compared([j.error for j in scored], judged)
     order = np.argsort(loss, kind="stable")
     ranked, excess, excess_std = [scored[i] for i in order], excess[order], excess_std[order]
-    within = np.flatnonzero(excess <= excess_std)
+    rms = np.sqrt(loss[order])
+    as_good = (excess <= excess_std) & (rms - rms[0] <= _allowed(judged))
+    within = np.flatnonzero(as_good)
     _, ahead, ahead_std = _compared([ranked[i].ahead for i in within], judged)
     # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
     complexity = [
         ranked[i].parameters + 0.5 * (ranked[i].candidate.request.nk == 0) for i in within
     ]
     chosen = int(within[simplest_as_good(ahead, ahead_std, complexity)])
-    return ranked, np.sqrt(loss[order]), excess, excess_std, chosen
+    return ranked, rms, excess, excess_std, as_good, chosen
+
+
+def _allowed(data: _Data) -> float:
+    """Return the rms error that lowers a fit by `_MAX_LOST_FIT`."""
+    y = np.where(data.valid, data.y, np.nan)
+    return _MAX_LOST_FIT * (float(np.nanstd(y)) if y.ndim == 1 else y.shape[1] ** 0.5)
+
+
+def _is_as_good(fit: Fit, error: Vector, data: _Data, horizon: int | None) -> bool:
+    """Return whether a model's errors on its own data are no larger than those of the halves."""
+    own = data.y - fit.predict(data, horizon=horizon)
+    if _fault(fit, own, data):
+        return False
+    rms = np.sqrt(_compared([own, error], data)[0])
+    return bool(rms[0] - rms[1] <= _allowed(data))
 
 
 def _compared(errors: list[Vector], judged: _Data) -> tuple[Vector, Vector, Vector]:

@@ -88,6 +88,9 @@ class SearchResult:
     """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
     """Standard error of `excess`, computed from the means of batches of samples, (n,)."""
+    as_good: NDArray[np.bool_]
+    """Mask of the candidates in `ranked` that are as good as the best, (n,): `excess` is at most
+    its standard error, and the fit at most 2 points lower."""
     chosen_index: int
     """Index of the chosen candidate."""
     failed: dict[Candidate, str]
@@ -115,11 +118,6 @@ class SearchResult:
         """The chosen model."""
         return self.chosen.fit
 
-    @property
-    def within(self) -> NDArray[np.bool_]:
-        """Mask of the candidates in `ranked` within one standard error of the best, (n,)."""
-        return np.asarray(self.excess <= self.excess_std)
-
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of error against number of parameters: see `armrig.plots.plot_search`.
 
@@ -142,7 +140,7 @@ class SearchResult:
             >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).explain())
         - best simulation of the validation data: OE[3 3 1], rms error 0.0035... rad
-        - chosen: the best, since no simpler model is within one standard error of it
+        - chosen: the best, since no simpler model is as good
         - fewer parameters are not enough: OE[2 2 1] has 4, rms error 0.0338..., ...
         """
         doubts = [f"doubt about the data, {f.about}: {f.text}" for f in self.doubts]
@@ -200,22 +198,23 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
     yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
     fewer = [k for k, j in enumerate(found.ranked) if j.parameters < chosen.parameters]
-    as_good = bool(found.within[fewer].any())
+    as_good = bool(found.as_good[fewer].any())
     if i:
         text = f"chosen: {chosen.candidate.name}, {plural(chosen.parameters, 'parameter')} instead "
         text += f"of {best.parameters}; its mean squared error is higher by "
         yield f"{text}{found.excess[i]:.2g} ± {found.excess_std[i]:.2g}, within its standard error"
     else:
-        why = "" if as_good else ", since no simpler model is within one standard error of it"
+        why = "" if as_good else ", since no simpler model is as good"
         yield f"chosen: the best{why}"
     if as_good:
-        yield "simpler models are within one standard error, but predict worse one step ahead"
+        yield "simpler models are as good, but predict worse one step ahead"
     elif fewer:
         k, simpler = fewer[0], found.ranked[fewer[0]]
         sigmas = found.excess[k] / max(found.excess_std[k], 1e-300)
         text = f"fewer parameters are not enough: {simpler.candidate.name} has {simpler.parameters}"
-        text += f", rms error {found.rms[k]:.4g}, and a mean squared error "
-        yield f"{text}{sigmas:.1f} standard errors above the least"
+        text += f", rms error {found.rms[k]:.4g}, and a "
+        square = f"mean squared error {sigmas:.1f} standard errors above the least"
+        yield text + (square if sigmas > 1 else "fit more than 2 points lower")
     order = chosen.candidate.order
     if order == max(c.order for c in (*(j.candidate for j in found.ranked), *found.failed)):
         text = f"order {order} is the highest that was tried, so a higher order may be better: "

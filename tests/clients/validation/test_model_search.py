@@ -14,17 +14,15 @@ from armrig import Signals
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.integrating import Integration
 from armrig.estimation.arx import arx
-from armrig.estimation.request import Request
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.models.structure_table import OfferedName
 from armrig.numerics.polynomial import filtered
-from armrig.validation.model_search import _ranked, search
-from armrig.validation.search_result import Candidate, Scored, SearchResult
+from armrig.validation.model_search import _is_as_good, search
+from armrig.validation.search_result import Candidate, SearchResult
 from armrig_core.errors import InputError
 
 from tests.clients.estimation.test_transfer_functions import data as delayed
-from tests.clients.models.made_fits import made
 from tests.clients.validation.plants import (
     SAMPLES,
     of_second_order,
@@ -315,16 +313,44 @@ def test_a_level_of_only_the_validation_data_is_estimated() -> None:
     assert any(note.startswith("in the validation data y is about") for note in found.notes)
 
 
-def test_models_without_a_sample_in_common_are_not_compared() -> None:
-    request = Request(structure="arx", orders={"na": 1, "nb": 1})
-    candidate = Candidate(name="ARX[1 1 1]", order=1, request=request)
-    scored = [
-        Scored(candidate=candidate, fit=made(), error=np.array(error), ahead=np.ones(2))
-        for error in ([0.1, np.nan], [np.nan, 0.1])
-    ]
+def test_a_model_of_all_data_that_is_worse_than_those_of_halves_is_not_chosen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    answers = iter([False, True])
+    monkeypatch.setattr(
+        "armrig.validation.model_search._is_as_good", lambda *_: next(answers, True)
+    )
+    data = of_second_order(switched())
 
-    with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
-        _ranked(scored, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
+    found = search(data, families=("arx",), orders=(2, 3), nk=1, offset=False)
+
+    assert [one.name for one in found.failed] == ["ARX[3 3 1]"]
+    assert found.chosen.candidate.name == "ARX[2 2 1]"
+    assert found.fit.estimated_from(data)
+    assert "such as ARX[3 3 1]: the model of all the data has larger errors" in found.explain()
+
+
+@pytest.mark.parametrize(("error", "expected"), [(1.0, True), (0.01, False)])
+def test_a_model_of_all_data_is_compared_with_the_errors_of_halves(
+    error: float, expected: bool
+) -> None:
+    data = _data(5, [1.0], [1.0], N=300)  # noise of 0.5
+    fit = armrig.oe(data, nb=2, nf=2, nk=1)
+
+    assert _is_as_good(fit, np.full(300, error), data, None) is expected
+
+
+@pytest.mark.parametrize(("agreed", "starts"), [(True, "few"), (False, None)])
+def test_the_best_models_are_estimated_again_with_all_starts_if_the_few_disagreed(
+    agreed: bool, starts: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armrig.estimation.prediction_error.same_minimum", lambda *_: agreed)
+
+    first, second = _data(5, [1.0], [1.0], N=600).split(2)
+    found = search(first, second, families=("oe",), orders=(2, 3), nk=1, offset=False)
+
+    assert sorted(one.name for one in tried(found)) == ["OE[2 2 1]", "OE[3 3 1]"]
+    assert {one.request.starts for one in tried(found)} == {starts}
 
 
 def test_a_level_that_slow_noise_hides_from_its_test_is_tried_with_the_choice() -> None:

@@ -52,6 +52,7 @@ def result(**fields: Any) -> SearchResult:
         "rms": np.array([0.5, 0.51236, 0.52, 0.9]),
         "excess": np.array([0.0, 0.0125, 0.02, 0.56]),
         "excess_std": np.array([0.0, 0.02, 0.03, 0.1]),
+        "as_good": np.array([True, True, True, False]),
         "chosen_index": 2,
         "failed": {},
         "doubts": (),
@@ -103,7 +104,7 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict(outputs: int)
     pairs = zip((3, 4, 1), shaped, strict=True)
     candidates = [replace(scored("oe", n), error=e, ahead=e) for n, e in pairs]
 
-    ranked, rms, excess_, excess_std, _ = _ranked(candidates, validation)
+    ranked, rms, excess_, excess_std, _, _ = _ranked(candidates, validation)
 
     both = np.isfinite(errors).all(axis=0)
     squares = {
@@ -133,14 +134,30 @@ def test_of_equally_good_simulations_the_best_predictor_is_chosen(rate: float, c
     errors = {3: (first, e), 1: (second, rate * e)}
     candidates = [replace(scored("oe", n), error=x, ahead=a) for n, (x, a) in errors.items()]
 
-    ranked, rms, excess, excess_std, index = _ranked(candidates, judged)
+    ranked, *columns, index = _ranked(candidates, judged)
 
     assert index == chosen
-    found = result(
-        ranked=tuple(ranked), rms=rms, excess=excess, excess_std=excess_std, chosen_index=index
-    )
-    told = "simpler models are within one standard error, but predict worse one step ahead"
+    names = ("rms", "excess", "excess_std", "as_good")
+    given = dict(zip(names, columns, strict=True))
+    found = result(ranked=tuple(ranked), chosen_index=index, **given)
+    told = "simpler models are as good, but predict worse one step ahead"
     assert (told in found.reasons) == (index == 0)
+
+
+@pytest.mark.parametrize(("std", "chosen"), [(1.0, 0), (10.0, 1)], ids=["worse", "as good"])
+def test_a_simpler_model_is_chosen_only_if_its_fit_is_at_most_2_points_lower(
+    std: float, chosen: int
+) -> None:
+    """Both are within one standard error, since they differ in a few samples only."""
+    rare, y = np.zeros(600), np.resize([std, -std], 600)
+    rare[300:320] = 1.0  # rms .18
+    errors = {3: np.full(600, 0.1), 1: rare}
+    candidates = [replace(scored("oe", n), error=e, ahead=np.ones(600)) for n, e in errors.items()]
+
+    _, _, excess, excess_std, _, found = _ranked(candidates, Dataset(u=y, y=y, Ts=1.0))
+
+    assert excess[1] < excess_std[1]
+    assert found == chosen
 
 
 def test_models_without_a_sample_in_common_are_not_compared() -> None:

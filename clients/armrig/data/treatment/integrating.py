@@ -27,7 +27,8 @@ _PREFILTERS = 4  # passes of Steiglitz and McBride
 _PASSES = 2  # estimates of the noise model
 _POLES = 40  # poles that are compared with 1
 _MAX_RISE = 10.83  # chi-squared, 1 degree of freedom, 99.9 %
-_MAX_EFFECT_P = 1e-5  # p value of the integrated response to u above which u moves nothing
+_MAX_EFFECT_P = 1e-5  # p value of the integrated response to u below which y may integrate
+_UNDECIDED_P = 0.01  # the same above which y does not
 _MIN_RECORD_SHARE = 0.1  # least time constant of a pole that counts as 1, as a share of the record
 _POLE_ROUNDING = 1e-9
 _REMOVED = 1e-10  # relative norm below which a filtered column is rounding
@@ -84,6 +85,11 @@ class PoleTest:
     def possible(self) -> bool:
         """True if u has an effect through a slow pole, and the pole may be 1."""
         return self.rise < _MAX_RISE and self.p_effect < _MAX_EFFECT_P
+
+    @property
+    def undecided(self) -> bool:
+        """True if the data show neither an integrator nor that y is none."""
+        return self.rise < _MAX_RISE and self.p_effect < _UNDECIDED_P and not self.integrates
 
     @property
     def integrates(self) -> bool:
@@ -378,6 +384,6 @@ def integration(data: Dataset, integrator: bool | None) -> Integration:
     return Integration(
         integrates=found.integrates,
         reason=_evidence(data.output, found).text if found.integrates else "",
-        undecided=found.possible and not found.integrates,
+        undecided=found.undecided,
         unstable=bool(np.isinf(found.rise)),
     )

@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.data.treatment.integrating import integration
+from armrig.data.treatment.integrating import PoleTest, integration
 from armrig.estimation.nonparametric.correlation import correlation
 from armrig.estimation.nonparametric.etfe import bla, etfe
 from armrig.estimation.nonparametric.impulse import impulse_response
@@ -113,6 +113,24 @@ def of_pole(pole: float, *, fast: float = 0.0, walk: float = 0.0, noise: float =
 )
 def test_only_a_response_without_return_is_an_integrator(data: Dataset, integrates: bool) -> None:
     assert integration(data, None).integrates == integrates
+
+
+@pytest.mark.parametrize(
+    ("rise", "share", "p_effect", "integrates", "undecided"),
+    [
+        (1.0, 0.2, 1e-6, True, False),
+        (1.0, 0.05, 1e-6, False, True),  # a slow pole looks the same
+        (1.0, 0.2, 1e-3, False, True),  # u has hardly an effect through the pole
+        (1.0, 0.2, 0.1, False, False),
+        (20.0, 0.2, 1e-6, False, False),
+    ],
+)
+def test_the_data_may_leave_open_whether_y_integrates(
+    rise: float, share: float, p_effect: float, integrates: bool, undecided: bool
+) -> None:
+    found = PoleTest(rise=rise, share=share, p_effect=p_effect)
+
+    assert (found.integrates, found.undecided) == (integrates, undecided)
 
 
 def test_an_unstable_rig_is_no_integrator_and_its_advice_names_able_structures() -> None:
