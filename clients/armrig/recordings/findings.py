@@ -91,8 +91,7 @@ def check_first(r: Recording) -> Finding:
         return warning(about, f"{text}band, or a wire is loose")
     text = f"{name} is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
     if share > MOST_HIDDEN:
-        text += "after it): too many for a dead band; check the potentiometer"
-        return warning(about, text)
+        return warning(about, f"{text}after it): too many for a dead band; check the potentiometer")
     return good(about, f"{text}after it)")
 
 

@@ -51,7 +51,7 @@ _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all sa
 _BOTH_TRIED = "y may integrate, so structures were tried with and without a pole at 1"
 _Data = Dataset | Signals
 _Fold = tuple[_Data, _Data]
-_Ranking = tuple[list[Scored], Vector, Vector, Vector, NDArray[np.bool_], int]
+_Ranking = tuple[list[Scored], dict[str, NDArray[Any]], int]
 _Stage = tuple[list[Candidate], int, Callable[[_Ranking], list[Candidate]]]
 _OWN_DATA = (
     "u moves in one part of the data only, so Akaike's FPE ranked the models on the data that "
@@ -205,7 +205,7 @@ def search(
         text = f"the first, {first.name}: {reason}"
         raise InputError(f"none of the structures could be estimated; {text}")
     while True:
-        ranked, rms, excess, excess_std, as_good, chosen = ranking
+        ranked, columns, chosen = ranking
         best = ranked[chosen]
         fit, request = best.fit, best.candidate.request
         if halved or request.replicates is not None:
@@ -214,23 +214,18 @@ def search(
             break
         failed[best.candidate] = "the model of all the data has larger errors than those of halves"
         ranking = _ranked([one for one in ranked if one is not best], judged)
-    tests = residuals(best.fit, validation)
     ranked[chosen] = replace(best, fit=fit)
-    outputs = validation.signals()
     return SearchResult(
         ranked=tuple(ranked),
-        rms=rms,
-        excess=excess,
-        excess_std=excess_std,
-        as_good=as_good,
+        **columns,
         chosen_index=chosen,
         failed=failed,
         doubts=tuple(against),
         notes=(*([_OWN_DATA] if own else []), *notes),
         halved=halved,
-        tests=tests,
+        tests=residuals(best.fit, validation),
         horizon=horizon,
-        unit="σ" if outputs.ny > 1 else outputs.units[0],
+        unit="σ" if whole.signals().ny > 1 else whole.signals().units[0],
     )
 
 
@@ -352,22 +347,24 @@ def _needed(candidates: list[Candidate], ranking: _Ranking) -> list[Candidate]:
     `_MIN_EXCESS_SIGMAS` standard errors, or the other way round, no such model is needed. A higher
     order is needed if the choice so far has the highest order.
     """
-    ranked, _, excess, excess_std, _, chosen = ranking
+    ranked, columns, chosen = ranking
     highest = max(s.candidate.order for s in ranked)
     if candidates[0].order > highest > ranked[chosen].candidate.order:
         return []
     best = ranked[0].candidate.request.integrator
     worse = np.array([s.candidate.request.integrator != best for s in ranked])
-    if worse.any() and (excess > _MIN_EXCESS_SIGMAS * excess_std)[worse].all():
+    if (
+        worse.any()
+        and (columns["excess"] > _MIN_EXCESS_SIGMAS * columns["excess_std"])[worse].all()
+    ):
         return [c for c in candidates if c.request.integrator == best or not c.named_by_pole]
     return candidates
 
 
 def _finalists(ranking: _Ranking) -> list[Candidate]:
     """Return the best candidates again, with all starts, if their few starts disagreed."""
-    doubtful = [s.candidate for s in ranking[0] if not s.fit.agreed and s.candidate.request.starts]
-    again = [structs.replace(c.request, starts=None) for c in doubtful[:_FINALISTS]]
-    return [replace(c, request=r) for c, r in zip(doubtful, again, strict=False)]
+    few = [s.candidate for s in ranking[0] if not s.fit.agreed and s.candidate.request.starts]
+    return [replace(c, request=structs.replace(c.request, starts=None)) for c in few[:_FINALISTS]]
 
 
 def _with_level(ranking: _Ranking) -> list[Candidate]:
@@ -442,17 +439,17 @@ def _ranked(scored: list[Scored], judged: _Data) -> _Ranking:
     """Return the candidates, best first; their rms, excess and its standard error; the choice."""
     loss, excess, excess_std = _compared([j.error for j in scored], judged)
     order = np.argsort(loss, kind="stable")
-    ranked, excess, excess_std = [scored[i] for i in order], excess[order], excess_std[order]
-    rms = np.sqrt(loss[order])
-    as_good = (excess <= excess_std) & (rms - rms[0] <= _allowed(judged))
-    within = np.flatnonzero(as_good)
+    ranked, rms = [scored[i] for i in order], np.sqrt(loss)
+    as_good = (excess <= excess_std) & (rms - rms.min() <= _allowed(judged))
+    columns = {"rms": rms, "excess": excess, "excess_std": excess_std, "as_good": as_good}
+    within = np.flatnonzero(as_good[order])
     _, ahead, ahead_std = _compared([ranked[i].ahead for i in within], judged)
     # An unproven direct term counts as half a parameter, so that nk=1 is preferred to nk=0.
     complexity = [
         ranked[i].parameters + 0.5 * (ranked[i].candidate.request.nk == 0) for i in within
     ]
     chosen = int(within[simplest_as_good(ahead, ahead_std, complexity)])
-    return ranked, rms, excess, excess_std, as_good, chosen
+    return ranked, {name: x[order] for name, x in columns.items()}, chosen
 
 
 def _allowed(data: _Data) -> float:

@@ -104,7 +104,8 @@ def test_models_are_ranked_at_the_samples_that_all_of_them_predict(outputs: int)
     pairs = zip((3, 4, 1), shaped, strict=True)
     candidates = [replace(scored("oe", n), error=e, ahead=e) for n, e in pairs]
 
-    ranked, rms, excess_, excess_std, _, _ = _ranked(candidates, validation)
+    ranked, columns, _ = _ranked(candidates, validation)
+    rms, excess_, excess_std, _ = columns.values()
 
     both = np.isfinite(errors).all(axis=0)
     squares = {
@@ -134,12 +135,10 @@ def test_of_equally_good_simulations_the_best_predictor_is_chosen(rate: float, c
     errors = {3: (first, e), 1: (second, rate * e)}
     candidates = [replace(scored("oe", n), error=x, ahead=a) for n, (x, a) in errors.items()]
 
-    ranked, *columns, index = _ranked(candidates, judged)
+    ranked, columns, index = _ranked(candidates, judged)
 
     assert index == chosen
-    names = ("rms", "excess", "excess_std", "as_good")
-    given = dict(zip(names, columns, strict=True))
-    found = result(ranked=tuple(ranked), chosen_index=index, **given)
+    found = result(ranked=tuple(ranked), chosen_index=index, **columns)
     told = "simpler models are as good, but predict worse one step ahead"
     assert (told in found.reasons) == (index == 0)
 
@@ -154,9 +153,9 @@ def test_a_simpler_model_is_chosen_only_if_its_fit_is_at_most_2_points_lower(
     errors = {3: np.full(600, 0.1), 1: rare}
     candidates = [replace(scored("oe", n), error=e, ahead=np.ones(600)) for n, e in errors.items()]
 
-    _, _, excess, excess_std, _, found = _ranked(candidates, Dataset(u=y, y=y, Ts=1.0))
+    _, columns, found = _ranked(candidates, Dataset(u=y, y=y, Ts=1.0))
 
-    assert excess[1] < excess_std[1]
+    assert columns["excess"][1] < columns["excess_std"][1]
     assert found == chosen
 
 
