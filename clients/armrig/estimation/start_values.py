@@ -20,7 +20,7 @@ import numpy as np
 from armrig.estimation.problem import PolynomialProblem
 from armrig.models.innovations import Experiment, trend
 from armrig.models.structure import Structure, free_columns
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import least_squares, orthonormal, triangle
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import complete, past
 from armrig.numerics.whiteness import autoregression
@@ -183,7 +183,7 @@ def contributions(parts: Sequence[tuple[Array, Array]], n: Structure) -> list[Ar
         blocks.append(block[most + max(n.nk) :])
     stacked = np.vstack(blocks)
     # The high order may exceed the rank of the data; dependent columns have coefficient 0.
-    theta = orthonormal(stacked[:, :-1]).coefficients(stacked[:, -1])
+    theta = least_squares(stacked[:, :-1], stacked[:, -1:])[:, 0]
     A = reflected(np.append(1.0, theta[:most]))
     B = [
         np.append(np.zeros(k), theta[most * (j + 1) : most * (j + 2)]) if n.nb[j] else np.zeros(1)
@@ -204,14 +204,15 @@ def equation_error(equations: Sequence[Path], F: Array, n: int) -> Array:
         for k, (u, y) in enumerate(equation.parts):
             y_F, *u_F = filtered([1.0], F, np.vstack([y, u.T])) if F.size > 1 else (y, *u.T)
             inputs = [lagged(x, lags) for x, lags in zip(u_F, equation.lags, strict=True)]
-            block = np.column_stack([-lagged(y_F, range(1, n + 1)), y_F, *inputs])
             past = free_columns(F, y.size, count=equation.pulses, drift=False)
             free = np.hstack([past, *equation.trend[k : k + 1]])
-            rest.append(orthonormal(free).without(block) if free.size else block)
-        whole = rest[0] if len(rest) == 1 else np.vstack(rest)
-        blocks.append(orthonormal(whole[:, n + 1 :]).without(whole[:, : n + 1]))
+            outputs = -lagged(y_F, range(1, n + 1))
+            whole = np.column_stack([free, *inputs, outputs, y_F])
+            R = triangle([whole], whole.shape[1])
+            rest.append(R[free.shape[1] :, free.shape[1] :])
+        blocks.append(triangle(rest, rest[0].shape[1])[-n - 1 :, -n - 1 :])
     stacked = np.vstack(blocks)
-    return np.append(1.0, orthonormal(stacked[:, :n]).coefficients(stacked[:, n]))
+    return np.append(1.0, least_squares(stacked[:, :n], stacked[:, n:]))
 
 
 def steiglitz_mcbride(

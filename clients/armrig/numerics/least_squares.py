@@ -8,8 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
-from scipy.linalg.lapack import dgeqp3, dorgqr, dpotrf
+from scipy.linalg.lapack import dgeqp3, dgeqrf, dorgqr, dpotrf
 
 from armrig.numerics.polynomial import Array
 
@@ -147,7 +146,11 @@ def triangle(blocks: Iterable[Array], width: int) -> Array:
     """
     R = np.zeros((0, width))
     for block in blocks:
-        R = qr(np.vstack([R, block]), mode="r", check_finite=False)[0][:width]
+        if not block.size:
+            continue
+        whole = np.asfortranarray(np.vstack([R, block]))
+        R = dgeqrf(whole, lwork=_LAPACK_BLOCK_COLUMNS * width, overwrite_a=True)[0][:width]
+        R = R * upper_ones(*R.shape)
     return np.vstack([R, np.zeros((width - R.shape[0], width))])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from armrig.numerics.least_squares import least_squares, orthonormal, without_span
+from armrig.numerics.least_squares import least_squares, orthonormal, triangle, without_span
 
 
 def test_the_solution_does_not_depend_on_the_use_of_a_basis() -> None:
@@ -29,3 +29,15 @@ def test_a_matrix_of_zeros_or_without_columns_explains_nothing() -> None:
     assert not least_squares(np.zeros((3, 2)), Y).any()
     np.testing.assert_array_equal(without_span(np.zeros((3, 0)), Y), Y)
     assert orthonormal(np.zeros((0, 2))).rank == 0
+
+
+def test_a_triangle_has_the_products_of_all_blocks() -> None:
+    """Also with blocks without rows, and with fewer rows than columns."""
+    blocks = [np.zeros((0, 3)), np.array([[1.0, 2.0, 4.0]]), np.array([[3.0, -1.0, 5.0]])]
+
+    R = triangle(blocks, 3)
+
+    M = np.vstack(blocks)
+    np.testing.assert_allclose(R.T @ R, M.T @ M, atol=1e-13)
+    np.testing.assert_array_equal(R, np.triu(R))
+    assert triangle([np.zeros((4, 0))], 0).shape == (0, 0)
