@@ -181,7 +181,7 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
         return p
     farthest = min(EDGE_MODULUS, 1 - _MIN_LEFT_SHARE * (1 - np.abs(_few_roots(previous)).max()))
     z = z * np.minimum(1.0, farthest / np.maximum(size, farthest))
-    for side in (1, -1):
+    for side in (1, -1) if farthest >= EDGE_MODULUS - _EDGE_TOLERANCE else ():
         at = np.flatnonzero((z.imag == 0) & (side * z.real >= EDGE_MODULUS - _EDGE_TOLERANCE))
         if at.size >= 2:
             z = z.astype(np.complex128)
@@ -190,9 +190,16 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
 
 
 def _few_roots(p: Array) -> Array:
-    """Return the roots of a monic p, by a formula if there are at most two."""
+    """Return the roots of a monic p in less time than `roots`, of p up to order 2 by a formula."""
     if p.size > 3:
-        return roots(p)
+        from scipy.linalg.lapack import dgeev
+
+        if not np.isfinite(p).all():
+            raise np.linalg.LinAlgError("a coefficient is not finite")
+        companion = np.eye(p.size - 1, k=-1)
+        companion[0] = -p[1:]
+        real, imaginary, *_ = dgeev(companion, compute_vl=0, compute_vr=0)
+        return np.asarray(real + 1j * imaginary if imaginary.any() else real)
     if p.size < 3:
         return np.asarray(-p[1:])
     _, b, c = p.tolist()

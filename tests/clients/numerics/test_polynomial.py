@@ -125,6 +125,11 @@ def test_two_real_roots_outside_become_a_pair(side: int) -> None:
     assert np.abs(z).max() <= EDGE_MODULUS + 1e-9
 
 
+def test_a_polynomial_that_is_not_finite_has_no_roots() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        drawn_to_edge(np.array([1.0, np.nan, 0.0, 0.5]), polynomial(0.1, 0.2, 0.3))
+
+
 def test_normals_are_the_gradients_of_the_moduli() -> None:
     pair = EDGE_MODULUS * np.exp(0.7j)
     p = polynomial(EDGE_MODULUS, pair, pair.conjugate(), 0.4)
