@@ -169,3 +169,13 @@ def test_a_rejected_step_needs_no_jacobian() -> None:
     assert found.converged
     assert np.all(np.diff(np.abs(moved)) < 0)
     assert len(moved) < len(tried)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_jacobian_that_is_not_finite_is_refused(bad: float) -> None:
+    """The decomposition in LAPACK would not end if a value were infinite."""
+    J = np.array([[1.0, 2.0], [3.0, bad], [5.0, 7.0]])
+
+    with pytest.raises(np.linalg.LinAlgError, match="of the Jacobian"):
+        levenberg_marquardt(lambda _: (np.ones(3), J), np.zeros(2), admissible=lambda _: True)
