@@ -149,7 +149,10 @@ def levenberg_marquardt(
             whole, scale = ends
             normals = _normals(walls, theta, scale)
         else:
-            damping, growth = max(damping, 1e-12) * growth, 2 * growth
+            # A damping below the least squared singular value hardly changes the step. Only the
+            # searches from a moved mode omit such steps: others might end in another minimum.
+            least = 1e-12 if best is None else max(1e-12, float(s[-1]) ** 2)
+            damping, growth = max(damping, least) * growth, 2 * growth
             if damping > 1e12:
                 break
     return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False, damping=damping)

@@ -171,6 +171,26 @@ def test_a_rejected_step_needs_no_jacobian() -> None:
     assert len(moved) < len(tried)
 
 
+def test_a_search_from_a_moved_mode_omits_steps_with_a_damping_that_changes_little() -> None:
+    """The first step from 2 is rejected; without the omission several like it are tried."""
+    tried: list[float] = []
+
+    def linearise(theta: Array) -> tuple[Array, Array]:
+        tried.append(float(theta[0]))
+        return -np.arctan(theta), np.array([[1 / (1 + theta[0] ** 2)]])
+
+    counts = []
+    for best in (None, np.array([50.0])):
+        tried.clear()
+        found = levenberg_marquardt(
+            linearise, np.array([2.0]), admissible=lambda _: True, best=best
+        )
+        assert abs(found.theta[0]) < 1e-8
+        counts.append(len(tried))
+
+    assert counts[1] < counts[0] - 2
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.filterwarnings("ignore:invalid value")
 def test_a_jacobian_that_is_not_finite_is_refused(bad: float) -> None:
