@@ -123,7 +123,7 @@ class SearchResult:
 
         Examples
         --------
-            >>> data = armrig.example_recording().dataset("alpha")
+        >>> data = armrig.example_recording().dataset("alpha")
         >>> armrig.search(data, families=["arx", "oe"], orders=[2, 3]).plot()
         <Figure size ... with 1 Axes>
         """
@@ -137,7 +137,7 @@ class SearchResult:
 
         Examples
         --------
-            >>> data = armrig.example_recording().dataset("alpha")
+        >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).explain())
         - best simulation of the validation data: OE[3 3 1], rms error 0.0035... rad
         - chosen: the best, since no simpler model is as good
@@ -156,7 +156,7 @@ class SearchResult:
 
         Examples
         --------
-            >>> data = armrig.example_recording().dataset("alpha")
+        >>> data = armrig.example_recording().dataset("alpha")
         >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).table())
         5 models, simulated, ranked by their error on the part of the data that did not ...
           model            parameters   rms [rad]  excess mean square ± se [rad²]
