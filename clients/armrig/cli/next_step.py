@@ -101,7 +101,7 @@ def _goes_on(line: str, described: str) -> str:
             from armrig.rig.session import local_rigs
 
             if "1" in local_rigs():
-                return _goes_on(NEXT["collect step"].format(rig=""), described)
+                words = shlex.split(line := NEXT["collect step"].format(rig=""))
     if words[1] != "collect":
         return line
     own = own_recordings()
