@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
+from functools import cache, wraps
 from inspect import Parameter, signature
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
@@ -107,7 +107,10 @@ def treats_signals(f: Callable[Concatenate[Signals, P], Signals]) -> Treatment[P
 
 
 def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..., R]:
-    """Return f with checks of its arguments; the first argument is converted."""
+    """Return f with checks of its arguments, and with one thread of linear algebra.
+
+    The first argument is converted.
+    """
     called = signature(f)
     parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
@@ -125,9 +128,23 @@ def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..
         if args:
             _check_order(f.__name__, first, parameters, args)
         check_call(f.__name__, called, args, options)
-        return f(*(converted(a) for a in args[:1]), *args[1:], **options)
+        with _linear_algebra().limit(limits=1, user_api="blas"):
+            return f(*(converted(a) for a in args[:1]), *args[1:], **options)
 
     return taking
+
+
+@cache
+def _linear_algebra() -> Any:
+    """Return the controller of the threads of NumPy's and SciPy's linear algebra.
+
+    The threads of OpenBLAS wait by spinning: on a busy machine an estimate with small matrices
+    takes up to twenty times the processor time that it takes with one thread.
+    """
+    import scipy.linalg  # noqa: F401  the controller finds loaded libraries only
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _require_visible(data: Signals) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armrig.data.argument import HasDataset, as_dataset
+from armrig.data.argument import HasDataset, takes_recordings
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.data.finding import Finding, good, lines_of, warning
@@ -117,16 +117,20 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
       order      no pole is cancelled by a zero
     """
     if not isinstance(data_or_fit, Fit):
-        data = as_dataset(data_or_fit)
-        tests = [(good if t.linear else warning)("linearity", t.line) for t in in_open_loop(data)]
-        found = (*examine_experiment(data, tested(data, None)), *tests)
-        return Advice(of=f"{data.N} samples of {data.output}", findings=found)
+        return _advice_on_data(data_or_fit)
     fit = data_or_fit
     each = dict(_examined_channels(fit))
     if (fit.ny, fit.nu) == (1, 1):
         return each[fit.outputs[0], fit.inputs[0]]
     together = Advice(of=fit.label, findings=fit.findings).explain()
     return ByChannel(results=each, refused={}, together=together)  # type: ignore[return-value]
+
+
+@takes_recordings
+def _advice_on_data(data: Dataset) -> Advice:
+    tests = [(good if t.linear else warning)("linearity", t.line) for t in in_open_loop(data)]
+    found = (*examine_experiment(data, tested(data, None)), *tests)
+    return Advice(of=f"{data.N} samples of {data.output}", findings=found)
 
 
 def _examined_channels(model: Fit) -> Iterator[tuple[Name, Advice]]:

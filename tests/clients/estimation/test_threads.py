@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from armrig.data.argument import takes_data
+from armrig.data.dataset import Dataset, Signals
+from threadpoolctl import threadpool_info, threadpool_limits
 
 _SCRIPT = """
 import json
@@ -38,6 +41,25 @@ def _estimated(threads: str) -> Any:
         [sys.executable, "-c", _SCRIPT], env=environment, capture_output=True, text=True, check=True
     )
     return json.loads(done.stdout)
+
+
+def _threads() -> set[int]:
+    return {library["num_threads"] for library in threadpool_info()}
+
+
+@takes_data
+def _threads_of_a_function(data: Dataset | Signals) -> set[int]:
+    """Return the numbers of threads while a function of data runs."""
+    return _threads()
+
+
+def test_a_function_of_data_uses_one_thread_of_linear_algebra() -> None:
+    """After its end, the caller's number of threads applies again."""
+    data = Dataset(u=np.arange(3.0), y=np.arange(3.0), Ts=1.0)
+
+    with threadpool_limits(2):
+        assert _threads_of_a_function(data) == {1}
+        assert _threads() == {2}
 
 
 @pytest.mark.exhaustive
