@@ -17,6 +17,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
 _STEP = 1e-3  # step of a parameter for a difference quotient, in standard deviations
+_LONGEST_STEP = 1e-5  # the same as a share of |theta|; a longer step can make a predictor unstable
 _MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance below which a variance counts as 0
 _COLUMNS = 8  # columns that are projected at once, so that only a part of a matrix is copied
 
@@ -102,10 +103,12 @@ def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
     by: list[list[Array]] = []
     directions = _directions(fit)
     for direction in directions.T:
-        ahead, behind = (responses(fit.theta + h * _STEP * direction) for h in (1, -1))
+        longest = _LONGEST_STEP * np.linalg.norm(fit.theta) / np.linalg.norm(direction)
+        step = min(_STEP, float(longest))
+        ahead, behind = (responses(fit.theta + h * step * direction) for h in (1, -1))
         by.append(
             [
-                np.einsum("k,tki->ti", c, a.errors - b.errors) / (2 * _STEP)
+                np.einsum("k,tki->ti", c, a.errors - b.errors) / (2 * step)
                 for c, a, b in zip(states, ahead, behind, strict=True)
             ]
         )

@@ -407,3 +407,15 @@ def test_coloured_residuals_do_not_show_whether_dynamics_are_missing_if_u_is_slo
 
     assert "independent values. Record longer" in tested.blind
     assert "the data do not show whether dynamics are missing" in repr(tested)
+
+
+@pytest.mark.parametrize("seed", [1, 2], ids=["estimation data", "validation data"])
+def test_huge_deviations_of_several_outputs_end_in_a_result(seed: int) -> None:
+    """A step of a thousandth of these deviations makes the predictor unstable."""
+    fit = armrig.n4sid(two_outputs(1), order=3, replicates=10)
+    covariances = {name: 1e12 * getattr(fit, name) for name in ("covariance", "covariance_robust")}
+
+    tested = residuals(replace(fit, **covariances), two_outputs(seed))
+
+    assert 0.0 <= tested.whiteness <= 1.0
+    assert tested.on_estimation_data or "find nothing" in tested.powerless
