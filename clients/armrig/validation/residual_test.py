@@ -106,9 +106,14 @@ class ResidualTest:
     """
 
     @property
+    def whiteness(self) -> float:
+        """The p value of the hypothesis that all residuals are white."""
+        return self.white.p_value
+
+    @property
     def rejects(self) -> bool:
         """True if a joint test rejects the model."""
-        p = self.white.p_value, self.missing_dynamics, self.feedback, self.larger_errors
+        p = self.whiteness, self.missing_dynamics, self.feedback, self.larger_errors
         return any(value < WHITE_LEVEL for value in p)
 
     @property
