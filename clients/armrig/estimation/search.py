@@ -34,6 +34,7 @@ _MIN_NOISE_SHARE = 0.2  # if noise is a larger share of the output's variance, a
 _MAX_ROUNDS = 6
 _MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
 _STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)
+_OTHER_MINIMUM = 1e-4  # relative difference in cost of two searches that need not be completed
 _RETURN_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
 _PAIR_ANGLES = np.linspace(0.1, 3.0, 15)  # angles of a moved pair, in rad per sample
 _REAL_ROOTS = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
@@ -67,16 +68,19 @@ def searched_minimum(
     is strong. A single mode of more than 30 coefficients has little meaning and is not moved.
 
     All searches start on `part`, a part of long data. From each minimum on the part, one search
-    continues on all data. If the search is not thorough, it moves only complex pairs of F.
+    continues on all data. If the search is not thorough, it moves only complex pairs of F. If C and
+    D beside F only fit chance, it moves no mode of C and D.
     """
     ends = from_starts(problem) if part is None else _through(part, problem)
     movable = thorough or max(problem.rows[0].sizes, default=0) >= 2
     doubtful = movable and _doubtful(problem, ends, strict=thorough and part is None)
     for _ in range(_MAX_ROUNDS if doubtful else 0):
         best = ends[0][1]
+        letters = "acdf" if thorough and _noise_matters(problem, best) else "f"
         agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
         most = _STARTS_IF_AGREED if agreed else _STARTS_PER_KIND
-        lowest = _lowest_without_gaps(problem, best, all_kinds=thorough, most=most)
+        moves = {"letters": letters, "all_kinds": thorough, "most": most}
+        lowest = _lowest_without_gaps(problem, best, **moves)
         if same_minimum(problem, lowest.cost, best.cost):
             break
         ends.insert(0, ("mode at another frequency", lowest))
@@ -140,18 +144,20 @@ def lowest_beside(
 
 def from_starts(problem: PolynomialProblem) -> Ends:
     """Return the minimum reached from each start value of polynomials, best first."""
-    return from_each(problem, start_values(problem))
+    other = np.inf if problem.rows[0].white else _OTHER_MINIMUM
+    return from_each(problem, start_values(problem), other)
 
 
-def from_each(problem: Problem, starts: Iterable[tuple[str, Array]]) -> Ends:
+def from_each(problem: Problem, starts: Iterable[tuple[str, Array]], other: float = np.inf) -> Ends:
     """Return the minimum reached from each start value, best first.
 
-    The first search is from the start value of least cost.
+    The first search is from the start value of least cost. A later search ends before its minimum
+    if the relative difference to the least cost will remain above `other`.
     """
     ends: Ends = []
     for name, theta in sorted(starts, key=lambda start: problem.cost(start[1])):
         known = min((end.cost for _, end in ends), default=float("nan"))
-        ends.append((name, problem.minimise(theta, known=known)))
+        ends.append((name, problem.minimise(theta, known=known, target=known * (1 + other))))
     return sorted(ends, key=lambda end: end[1].cost)
 
 
@@ -208,10 +214,20 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
     return noise > _MIN_NOISE_SHARE * variance
 
 
+def _noise_matters(problem: PolynomialProblem, best: Optimum) -> bool:
+    """Return whether C and D beside F lower the cost by more than their description length."""
+    n = problem.rows[0]
+    if n.white or n.na or not any(n.sizes):
+        return True
+    white = replace(problem, rows=(n.output_error,))
+    cost = white.cost(best.theta[np.array(problem.letters) == "f"])
+    return bool(cost > best.cost * problem.N ** ((n.nc + n.nd) / problem.N))
+
+
 def moved_modes(
-    problem: PolynomialProblem, theta: Array, *, all_kinds: bool, most: int
+    problem: PolynomialProblem, theta: Array, *, letters: str, all_kinds: bool, most: int
 ) -> Iterator[Array]:
-    """Yield start values with one moved mode of C, D or F, up to `most` for each kind of move.
+    """Yield start values with one moved mode of `letters`, up to `most` for each kind of move.
 
     A complex pair, or the two smallest real roots, is replaced by another complex pair or by two
     other real roots. A real root is replaced by another real root. For each polynomial and each
@@ -220,10 +236,11 @@ def moved_modes(
     """
     kinds = (other_pairs, _other_reals, other_real) if all_kinds else (other_pairs,)
     for k, letter in enumerate(problem.layout.letters):
-        for kind in kinds if all_kinds or letter == "f" else ():
+        for kind in kinds if letter in letters else ():
             yield from cheapest(problem, _with_mode(problem, theta, k, kind), most)
     if all_kinds:
-        yield from cheapest(problem, _moved_together(problem, theta), most)
+        if "c" in letters:
+            yield from cheapest(problem, _moved_together(problem, theta), most)
         yield from _with_white_noise(problem, theta)
         yield from cheapest(problem, _through_a_higher_order(problem, theta), most)
 

@@ -177,6 +177,7 @@ def test_modes_are_moved_as_long_as_the_cost_falls(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(search, "from_starts", lambda _: [("ARX", end(5.0))])
     monkeypatch.setattr(search, "_doubtful", lambda *_, **__: True)
+    monkeypatch.setattr(search, "_noise_matters", lambda *_: True)
     monkeypatch.setattr(search, "_lowest_without_gaps", lowest)
     problem: Any = SimpleNamespace(experiments=())
 
@@ -185,6 +186,32 @@ def test_modes_are_moved_as_long_as_the_cost_falls(monkeypatch: pytest.MonkeyPat
     moved = "mode at another frequency"
     assert [(name, x.cost) for name, x in found] == [(moved, 3.0), (moved, 4.0), ("ARX", 5.0)]
     assert begun == [5.0, 4.0, 3.0]
+
+
+def test_a_later_search_may_end_above_the_least_cost() -> None:
+    targets: list[float] = []
+
+    def minimise(theta: NDArray[np.float64], known: float, target: float) -> Optimum:
+        targets.append(target)
+        return Optimum(theta=theta, cost=float(theta[0]), iterations=1, converged=True)
+
+    problem: Any = SimpleNamespace(cost=lambda theta: float(theta[0]), minimise=minimise)
+    search.from_each(problem, [("OE", np.array([3.0])), ("ARX", np.array([2.0]))], 1e-4)
+
+    assert targets == pytest.approx([np.nan, 2.0002], nan_ok=True)
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_modes_of_c_and_d_are_moved_in_coloured_noise_only(pole: float) -> None:
+    rng = np.random.default_rng(1)
+    u = np.cumprod(np.where(rng.random(400) < 0.2, -1.0, 1.0))
+    noise = filtered([1.0], [1.0, -pole], 0.3 * rng.standard_normal(u.size))
+    data = Dataset(u=u, y=filtered([0, 0.5, 0.3], [1, -1.2, 0.6], u) + noise, Ts=1.0)
+    problem = problem_of(data, Structure(nb=(2,), nc=1, nd=1, nf=(2,), nk=(1,)))
+
+    (_, best), *_ = search.from_starts(problem)
+
+    assert search._noise_matters(problem, best) == (pole > 0)
 
 
 def test_real_roots_of_c_and_d_move_together_inside_the_circle() -> None:
