@@ -69,7 +69,7 @@ def searched_minimum(
 
     All searches start on `part`, a part of long data. From each minimum on the part, one search
     continues on all data. If the search is not thorough, it moves only complex pairs of F. If C and
-    D beside F only fit chance, it moves no mode of C and D.
+    D of a model with F only fit chance, it moves no mode of C and D.
     """
     ends = from_starts(problem) if part is None else _through(part, problem)
     movable = thorough or max(problem.rows[0].sizes, default=0) >= 2
@@ -215,7 +215,7 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
 
 
 def _noise_matters(problem: PolynomialProblem, best: Optimum) -> bool:
-    """Return whether C and D beside F lower the cost by more than their description length."""
+    """Return whether C and D, given F, lower the cost by more than their description length."""
     n = problem.rows[0]
     if n.white or n.na or not any(n.sizes):
         return True
