@@ -62,10 +62,11 @@ def searched_minimum(
     """Return the minimum reached from each start value, best first.
 
     If the minimum is in doubt, the search moves each mode of the best model and starts again, as
-    long as the cost decreases. The minimum is in doubt if the searches end in different minima. In
-    a thorough search without `part`, it is also in doubt if the cost is larger than rounding errors
-    explain. In any other search, it is also in doubt if an F has at least two roots and the noise
-    is strong. A single mode of more than 30 coefficients has little meaning and is not moved.
+    long as the cost decreases by more than chance explains. The minimum is in doubt if the searches
+    end in different minima. In a thorough search without `part`, it is also in doubt if the cost is
+    larger than rounding errors explain. In any other search, it is also in doubt if an F has at
+    least two roots and the noise is strong. A single mode of more than 30 coefficients has little
+    meaning and is not moved.
 
     All searches start on `part`, a part of long data. From each minimum on the part, one search
     continues on all data. If the search is not thorough, it moves only complex pairs of F. If C and
@@ -84,6 +85,8 @@ def searched_minimum(
         if same_minimum(problem, lowest.cost, best.cost):
             break
         ends.insert(0, ("mode at another frequency", lowest))
+        if _by_chance(problem, lowest.cost, best.cost, 1):
+            break
     return ends
 
 
@@ -215,13 +218,18 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
 
 
 def _noise_matters(problem: PolynomialProblem, best: Optimum) -> bool:
-    """Return whether C and D, given F, lower the cost by more than their description length."""
+    """Return whether C and D, given F, lower the cost by more than chance explains."""
     n = problem.rows[0]
     if n.white or n.na or not any(n.sizes):
         return True
     white = replace(problem, rows=(n.output_error,))
     cost = white.cost(best.theta[np.array(problem.letters) == "f"])
-    return bool(cost > best.cost * problem.N ** ((n.nc + n.nd) / problem.N))
+    return not _by_chance(problem, best.cost, cost, n.nc + n.nd)
+
+
+def _by_chance(problem: PolynomialProblem, lower: float, higher: float, parameters: int) -> bool:
+    """Return whether two costs differ by at most the description length of some parameters."""
+    return bool(higher <= lower * problem.N ** (parameters / problem.N))
 
 
 def moved_modes(
