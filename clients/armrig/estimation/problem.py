@@ -160,8 +160,8 @@ class PolynomialProblem:
     layout: Layout = field(init=False)
     """Places of the coefficients."""
     projects: bool = field(init=False)
-    """True if `projected_errors` apply: one experiment of one input and one output, without gaps,
-    an integrator, an offset and a combination."""
+    """True if `projected_errors` apply: one experiment of one input and one output, without gaps
+    and a combination."""
 
     def __post_init__(self) -> None:
         """Find the places of the coefficients."""
@@ -169,7 +169,7 @@ class PolynomialProblem:
         layout = _layout(self.rows, gaps and any(n.na for n in self.rows))
         n = self.rows[0]
         single = len(self.rows) == len(self.experiments) == len(n.nb) == 1
-        projects = single and self.experiments[0][0].whole and n.trend == 0
+        projects = single and self.experiments[0][0].whole
         object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
         free = self.combination is None
         object.__setattr__(self, "projects", projects and free)

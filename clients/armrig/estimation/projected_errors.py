@@ -2,7 +2,8 @@
 
 A search evaluates them a thousand times on short data, on which layers of values would take most
 of the time. The equations are those of `models.innovations`. The linear parameters are the pulses
-z and x, A and B. A QR decomposition of their columns W and of the signal D/C y projects them out::
+z and x, the trend, A and B. A QR decomposition of their columns W and of the signal D/C y projects
+them out::
 
     [W, D/C y] = Q [R, r; 0, rho],   J = rows d+1 … N of Q^T Psi,   e = (rho, 0 … 0)
 """
@@ -11,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import accumulate
 
 import numpy as np
 from scipy.linalg.blas import dtrsv
 from scipy.linalg.lapack import dgeqrf, dormqr
 
-from armrig.models.innovations import Experiment, response
+from armrig.models.innovations import Experiment, response, trend
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import column_norms, upper_ones
 from armrig.numerics.polynomial import Array, filtered, monic, shift_into
@@ -34,14 +36,17 @@ def projected_errors(
 
     The result is None if the linear parameters are nearly dependent.
     """
-    N, (pulses, begin, first, d) = x.y.size, _ends(n)
+    N, (pulses, level, begin, first, d) = x.y.size, _ends(n)
     if d >= N:
         return None
     by_input, by_pulse = _with_response(_times(C, F), x.u[:, 0])
     by_output, by_past = _with_response(C, x.y) if n.nc else (x.y, x.y)
     W = np.zeros((N, d + 1), order="F")
     shift_into(W[:, :pulses], by_past, 0)
-    shift_into(W[:, pulses:begin], _times(D, by_pulse), 0)
+    shift_into(W[:, pulses:level], _times(D, by_pulse), 0)
+    if n.trend:
+        ramps = trend(n, N)
+        W[:, level:begin] = filtered(D, C, ramps.T).T if n.nc + n.nd else ramps
     W[:, d] = y = _times(D, by_output)[:N]
     if n.na:
         shift_into(W[:, begin:first], -y)
@@ -55,7 +60,7 @@ def projected_errors(
 
     def J() -> Array:
         solution = dtrsv(R[:d, :d], R[:d, d])
-        state, a = solution[pulses:begin], solution[begin:first]
+        state, a = solution[pulses:level], solution[begin:first]
         # The response B/F u from the estimated state, filtered by 1/C.
         B = np.zeros(n.nk[0] + n.nb[0])
         B[n.nk[0] :] = solution[first:]
@@ -68,6 +73,8 @@ def projected_errors(
             shift_into(Psi[:, : n.nc], filtered(_ONE, C, y - W[:, :d] @ solution))
         if n.nd:
             v = np.convolve(monic(a), by_output)[:N] if n.na else by_output
+            if n.trend:
+                v = v - filtered(_ONE, C, ramps @ solution[level:begin])
             shift_into(Psi[:, n.nc : n.nc + n.nd], driven - v)
             driven = np.convolve(D, driven)[:N]
         if n.nf[0]:
@@ -94,8 +101,9 @@ def _times(P: Array, x: Array) -> Array:
 
 
 @lru_cache
-def _ends(n: Structure) -> tuple[int, int, int, int]:
-    """Return the ends of the pulses z, of x, of A and of B in the linear parameters."""
+def _ends(n: Structure) -> tuple[int, int, int, int, int]:
+    """Return the ends of the pulses z, of x, the trend, A and B in the linear parameters."""
     pulses = n.forgotten(0) if n.nc else 0
-    begin = pulses + n.counts[0]
-    return pulses, begin, begin + n.na, begin + n.na + n.nb[0]
+    sizes = n.counts[0], n.trend, n.na, n.nb[0]
+    pulses, level, begin, first, d = accumulate(sizes, initial=pulses)
+    return pulses, level, begin, first, d

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -107,25 +108,34 @@ def test_the_reduced_gradient_equals_that_of_the_cost(
         assert -2 * (J.T @ e)[k] == pytest.approx(slope, rel=1e-5, abs=1e-7 * float(e @ e))
 
 
-@pytest.mark.parametrize("rich", [True, False])
+PROJECTED = (
+    ONE_INPUT[0],
+    Structure(nb=(3,), nc=1, nd=2, nf=(2,), nk=(0,)),
+    Structure(nb=(2,), nc=2, nf=(1,), nk=(2,), at_rest=True),
+    Structure(nb=(2,), nc=1, nd=1, nf=(0,), nk=(1,)),
+    ONE_INPUT[2],
+    GENERAL,
+)
+WITH_TREND = (
+    replace(PROJECTED[1], offset=True),
+    Structure(nb=(2,), nc=1, nd=1, nf=(2,), nk=(1,), integrator="f"),
+)
+
+
 @pytest.mark.parametrize(
-    "n",
-    [
-        ONE_INPUT[0],
-        Structure(nb=(3,), nc=1, nd=2, nf=(2,), nk=(0,)),
-        Structure(nb=(2,), nc=2, nf=(1,), nk=(2,), at_rest=True),
-        Structure(nb=(2,), nc=1, nd=1, nf=(0,), nk=(1,)),
-        ONE_INPUT[2],
-        GENERAL,
-    ],
+    ("n", "rich"),
+    [*product(PROJECTED, (True, False)), *product(WITH_TREND, (True,))],
 )
 def test_the_projected_errors_have_the_cost_and_the_gradient_of_the_solution(
     n: Structure, rich: bool
 ) -> None:
     """A constant u determines one b only; a search then uses the solution itself."""
     p = problem(n, parts=1)
+    x = p.experiments[0][0]
+    if n.trend:
+        p = replace(p, experiments=((replace(x, y=x.y + 3.0),),))
     if not rich:
-        y = p.experiments[0][0].y
+        y = x.y
         p = PolynomialProblem(rows=(n,), experiments=((prepared(np.ones((N, 1)), y, n),),))
     at = start(p)
 
