@@ -73,8 +73,7 @@ def projected_errors(
             shift_into(Psi[:, : n.nc], filtered(_ONE, C, y - W[:, :d] @ solution))
         if n.nd:
             v = np.convolve(monic(a), by_output)[:N] if n.na else by_output
-            if n.trend:
-                v = v - filtered(_ONE, C, ramps @ solution[level:begin])
+            # The trend in v needs no term: filtered by 1/C, it is in the span of W.
             shift_into(Psi[:, n.nc : n.nc + n.nd], driven - v)
             driven = np.convolve(D, driven)[:N]
         if n.nf[0]:
