@@ -18,6 +18,7 @@ from armrig.numerics.covariance import Autoregression, joint_exogenous_score
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import (
     BAND_99_PERCENT,
+    WHITE_LEVEL,
     autoregression,
     default_lags,
     joined,
@@ -69,7 +70,8 @@ def residuals(
     the unknown past, the ramps of integrating outputs and, on estimation data, the parameters. P
     uses the weights of the estimator, the inverse of the noise covariance if outputs are estimated
     together. Because of the estimation, the residuals are on estimation data less correlated with
-    the past input than the noise is.
+    the past input than the noise is. If only the present input speaks against the model, lag 0
+    counts as feedback: a controller may compute u from y of the same sample.
 
     For exactly known parameters, the band for a single lag has the variance P/(N R_e(0) R_u(0)). P
     is the sum over k of the product of the autocovariances R_e(k) and R_u(k). The variance is 1/N
@@ -154,6 +156,10 @@ def residuals(
 
     def by_pair(at: Array) -> Array:
         return np.array([[p_value(k, N) for k in row] for row, N in zip(at, free, strict=True)])
+
+    later, from_now = pairs[:, :, L + 1 :], pairs[:, :, : L + 1]
+    if p_value(past, free.sum()) < WHITE_LEVEL <= p_value(later, free.sum()):
+        past, future = later, from_now
 
     def squeezed(x: Array) -> Any:
         if several:

@@ -200,8 +200,10 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     fewer = [k for k, j in enumerate(found.ranked) if j.parameters < chosen.parameters]
     as_good = bool(found.as_good[fewer].any())
     if i:
-        text = f"chosen: {chosen.candidate.name}, {plural(chosen.parameters, 'parameter')} instead "
-        text += f"of {best.parameters}; its mean squared error is higher by "
+        why = "which predicts better one step ahead"
+        if chosen.parameters < best.parameters:
+            why = f"{plural(chosen.parameters, 'parameter')} instead of {best.parameters}"
+        text = f"chosen: {chosen.candidate.name}, {why}; its mean squared error is higher by "
         yield f"{text}{found.excess[i]:.2g} ± {found.excess_std[i]:.2g}, within its standard error"
     else:
         why = "" if as_good else ", since no simpler model is as good"

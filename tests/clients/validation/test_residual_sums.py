@@ -24,7 +24,12 @@ from armrig.validation.residuals import residuals
 from scipy.stats import chi2
 
 from tests.benchmarks.verdict_levels import drawn
-from tests.clients.validation.plants import SAMPLES, oe_of_two_outputs, two_outputs
+from tests.clients.validation.plants import (
+    SAMPLES,
+    oe_of_two_outputs,
+    two_outputs,
+    under_control,
+)
 from tests.plants import chassis_and_arm
 from tests.sampling import sampled
 
@@ -419,3 +424,13 @@ def test_huge_deviations_of_several_outputs_end_in_a_result(seed: int) -> None:
 
     assert 0.0 <= tested.whiteness <= 1.0
     assert tested.on_estimation_data or "find nothing" in tested.powerless
+
+
+def test_feedback_within_a_sample_is_not_taken_for_missing_dynamics() -> None:
+    """The controller computes u from y of the same sample, so lag 0 alone is correlated."""
+    loop = under_control()
+
+    tested = residuals(armrig.bj(loop, nb=2, nc=1, nd=1, nf=2), loop)
+
+    assert tested.feedback < 0.01 <= tested.missing_dynamics
+    assert "feedback, or a delay too large" in repr(tested)
