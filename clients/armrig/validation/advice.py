@@ -170,10 +170,11 @@ def _advised(
         yield warning("residuals", f"{text}; {COLOURED}", "search")
     else:
         yield good("residuals", text)
+    apart = [p for p in superfluous if not _at_one(p)]
     if pairs and not superfluous:
         yield good("order", "each pole is needed in a channel")
-    else:
-        yield _about_overlap([p for p in superfluous if not _at_one(p)], kind)
+    elif apart or not superfluous:
+        yield _about_overlap(apart, kind)
     yield from _about_pair_at_one(fit, [p for p in superfluous if _at_one(p)])
     yield from _about_negative_poles(fit)
     if not any(map(_at_one, pairs)):

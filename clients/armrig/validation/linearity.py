@@ -118,8 +118,11 @@ class Linearity:
     @property
     def line(self) -> str:
         """Verdict, reason, p value and remedy in a line."""
-        remedy = f"; {self.remedy}" if self.remedy else ""
-        return f"{'NONLINEAR: ' * bool(remedy)}{self.reason} (p {p_relation(self.p)}){remedy}"
+        text = f"{self.reason} (p {p_relation(self.p)})"
+        if self.linear:
+            return text
+        unless = f", unless a controller computed {self.input} from {self.output}"
+        return f"NONLINEAR{unless if self.closed else ''}: {text}; {self.remedy}"
 
     def explain(self) -> str:
         """Return the answer, the tested hypothesis, and the limits of the answer."""
