@@ -174,7 +174,7 @@ class OrderTable:
         return "mdl" if self.validation_loss is None else "validation"
 
     def _lowest(self, criterion: Criterion) -> int:
-        return int(np.nanargmin(self.values(criterion)))
+        return int(np.argmin(np.nan_to_num(self.values(criterion), nan=np.inf)))
 
     def explain(self) -> str:
         """Return a text with the choice and its reasons."""

@@ -56,6 +56,7 @@ _MAX_INSIDE = 0.35  # gain inside a dead zone, relative to the gain outside
 _MAX_OUTSIDE = -0.5  # coefficient of a saturation: -1 if y stays at the limit
 _ZONES = np.linspace(0.03, 0.75, 24)  # thresholds of a dead zone, as shares of the range of u
 _LEVELS_OF_A_ZONE = 4  # least number of levels of u that distinguish a dead zone
+_ROUNDING = 1e-9  # share of y below which errors are rounding
 _SAME_BIC = 1.0  # difference of BIC that does not distinguish two thresholds
 _LEVELS = np.linspace(0.05, 0.95, 19)  # from the 5 % to the 95 % quantile
 
@@ -290,6 +291,8 @@ def _p_value(model: _LongModel) -> float:
     like_u = np.array([u**2, u**3, np.abs(du), *of_x, x * u, *of_dx])
     effects = np.vstack([filtered(model.B, [1.0], like_u), filtered(model.A, [1.0], of_x)]).T
     own, e = model.arx.errors(effects), model.arx.errors(model.y)
+    if np.linalg.norm(e) <= _ROUNDING * np.linalg.norm(model.y):
+        return 1.0
     moving = np.std(effects[model.arx.rows], axis=0) * np.sqrt(e.size)
     used = np.linalg.norm(own, axis=0) > _MIN_OWN_SHARE * moving
     # The transients of few changes of u do not determine many effects.

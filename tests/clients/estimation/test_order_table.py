@@ -203,3 +203,12 @@ def test_each_output_has_separate_orders() -> None:
     assert table.parameters[at] == 5
     assert len(found) == 2
     assert repr(found).startswith("a:\n- chosen")
+
+
+def test_a_table_without_a_loss_is_printed() -> None:
+    """Each loss of an output that is 0 is 0, and each criterion is not a number."""
+    u = np.random.default_rng(1).standard_normal(100)
+
+    table = select_orders(Dataset(u=u, y=np.zeros(100), Ts=1.0), range(1, 3), range(1, 3), [1])
+
+    assert "chooses na=1, nb=1, nk=1" in repr(table)

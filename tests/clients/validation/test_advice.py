@@ -251,3 +251,11 @@ def test_a_pole_that_another_channel_needs_is_not_superfluous(nf: int, superfluo
 
     cancelled = [name for name in found if told(found[name]) & {"order", "level"}]
     assert len(cancelled) == superfluous
+
+
+def test_a_constant_output_has_no_drift() -> None:
+    u = np.sign(np.random.default_rng(1).standard_normal(400))
+
+    found = armrig.advice(Dataset(u=u, y=np.ones(400), Ts=0.01))
+
+    assert "drift" not in {f.about for f in found.findings}

@@ -73,3 +73,11 @@ def test_a_slow_pole_does_not_look_nonlinear() -> None:
         p.append(armrig.linearity(armrig.Dataset(u=u, y=y, Ts=1.0)).p)
 
     assert min(p) > 0.01
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_data_without_noise_are_linear(seed: int) -> None:
+    """The errors of the long model are rounding errors, which may depend on anything."""
+    u = np.sign(np.random.default_rng(seed).standard_normal(400))
+
+    assert armrig.linearity(armrig.Dataset(u=u, y=np.append(0.0, u[:-1]), Ts=0.01)).linear

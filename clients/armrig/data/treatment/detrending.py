@@ -285,6 +285,8 @@ def _drift_of(part: Signals, i: int, n: int) -> Drift:
             f"estimate of order {n} needs {needed - n}: lower the order"
         )
     Ts, gain = part.Ts, float(np.sum(model.A))
+    if not gain:
+        raise InputError(f"{part.outputs[i]} has no drift to estimate: it is constant, or a ramp")
     rate = model.d / gain / Ts
     by_theta = np.zeros(len(model.covariance))
     by_theta[:n], by_theta[-1] = -rate / gain, 1 / gain / Ts
