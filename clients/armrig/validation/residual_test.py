@@ -78,7 +78,8 @@ class ResidualTest:
     parameters."""
     missing_dynamics_by_pair: Array
     """For each output and input, the p value of the hypothesis that past and present input, lags
-    0 … L, are uncorrelated with the residuals, (ny, nu)."""
+    0 … L, are uncorrelated with the residuals, (ny, nu). `residuals` says when lag 0 counts as
+    feedback."""
     feedback_by_pair: Array
     """For each output and input, the p value of the hypothesis that future input, lags -L … -1, is
     uncorrelated with the residuals, (ny, nu)."""
