@@ -13,7 +13,7 @@ import typer
 from armrig_core.errors import InputError
 from armrig_core.process.options import Group, argument, chosen, group
 from armrig_core.recording_file.part_names import part_paths
-from armrig_core.telemetry.channels import ARM_OUTPUTS, CHANNELS
+from armrig_core.telemetry.channels import ARM_OUTPUTS, CHANNELS, INTEGRATING_OUTPUTS
 
 import armrig
 from armrig.cli.options import CalibrationFile, Detrend, From, To
@@ -419,7 +419,6 @@ class SignalChoice(DataOptions):
         return armrig.detrend(data) if self.detrend else data
 
     def _table(self, file: Path, model: Fit | None) -> Dataset | Signals:
-        from armrig.data.treatment import INTEGRATING_OUTPUTS
         from armrig.estimation.data_faults import swapped
 
         outputs, inputs = self.outputs, self.inputs

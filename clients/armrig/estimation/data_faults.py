@@ -17,7 +17,7 @@ from armrig_core.errors import InputError
 from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
-from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
+from armrig.data.treatment import hampel, integrating, known_to_integrate
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import percent, plural
 from armrig.numerics.regressors import whitening
@@ -63,7 +63,7 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
     if e.size < _MIN_RESIDUALS:
         return
     yield from _wrong_samples(data, e)
-    if way_out and data.output not in INTEGRATING_OUTPUTS and _doubtful(residuals):
+    if way_out and _doubtful(residuals) and not known_to_integrate(data.output):
         level = level_without_input(data)
         if level and not integrating(data):
             if data.trends:

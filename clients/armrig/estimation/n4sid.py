@@ -11,7 +11,7 @@ import numpy as np
 from armrig.data.argument import takes_signals
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
-from armrig.data.treatment.integrating import INTEGRATING_OUTPUTS, integrating, may_be_one
+from armrig.data.treatment.integrating import integrating, known_to_integrate, may_be_one
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative
 from armrig.estimation.error_process import error_process
 from armrig.estimation.estimated_outputs import origin
@@ -324,7 +324,7 @@ def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -
     real = not integrator and z[nearest].imag == 0
     integrates = real and may_be_one(z[nearest].real, std, data.N)
     if integrates:
-        known = data.output in INTEGRATING_OUTPUTS
+        known = known_to_integrate(data.output)
         then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
         yield warning(
             "integrator",
@@ -356,7 +356,7 @@ def _poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[Find
 
 def _may_integrate(data: Dataset, z: complex) -> bool:
     """Return whether the pole z may be an integrator; outside the circle y must integrate."""
-    return abs(z - 1) < _MAX_DISTANCE_FROM_1 and (abs(z) <= 1 or data.output in INTEGRATING_OUTPUTS)
+    return abs(z - 1) < _MAX_DISTANCE_FROM_1 and (abs(z) <= 1 or known_to_integrate(data.output))
 
 
 def _pole_std(A: Array, z: complex, covariance: Array) -> float:

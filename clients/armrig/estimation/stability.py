@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from armrig.data.finding import Finding, Remedy, warning
-from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.data.treatment import known_to_integrate
 from armrig.estimation.problem import PolynomialProblem, Solution
 from armrig.models.estimate import Form
 from armrig.models.fit import Fit
@@ -137,7 +137,7 @@ def _way_out(fit: Fit, farthest: float) -> tuple[str, Remedy]:
             text = f"its standard deviation is {std:.2g}, so the data do not determine the model"
             return text, ""
         at_1 = abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING
-        known = fit.output in INTEGRATING_OUTPUTS and abs(z - 1) < _MAX_DISTANCE_FROM_1
+        known = abs(z - 1) < _MAX_DISTANCE_FROM_1 and known_to_integrate(fit.output)
         if at_1 or known:
             what = "the pole is 1 within its accuracy; " if at_1 else ""
             what += f"{fit.output} integrates, so " if known else f"if {fit.output} integrates, "

@@ -11,10 +11,10 @@ import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.channels import symbol
-from armrig_core.telemetry.channels import ARM_OUTPUTS, BODIES
+from armrig_core.telemetry.channels import ARM_OUTPUTS, BODIES, INTEGRATING_OUTPUTS
 
 from armrig.data.dataset import Dataset, Signals, Vector
-from armrig.data.treatment import INTEGRATING_OUTPUTS, detrend
+from armrig.data.treatment import detrend
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import armax, oe
 from armrig.estimation.request import require_sensible

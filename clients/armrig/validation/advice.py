@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.data.finding import Finding, good, lines_of, warning
 from armrig.data.step import LINE, codes_of
-from armrig.data.treatment import INTEGRATING_OUTPUTS, drift
+from armrig.data.treatment import drift, known_to_integrate
 from armrig.data.treatment.integrating import Integration, integration, may_be_one
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
@@ -224,7 +224,7 @@ def _real_poles(fit: Fit) -> list[tuple[float, float]]:
 
 def _about_pole_at_1(fit: Fit, kind: RegisteredStructure) -> Iterator[Finding]:
     at_1 = [pole for pole in _real_poles(fit) if may_be_one(*pole, fit.N)]
-    if not fit.integrator and (at_1 or fit.output in INTEGRATING_OUTPUTS):
+    if not fit.integrator and (at_1 or known_to_integrate(fit.output)):
         text = f"{fit.output} integrates, and no pole of the model is 1"
         text = f"pole {near_one(*at_1[0])} is 1 within its accuracy" if at_1 else text
         has = kind.continuous or "integrator" in kind.takes
@@ -313,7 +313,7 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
             remedy = OFFSET_OF_TRANSIENT if data.trends else NO_OPTION
             yield replace(level, text=f"{level.text}: {remedy}")
         yield from _about_drift(data)
-    if data.output in INTEGRATING_OUTPUTS and LINE in codes_of(data.history):
+    if known_to_integrate(data.output) and LINE in codes_of(data.history):
         text = "a line was removed from an output that integrates: it was the response to the mean "
         yield warning("trend", text + "of u, not a drift; begin again from the recording")
     yield from about_feedback(known)

@@ -14,7 +14,7 @@ from armrig.data.argument import takes_data
 from armrig.data.columns import index_of
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
-from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
+from armrig.data.treatment import difference, known_to_integrate
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.fit import Fit
 from armrig.models.prediction import findings_on_own_data
@@ -265,7 +265,7 @@ def _compared(
     for own_data, modelled, integrates in zip(each, y.T, integrators.tolist(), strict=True):
         percent, rms = _misfit(own_data.y, modelled)
         velocity = None
-        if integrates or own_data.output in INTEGRATING_OUTPUTS:
+        if integrates or known_to_integrate(own_data.output):
             of_model = own_data.replaced(y=modelled, valid=np.isfinite(modelled), step=None)
             velocity, _ = _misfit(difference(own_data).y, difference(of_model).y)
         yield Comparison(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding
-from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.data.treatment import known_to_integrate
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.data_faults import CONSTANT_INPUT, level_without_input
 from armrig.estimation.orders import integrating_outputs
@@ -266,7 +266,7 @@ def _planned(
     else:
         if integrator is None:
             able = families is None or "oe" in families
-            integrator = [name for name in data.outputs if able and name in INTEGRATING_OUTPUTS]
+            integrator = [name for name in data.outputs if able and known_to_integrate(name)]
         marks = integrating_outputs(integrator, data)
         fixed = tuple(name for name, mark in zip(data.outputs, marks, strict=True) if mark)
         poles = (fixed or False,)
