@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, wraps
 from inspect import Parameter, signature
+from threading import Lock
 from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, cast, overload
 
 import numpy as np
@@ -128,19 +130,36 @@ def _taking(f: Callable[..., R], converted: Callable[[Any], Any]) -> Callable[..
         if args:
             _check_order(f.__name__, first, parameters, args)
         check_call(f.__name__, called, args, options)
-        with _linear_algebra().limit(limits=1, user_api="blas"):
+        with _one_thread():
             return f(*(converted(a) for a in args[:1]), *args[1:], **options)
 
     return taking
 
 
-@cache
-def _linear_algebra() -> Any:
-    """Return the controller of the threads of NumPy's and SciPy's linear algebra.
+_limiting = Lock()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Limit linear algebra to one thread, unless another call limits it already.
 
     The threads of OpenBLAS wait by spinning: on a busy machine an estimate with small matrices
-    takes up to twenty times the processor time that it takes with one thread.
+    takes up to twenty times the processor time that it takes with one thread. The limit belongs to
+    the process, so of calls that overlap in several threads, only the first sets and removes it.
     """
+    if not _limiting.acquire(blocking=False):
+        yield
+        return
+    try:
+        with _linear_algebra().limit(limits=1, user_api="blas"):
+            yield
+    finally:
+        _limiting.release()
+
+
+@cache
+def _linear_algebra() -> Any:
+    """Return the controller of the threads of NumPy's and SciPy's linear algebra."""
     import scipy.linalg  # noqa: F401  the controller finds loaded libraries only
     from threadpoolctl import ThreadpoolController
 

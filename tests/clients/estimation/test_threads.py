@@ -6,6 +6,8 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -60,6 +62,37 @@ def test_a_function_of_data_uses_one_thread_of_linear_algebra() -> None:
     with threadpool_limits(2):
         assert _threads_of_a_function(data) == {1}
         assert _threads() == {2}
+
+
+def _set_threads(number: int) -> None:
+    """Set it in a thread that ends, because the limits of other threads then still apply."""
+    setting = Thread(target=threadpool_limits, args=(number,))
+    setting.start()
+    setting.join()
+
+
+def test_overlapping_calls_leave_the_number_of_threads_of_the_caller() -> None:
+    """The first call to begin ends first."""
+    data = Dataset(u=np.arange(3.0), y=np.arange(3.0), Ts=1.0)
+    first_begins, second_begins, first_ended = Event(), Event(), Event()
+
+    @takes_data
+    def called(_: Dataset | Signals, *, begins: Event, until: Event) -> bool:
+        begins.set()
+        return until.wait(timeout=30)
+
+    before = _threads()
+    _set_threads(2)
+    with ThreadPoolExecutor() as pool:
+        first = pool.submit(called, data, begins=first_begins, until=second_begins)
+        first_begins.wait(timeout=30)
+        second = pool.submit(called, data, begins=second_begins, until=first_ended)
+        assert first.result()
+        first_ended.set()
+        assert second.result()
+    after = _threads()
+    _set_threads(*before)
+    assert after == {2}
 
 
 @pytest.mark.exhaustive
