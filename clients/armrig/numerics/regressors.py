@@ -13,6 +13,9 @@ from armrig.numerics.least_squares import Basis, cholesky_factor, orthonormal, t
 from armrig.numerics.polynomial import Array, lagged, monic
 from armrig.numerics.stretches import Mask
 
+_BLOCK_ROWS = 2_000
+_MAX_ROWS = 100_000  # more rows hardly improve a model of the noise, or a test
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArxRows:
@@ -90,13 +93,26 @@ class LongArx:
 
 
 def long_arx(parts: Sequence[tuple[Array, Array]], p: int, first: int) -> LongArx:
-    """Return the model of (u, y) of each experiment with p lags of y and lags `first` … p of u."""
-    each = [arx_rows(u, y, na=p, lags=range(first, p + 1)) for u, y in parts]
-    rows = np.concatenate([one.usable for one in each])
-    constants = np.repeat(np.eye(len(parts)), [y.size for _, y in parts], axis=0)
-    Phi = np.hstack([np.vstack([one.Phi for one in each]), constants])
-    nu = (each[0].Phi.shape[1] - p) // (p + 1 - first)
-    return LongArx(base=orthonormal(Phi[rows]), rows=rows, lags=(first, p), nu=nu)
+    """Return the model of (u, y) of each experiment with p lags of y and lags `first` … p of u.
+
+    Of 200 000 samples or more, only evenly spaced blocks are used.
+    """
+    skip = max(1, sum(y.size for _, y in parts) // _MAX_ROWS)
+    used, blocks = [], []
+    for constant, (u, y) in zip(np.eye(len(parts)), parts, strict=True):
+        rows, length = np.zeros(y.size, dtype=np.bool_), _BLOCK_ROWS if skip > 1 else max(y.size, 1)
+        for begin in range(0, y.size, skip * length):
+            lead = min(p, begin)
+            piece = slice(begin - lead, begin + length)
+            of = arx_rows(u[piece], y[piece], na=p, lags=range(first, p + 1))
+            usable = of.usable[lead:]
+            rows[begin : begin + usable.size] = usable
+            Phi = of.Phi[lead:][usable]
+            blocks.append(np.hstack([Phi, np.tile(constant, (Phi.shape[0], 1))]))
+        used.append(rows)
+    nu = parts[0][0].size // parts[0][1].size
+    base = orthonormal(np.vstack(blocks))
+    return LongArx(base=base, rows=np.concatenate(used), lags=(first, p), nu=nu)
 
 
 def best_arx(
@@ -131,10 +147,6 @@ def in_blocks(M: Array, rows: int) -> Iterator[Array]:
     """Yield successive blocks of M (N, d) with `rows` rows; the last block has the remainder."""
     for begin in range(0, M.shape[0], rows):
         yield M[begin : begin + rows]
-
-
-_BLOCK_ROWS = 2_000
-_MAX_ROWS = 100_000  # more rows do not improve the judgement of single samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

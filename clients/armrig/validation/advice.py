@@ -128,8 +128,10 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 
 @takes_recordings
 def _advice_on_data(data: Dataset) -> Advice:
-    tests = [(good if t.linear else warning)("linearity", t.line) for t in in_open_loop(data)]
-    found = (*examine_experiment(data, tested(data, None)), *tests)
+    known = tested(data, None)
+    each = in_open_loop(data, known.loop)
+    tests = [(good if t.linear else warning)("linearity", t.line) for t in each]
+    found = (*examine_experiment(data, known), *tests)
     return Advice(of=f"{data.N} samples of {data.output}", findings=found)
 
 

@@ -25,7 +25,12 @@ from armrig.numerics.regressors import LongArx, long_arx
 from armrig.numerics.whiteness import effects_p_value
 from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
-from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, open_loop, require_level
+from armrig.validation.feedback_and_delay.open_loop import (
+    CHANCE_LEVEL,
+    OpenLoop,
+    open_loop,
+    require_level,
+)
 
 Kind = Literal["", "dead zone", "saturation", "gain by level", "friction"]
 
@@ -152,7 +157,8 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     filtered by A or B. The effects are squares and cubes of u and x, their product, ``|Δu|``, and
     the sign and the square of Δx. A joint test gives `p`. If x does not follow y, the prediction of
     y replaces x. If the test rejects, the kind with the least BIC is reported. An output is also
-    saturated if it stays at exactly its largest or smallest value.
+    saturated if it stays at exactly its largest or smallest value. Of 200 000 samples or more,
+    evenly spaced blocks are tested.
 
     Parameters
     ----------
@@ -188,11 +194,15 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     'dead zone'
     """
     require_level(level)
-    data = data.signals()
+    return _judged(data.signals(), level, None)
+
+
+def _judged(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
+    """Test one output; `loop` is the result of the test for feedback, if it is known."""
     (y,), u, together, closed, direct = data.outputs, data.inputs[0], False, False, False
     one = data.dataset(y, u)
     with suppress(InputError):
-        loop = open_loop(one)
+        loop = loop or open_loop(one)
         together, direct = loop.p_value < CHANCE_LEVEL, loop.may_be_direct_term
         closed = together and not loop.few_levels
     # In closed loop, u(t) contains e(t).
@@ -230,10 +240,14 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     )
 
 
-def in_open_loop(data: Dataset | Signals) -> list[Linearity]:
-    """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result."""
+def in_open_loop(data: Dataset | Signals, loop: OpenLoop | None = None) -> list[Linearity]:
+    """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result.
+
+    `loop` is the result of the test for feedback in data of one channel, if it is known.
+    """
     try:
-        found = linearity(data, CHANCE_LEVEL)
+        judged = _judged(data.signals(), CHANCE_LEVEL, loop) if loop else None
+        found = judged or linearity(data, CHANCE_LEVEL)
     except InputError:
         return []
     each = [found] if isinstance(found, Linearity) else found.results.values()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from armrig.numerics.regressors import arx_rows, in_blocks
+from armrig.numerics.polynomial import filtered
+from armrig.numerics.regressors import arx_rows, in_blocks, long_arx
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,3 +40,22 @@ def test_blocks_of_rows_equal_the_regressor_matrix() -> None:
 
     assert [b.shape[0] for b in blocks] == [3, 3, 1]
     np.testing.assert_array_equal(np.vstack(blocks), M)
+
+
+def test_a_long_model_of_a_long_record_has_blocks_of_all_experiments() -> None:
+    """e(t) in a block equals e(t) of all samples, though the model has a fraction of the rows."""
+    rng = np.random.default_rng(4)
+    u, e = rng.standard_normal((2, 400_000))
+    y = filtered([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u) + filtered([1.0], [1.0, -1.2, 0.6], 0.1 * e)
+    y[20] = NAN
+    parts = [(u[:150_000, None], y[:150_000]), (u[150_000:, None], y[150_000:])]
+
+    model = long_arx(parts, 2, 0)
+
+    A, B = model.polynomials(y)
+    np.testing.assert_allclose(A, [1, -1.2, 0.6], atol=2e-3)
+    np.testing.assert_allclose(B, [[0, 1, 0.5]], atol=2e-3)
+    assert not model.rows[[0, 20, 21, 22, 150_000]].any()
+    assert model.rows[[2, 19, 23, 150_002, 399_000]].all()
+    assert model.errors(y).size == np.count_nonzero(model.rows) < 120_000
+    np.testing.assert_allclose(model.errors(y), 0.1 * e[model.rows], atol=0.01)

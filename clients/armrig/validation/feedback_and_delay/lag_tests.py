@@ -170,7 +170,7 @@ def _rows(data: Dataset, na: int, lags: range) -> list[Vector]:
     blocks = []
     for part in data.experiments():
         rows = arx_rows(part.u, part.y, na=na, lags=lags)
-        whole = np.column_stack([rows.Phi, rows.y])[rows.usable]
+        whole = rows.block[rows.usable]
         if whole.shape[0]:
             whole -= whole.mean(axis=0)
             blocks.append(whole)

@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.dataset import Dataset
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import orthonormal, triangle
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.stretches import stretches
 
@@ -198,12 +198,9 @@ def _sums(u: Array, p: int) -> Array:
 def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
     """Return R of the QR factorisation of all rows, and the number of rows."""
     D = constants + 2 * p + len(_FORGETTING) + FUTURE + 1
-    R, N = np.zeros((D, D)), 0
-    for piece in _pieces(data, p):
-        for block in piece.rows(constants):
-            R = np.asarray(np.linalg.qr(np.vstack([R, block]), mode="r"))
-            N += block.shape[0]
-    return R, N
+    pieces = list(_pieces(data, p))
+    N = sum(int(one.valid[p : one.u.size - FUTURE + 1].sum()) for one in pieces)
+    return triangle((block for one in pieces for block in one.rows(constants)), D), N
 
 
 def _require_information(R: Array, constants: int, d: int, degrees: int) -> None:
