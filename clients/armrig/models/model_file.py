@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -16,6 +17,7 @@ from armrig_core.process.bounded import read_text
 
 from armrig.data.step import Step
 from armrig.models.fit import Fit
+from armrig.models.matrices import Matrices
 from armrig.models.model_writing import FORMAT, FORMS, VERSION
 
 FORMAT_OF_SEVERAL = "armrig-multivariable-model"
@@ -73,9 +75,8 @@ def fit_of(text: str, path: str) -> Fit:
             for x in content["findings"]
         ]
         fit = _restored(_renewed(content) | {"findings": findings})
-        d = fit.theta.size
-        if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
-            raise _damaged(path, f"it has {d} parameters, and covariances of another size")
+        if fault := _fault(fit):
+            raise _damaged(path, fault)
         repr(fit), fit.poles()  # using a damaged model raises an error
     except FileError:
         raise
@@ -88,6 +89,29 @@ def fit_of(text: str, path: str) -> Fit:
     except Exception as err:
         raise _damaged(path, f"its fields do not match each other: {err}") from err
     return fit
+
+
+def _fault(fit: Fit) -> str:
+    """Return what is wrong with the numbers of a model; "" if nothing is."""
+    d, form = fit.theta.size, fit.form
+    if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
+        return f"it has {d} parameters, and covariances of another size"
+    if not (np.isfinite(fit.theta).all() and 0 <= fit.Ts < np.inf):
+        return "a parameter or Ts is no finite number"
+    Lambda = fit.noise_covariance
+    if Lambda.shape != (fit.ny, fit.ny) or not (Lambda.diagonal() >= 0).all():
+        return f"noise_covariance does not have {fit.ny} variances"
+    if isinstance(form, Matrices):
+        return ""
+    of_y = [p for i, row in enumerate(form.A) for p in row[i : i + 1]]
+    if not all(p.size and p[0] == 1 for p in (*of_y, *form.C, *form.D, *chain(*form.F))):
+        return "a polynomial A, C, D or F does not begin with 1"
+    early = (
+        p[:k]
+        for row, delays in zip(form.B, form.nk, strict=True)
+        for p, k in zip(row, delays, strict=True)
+    )
+    return "B has coefficients before the lag nk" if any(p.any() for p in early) else ""
 
 
 def _damaged(path: str, fault: str) -> FileError:

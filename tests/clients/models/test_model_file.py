@@ -152,6 +152,8 @@ def test_the_keys_of_a_model_file_equal_the_stored_keys(fit: Fit, tmp_path: Path
         ({"covariance": "x"}, "covariance: could not convert string to float: 'x'"),
         ({"covariance": [[1.0]]}, "it has .* parameters, and covariances of another size"),
         ({"covariance_robust": [[1.0]]}, "it has .* parameters, and covariances of another size"),
+        ({"noise_covariance": [[-1.0]]}, "noise_covariance does not have . variances"),
+        ({"Ts": "nan"}, "a parameter or Ts is no finite number"),
         ({"Ts": None}, "Ts: Expected `float`, got `null`"),
         ({"quality": [{}]}, r"quality: Object missing required field `loss` - at `\$\[0\]`"),
         ({"starts": [{}]}, r"starts: Object missing required field `name` - at `\$\[0\]`"),
@@ -168,6 +170,24 @@ def test_a_damaged_model_file_is_refused(
 
         with pytest.raises(FileError, match=f"model.json .*{said}"):
             load_fit(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"F": [[[0.0, -1.3, 0.6]]]}, "A, C, D or F does not begin with 1"),
+        ({"A": [[[2.0]]]}, "A, C, D or F does not begin with 1"),
+        ({"B": [[[0.0, "nan", 1.0]]]}, "a parameter or Ts is no finite number"),
+        ({"B": [[[1.0, 1.0, 1.0]]]}, "B has coefficients before the lag nk"),
+    ],
+)
+def test_a_model_file_of_impossible_polynomials_is_refused(
+    fit: Fit, change: dict[str, Any], said: str
+) -> None:
+    content = json.loads(model_text(fit))
+
+    with pytest.raises(FileError, match=f"m.json is a damaged model: .*{said}"):
+        fit_of(json.dumps(content | {"form": content["form"] | change}), "m.json")
 
 
 def test_a_model_file_without_a_key_is_refused(fit: Fit) -> None:
