@@ -34,9 +34,10 @@ def advice_lines(fit: armrig.Fit, doubts: Sequence[Finding]) -> list[str]:
     said = {"residuals"} | {f.about for f in doubts}
     if "integrator" in said:  # explains a pole and a zero at 1, too
         said.add("level")
-    advised = [f for f in advice_on(fit) if f.level != "good" and f.about not in said]
+    found = [f for f in advice_on(fit) if f.level != "good"]
+    advised = [f for f in found if f.about not in said]
     lines = [f"! {f.about.replace('_', ' ')}: {f.text}" for f in (*doubts, *advised)]
-    return lines or ["nothing to act on"]
+    return lines or [f"nothing {'else ' if found else ''}to act on"]
 
 
 def advice_on(fit: armrig.Fit) -> tuple[Finding, ...]:
