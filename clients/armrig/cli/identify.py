@@ -78,7 +78,12 @@ class _Search:
         False, "Search several structures, or the given structure, with several orders."
     )
     most: int | None = chosen(
-        None, "Highest order that --search tries.", "5, up to 8 if needed", "--max-order", min=1
+        None,
+        "Highest order that --search tries.",
+        "5, up to 8 if needed",
+        "--max-order",
+        min=1,
+        max=100,
     )
     jobs: int = chosen(1, "Number of processes that --search uses.", min=1)
     fixed: model_structures.Given = field(default_factory=dict)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import isfinite
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -23,6 +22,7 @@ MAX_SIZE = 1e30
 """Largest magnitude of a value: products of fourth powers of data must be finite."""
 _MAX_SHOWN = 12  # names in a message
 _MAX_INTERVAL_DEVIATION = 1e-3
+_MIN_TS, _MAX_TS = 1e-12, 1e12  # s
 """Largest deviation of an interval of equidistant times, as a share of the mean interval."""
 
 
@@ -180,17 +180,17 @@ def sampling(Ts: Any, t: ArrayLike | None, starts: tuple[int, ...], N: int) -> f
             "the sample times are not equidistant, which a model in discrete time needs; "
             "interpolate the signals to equidistant times first"
         )
-    return mean
+    return interval(mean)
 
 
 def interval(Ts: Any) -> float:
-    """Return a sampling time in s; refuse a value that is not one finite number > 0."""
+    """Return a sampling time in s; refuse a value that is not one number of a possible size."""
     if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
         raise InputTypeError(
             f"Ts is a {type(Ts).__name__}; give one number, in seconds, such as Ts=0.01"
         )
-    if not (isfinite(Ts) and Ts > 0):
-        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
+    if not _MIN_TS <= Ts <= _MAX_TS:
+        raise InputError(f"Ts={Ts!r} must be from {_MIN_TS:g} to {_MAX_TS:g} s")
     return float(Ts)
 
 

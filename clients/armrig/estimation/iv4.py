@@ -14,7 +14,7 @@ from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import MAX_ORDER, require_integers
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import column_norms, orthonormal
@@ -71,7 +71,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     >>> armrig.arx(data, na=3, nb=3).A.round(2)
     array([ 1.  , -1.66,  0.46,  0.24])
     """
-    require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
+    require_integers(MAX_ORDER, na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     orders = f"na={na}, nb={nb}, nk={nk}"
     lags = range(nk, nk + nb)
     parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]

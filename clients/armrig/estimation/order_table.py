@@ -13,7 +13,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from armrig.data.columns import Matrix, Vector
 from armrig.estimation.orders import Integers, require_samples
-from armrig.numerics.checks import require_integers, several
+from armrig.numerics.checks import MAX_ORDER, require_integers, several
 from armrig.numerics.criteria import (
     BATCHES,
     Criterion,
@@ -300,7 +300,7 @@ def asked_orders(**orders: Iterable[int]) -> list[Integers]:
     wanted = [np.unique(several(name, values)) for name, values in orders.items()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
         for value in values.tolist():
-            require_integers(**{name: (value, lowest)})
+            require_integers(MAX_ORDER, **{name: (value, lowest)})
     return wanted
 
 

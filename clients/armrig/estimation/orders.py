@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.dataset import Dataset, Signals
 from armrig.models.structure import Structure
 from armrig.models.structure_table import STRUCTURES
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import MAX_ORDER, require_integers
 
 Integers = NDArray[np.int_]
 Shared = Literal["", "denominator"]
@@ -83,7 +83,7 @@ def _named(name: str, value: Mapping[Any, Any], keys: list[Any], least: int) -> 
 
 def _checked(name: str, values: Any, least: int) -> Integers:
     for value in values.ravel().tolist():
-        require_integers(**{name: (value, least)})
+        require_integers(MAX_ORDER, **{name: (value, least)})
     return np.asarray(values, dtype=np.int_)
 
 

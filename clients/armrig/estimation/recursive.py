@@ -12,7 +12,7 @@ from scipy.linalg.lapack import dtrtrs
 from armrig.data.argument import takes_recordings
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import MAX_ORDER, require_integers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
@@ -138,7 +138,7 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
     >>> state.determined, state.theta
     (False, array([0., 0., 0., 0.]))
     """
-    require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
+    require_integers(MAX_ORDER, na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     if not 0 < forgetting <= 1:
         raise InputError(f"forgetting={forgetting!r} must be above 0 and at most 1, such as 0.99")
     d = na + nb

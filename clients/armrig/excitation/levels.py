@@ -107,5 +107,5 @@ def generator(seed: int | np.random.Generator) -> np.random.Generator:
     """Return a new random generator for an integer seed >= 0, or the given generator itself."""
     if isinstance(seed, np.random.Generator):
         return seed
-    require_integers(seed=(seed, 0))
+    require_integers(2**128, seed=(seed, 0))
     return np.random.default_rng(seed)

@@ -90,7 +90,8 @@ def realisations(
 
     Raises ValueError if a setting is outside the range that `multisine` allows.
     """
-    require_integers(N=(N, 1), R=(R, 1), seed=(seed, 0), periods=(periods, 1))
+    require_integers(N=(N, 1), R=(R, 1), periods=(periods, 1))
+    require_integers(2**128, seed=(seed, 0))
     lines = range(1, max(1, N // periods // 4) + 1)
     alone = [multisine(N, lines, low, high, seed + r, periods=periods) for r in range(R)]
     middle = (low + high) / 2

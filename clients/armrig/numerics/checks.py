@@ -10,12 +10,18 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
+MAX_ORDER = 10_000
+"""Largest order of a model."""
+_MAX_SIZE = 10**8  # numbers in 0.8 GB
 
-def require_integers(**asked: tuple[Any, int]) -> None:
-    """Refuse a value that is not an integer or is below its lower limit: name=(value, limit)."""
+
+def require_integers(most: int = _MAX_SIZE, /, **asked: tuple[Any, int]) -> None:
+    """Refuse a value that is no integer from its lower limit to `most`: name=(value, limit)."""
     for name, (value, lowest) in asked.items():
         if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < lowest:
             raise InputError(f"{name}={value!r} must be an integer >= {lowest}")
+        if int(value) > most:
+            raise InputError(f"{name}={value!r} must be at most {most}")
 
 
 def require_numbers(**asked: Any) -> None:

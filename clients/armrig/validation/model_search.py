@@ -25,7 +25,7 @@ from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OfferedName
-from armrig.numerics.checks import require_integers, several, several_of
+from armrig.numerics.checks import MAX_ORDER, require_integers, several, several_of
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
 from armrig.validation.advice import doubts_of_channels, examine_experiment, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -277,7 +277,7 @@ def _planned(
         against = [*doubts_of_channels(data)]
     delays = likely if nk is None else several("nk", nk) if isinstance(nk, Iterable) else [nk]
     for n in orders:
-        require_integers(orders=(n, 1))
+        require_integers(MAX_ORDER, orders=(n, 1))
     for k in delays:
         require_integers(nk=(k, 0))
     options = {

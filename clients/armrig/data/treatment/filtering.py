@@ -151,15 +151,15 @@ def resample(data: Signals, Ts: float) -> Signals:
     if factor == 1:
         return data
     half = _HALF_LENGTH * factor
-    h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER_BETA))
-    parts = []
-    for i, part in enumerate(data.experiments()):
+    experiments = [*data.experiments()]
+    for i, part in enumerate(experiments):
         if 2 * half + 1 > part.N:
             raise InputError(
                 f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
                 f"{2 * half + 1}: leave it out with select, or use a shorter Ts"
             )
-        parts.append(_decimated(part, h, factor))
+    h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER_BETA))
+    parts = [_decimated(part, h, factor) for part in experiments]
     u, y, valid = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     if not valid.any(axis=0).all():
         raise InputError(
