@@ -118,7 +118,13 @@ def load_data(
     """
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
     with _naming(Path(path)):
-        (of_u,), (of_y,), found = _samples(Path(path), input, signal, how)
+        inputs, outputs, found = _samples(Path(path), input, signal, how)
+        if (sizes := (len(inputs), len(outputs))) != (1, 1):
+            raise InputError(
+                f"there are {sizes[0]} inputs and {sizes[1]} outputs, but load_data reads one of "
+                "each: use armrig.load_signals(path, inputs=…, outputs=…)"
+            )
+        of_u, of_y = inputs[0], outputs[0]
         return Signals(
             outputs=of_y.name or "y", units=of_y.unit, input_units=of_u.unit, **found
         ).dataset()
