@@ -111,7 +111,7 @@ def _wrong_samples(data: Dataset, e: Vector) -> Iterator[Finding]:
     if share < _MIN_OUTLIER_SHARE:
         return
     try:
-        count, text = looking_wrong(data)
+        count, text = looking_wrong(data.signals())
     except ValueError:
         return
     if count:
@@ -120,11 +120,11 @@ def _wrong_samples(data: Dataset, e: Vector) -> Iterator[Finding]:
         yield warning("outliers", text, "outliers", count=count, share=share)
 
 
-def looking_wrong(data: Dataset) -> tuple[int, str]:
-    """Return the number of outliers, and a text that names them; raise the errors of `hampel`."""
+def looking_wrong(data: Signals) -> tuple[int, str]:
+    """Return the number of outliers of an output, and a text; raise the errors of `hampel`."""
     wrong = np.flatnonzero(data.valid & ~hampel(data).valid)
     where = ", ".join([*map(str, wrong[:_MAX_LISTED]), *["…"] * (wrong.size > _MAX_LISTED)])
-    return wrong.size, f"{plural(wrong.size, 'sample')} of {data.output} look wrong ({where})"
+    return wrong.size, f"{plural(wrong.size, 'sample')} of {data.outputs[0]} look wrong ({where})"
 
 
 def _doubtful(residuals: Sequence[Vector]) -> bool:

@@ -78,7 +78,6 @@ class Advice:
         return f"advice on {self.of}: {said}\n{self.explain()}"
 
 
-@each_channel()
 def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Examine data or a model, and return the findings with their remedies.
 
@@ -89,8 +88,9 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     Parameters
     ----------
     data_or_fit : Dataset, Signals, Recording or Fit
-        Data or model to examine. Each channel of several signals is examined separately; in the
-        data of a channel, the other inputs are part of the noise.
+        Data or model to examine. Each channel of several signals is examined separately. In the
+        data of a channel the other inputs are part of the noise, but outliers and a level are
+        sought with all inputs.
 
     Returns
     -------
@@ -126,12 +126,13 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     return ByChannel(results=each, refused={}, together=together)  # type: ignore[return-value]
 
 
+@each_channel(lambda data, y, u: (data.dataset(y, u), {"whole": data.channels([y])}))
 @takes_recordings
-def _advice_on_data(data: Dataset) -> Advice:
+def _advice_on_data(data: Dataset, whole: Signals | None = None) -> Advice:
     known = tested(data, None)
     each = in_open_loop(data, known.loop)
     tests = [(good if t.linear else warning)("linearity", t.line) for t in each]
-    found = (*examine_experiment(data, known), *tests)
+    found = (*examine_experiment(data, known, whole), *tests)
     return Advice(of=f"{data.N} samples of {data.output}", findings=found)
 
 
@@ -299,8 +300,11 @@ def doubts_of_channels(data: Signals) -> Iterator[Finding]:
                 yield replace(found, text=f"{input} to {output}: {found.text}")
 
 
-def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
-    """Yield the findings that need no model."""
+def examine_experiment(
+    data: Dataset, known: Tested, whole: Signals | None = None
+) -> Iterator[Finding]:
+    """Yield the findings that need no model; `whole` has all inputs of the output."""
+    whole = whole or data.signals()
     yield _about_input(data)
     yield _about_integrator(known.integration)
     yield from _about_rails(data)
@@ -309,9 +313,9 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
         text = f"{percent(100 * share)} of the samples: no estimator replaces them by a value"
         yield (good if share < _MAX_MISSING_SHARE else warning)("missing", text)
     if not known.together:  # in closed loop a step of the set point makes y and u jump
-        yield _about_outliers(data)
+        yield _about_outliers(whole)
     if not known.integration.integrates and not known.integration.unstable:
-        if level := level_without_input(data):
+        if level := level_without_input(whole):
             remedy = OFFSET_OF_TRANSIENT if data.trends else NO_OPTION
             yield replace(level, text=f"{level.text}: {remedy}")
         yield from _about_drift(data)
@@ -395,7 +399,7 @@ def _about_integrator(decided: Integration) -> Finding:
     return good("integrator", text)
 
 
-def _about_outliers(data: Dataset) -> Finding:
+def _about_outliers(data: Signals) -> Finding:
     try:
         count, text = looking_wrong(data)
     except ValueError as err:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import armrig
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import warning
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.polynomial import filtered
@@ -259,3 +259,17 @@ def test_a_constant_output_has_no_drift() -> None:
     found = armrig.advice(Dataset(u=u, y=np.ones(400), Ts=0.01))
 
     assert "drift" not in {f.about for f in found.findings}
+
+
+def test_pulses_of_another_input_are_no_outliers() -> None:
+    rng = np.random.default_rng(2)
+    u = np.column_stack([rng.standard_normal(1000), np.zeros(1000)])
+    u[rng.choice(1000, 12, replace=False), 1] = 1.0
+    y = filtered([0, 1.0], [1, -0.7], u[:, 0]) + filtered([0, 2.0], [1.0], u[:, 1])
+    y += 0.1 * rng.standard_normal(1000)
+    data = Signals(u=u, y=y[:, None], Ts=0.1, inputs=["u1", "u2"])
+
+    found: Any = armrig.advice(data)
+
+    assert "outliers" in told(armrig.advice(data.dataset("y", "u1")))
+    assert "outliers" not in told(found["y", "u1"])
