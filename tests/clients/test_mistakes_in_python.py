@@ -83,6 +83,9 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("arx(na=1e9)", lambda: a.arx(DATA, na=10**9, nb=2), ValueError, "must be at most 10000"),
     ("telegraph(1e9)", lambda: a.telegraph(10**9, 0.1), ValueError, "must be at most 100000000"),
     ("resample(1e9)", lambda: a.resample(DATA, 1e9), ValueError, "samples; resampling to 1e+09"),
+    ("search(progress=3)", lambda: a.search(DATA, progress=3), TypeError, "a function of (done,"),
+    ("search(executor=3)", lambda: a.search(DATA, executor=3), TypeError, "must be a concurrent."),
+    ("search(offset='x')", lambda: a.search(DATA, offset="x"), ValueError, "must be True or False"),
     ("oe(nf=500)", lambda: a.oe(DATA, nb=2, nf=500), ValueError, "needs at least"),
     (
         "oe(integrator='yes')",

@@ -76,6 +76,9 @@ def error_process(errors: Sequence[Array]) -> ErrorProcess:
         if np.max(np.abs(np.linalg.eigvals(process.companion))) < 1:
             return process
     complete = known[np.isfinite(known).all(axis=1)]
+    if not complete.size:  # no instant has all outputs, so their errors are taken as independent
+        each = [e[np.isfinite(e)] for e in known.T]
+        complete = np.column_stack([e[: min(map(len, each))] for e in each])
     return ErrorProcess(coefficients=np.zeros((0, ny, ny)), w=complete - complete.mean(axis=0))
 
 

@@ -34,7 +34,7 @@ def aic(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
 
 def mdl(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
     """Return Rissanen's criterion (BIC), -2 log likelihood + d log N, for Gaussian e."""
-    return np.asarray(deviance(loss, N) + np.asarray(d) * float(np.log(N)))
+    return np.asarray(deviance(loss, N) + np.asarray(d) * float(np.log(max(N, 1))))
 
 
 def fpe(loss: ArrayLike, d: ArrayLike, N: int) -> Array:

@@ -10,7 +10,7 @@ from itertools import chain, groupby, product
 from typing import Any
 
 import numpy as np
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, InputTypeError
 from msgspec import structs
 from numpy.typing import NDArray
 
@@ -25,7 +25,13 @@ from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import OFFERED, OfferedName
-from armrig.numerics.checks import MAX_ORDER, require_integers, several, several_of
+from armrig.numerics.checks import (
+    MAX_ORDER,
+    require_flags,
+    require_integers,
+    several,
+    several_of,
+)
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
 from armrig.validation.advice import doubts_of_channels, examine_experiment, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -155,6 +161,12 @@ def search(
     >>> found.fit.heading
     'OE(nb=3, nf=3, nk=1)'
     """
+    if not (progress is None or callable(progress)):
+        raise InputTypeError(f"progress={progress!r} must be a function of (done, total, name)")
+    if not (executor is None or isinstance(executor, Executor)):
+        raise InputTypeError(f"executor={executor!r} must be a concurrent.futures.Executor")
+    if offset is not None:
+        require_flags(offset=offset)
     if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
         data = data.dataset()
     rising = orders is None

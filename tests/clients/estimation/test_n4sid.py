@@ -324,3 +324,18 @@ def test_orders_weights_and_horizons_out_of_range_are_refused() -> None:
         n4sid(clean, 2, horizon=3)
     with pytest.raises(ValueError, match="60 samples without a gap of more than 30, needs"):
         n4sid(clean[:100], 2, horizon=30)
+
+
+def test_outputs_that_are_never_measured_together_have_independent_noise() -> None:
+    """Two outputs are read in turn."""
+    rng = np.random.default_rng(5)
+    u = rng.standard_normal((400, 1))
+    y = np.column_stack([filtered([0, 1.0], [1, -0.5], u[:, 0])] * 2)
+    y += 0.1 * rng.standard_normal(y.shape)
+    valid = np.arange(400)[:, None] % 2 == [[0, 1]]
+    data = Signals(u=u, y=y, valid=valid, Ts=0.1)
+
+    fit = n4sid(data, order=1, replicates=20)
+
+    pole = fit.poles()
+    assert abs(pole.values[0] - 0.5) < 4 * pole.std[0] < 0.2
