@@ -191,7 +191,7 @@ def hints(
 
     def say_after() -> None:
         given = signals.options()
-        if any(f.remedy == "check" for one in known.values() for f in one.findings):
+        if len(known) > 1 and any(one.doubts for one in known.values()):
             say_next("check", file=typed(file), given=given)
             return
         validation = paired(file, "validation") if from_recording(data) else ""
@@ -219,7 +219,8 @@ def _options(found: Sequence[StructureHints], *, level: bool) -> str:
     # With one denominator, each channel of a sampled plant has a numerator of its order.
     nb = max(one.nb for one in found) if len(found) == 1 else nf
     shown = [one for one in found if one.nk_interval] or found  # without unknown delays
-    options = f"--structure oe --nb {nb} --nf {nf} --nk {min(one.nk for one in shown)}"
+    family = found[0].family if len(found) == 1 else "oe"
+    options = f"--structure {family} --nb {nb} --nf {nf} --nk {min(one.nk for one in shown)}"
     integrates = any(one.integrator for one in found)
     return options + " --integrator" * integrates + " --offset" * (level and not integrates)
 
@@ -231,7 +232,7 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
     of = "integrator integrator_shown low_slope high_slope relative_degree "
     of += "resonances antiresonances nk_interval excess"
     return {
-        "structure": "oe",
+        "structure": found.family,
         "orders": fields_of(found, "nb nf nk"),
         "structures": [fields_of(s, "nb nf nk integrator") for s in found.structures],
         **fields_of(found, of),

@@ -324,7 +324,9 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     options += " --mask-rails" * ("rails" in remedies)
     if options != options_of(request):
         return options
-    if "check" in remedies:
+    checked = {f.about for f in findings if f.remedy == "check"}
+    # A noise model prevents the bias by feedback.
+    if checked - {"feedback"} or (checked and not kind.closed_loop):
         return CHECK
     # If a search chose the model, another search would not improve its residuals.
     if "search" in remedies and found.search is None and fit.structure != "pem":

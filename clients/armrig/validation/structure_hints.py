@@ -88,6 +88,11 @@ class StructureHints:
     """Regularised impulse response."""
 
     @property
+    def family(self) -> str:
+        """Name of the first structure: "bj" with feedback, which biases "oe"."""
+        return "bj" if self.doubts else "oe"
+
+    @property
     def nb(self) -> int:
         """Number of b's of the first structure."""
         return self.structures[0].nb
@@ -112,7 +117,7 @@ class StructureHints:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Texts of the findings, and the further structures."""
-        others = ", ".join(_named(s) for s in self.structures[1:])
+        others = ", ".join(_named(self.family, s) for s in self.structures[1:])
         more = [f"try also: {others}"] if others else []
         if self.process:
             more.append(f"in s: {_process_told(self.process)}")
@@ -124,7 +129,10 @@ class StructureHints:
 
     def __repr__(self) -> str:
         """Return the first structure and the reasons."""
-        lines = [f"structure hints: begin with {_named(self.structures[0])}", *self.reasons]
+        lines = [
+            f"structure hints: begin with {_named(self.family, self.structures[0])}",
+            *self.reasons,
+        ]
         return "\n  ".join(lines)
 
 
@@ -134,7 +142,8 @@ def structure_hints(data: Dataset, *, integrator: bool | None = None) -> Structu
     """Recommend at most three structures, with the reasons for them.
 
     The structures are the output-error structures with the shortest description lengths, after a
-    filter has whitened the noise (`recommended`). If the data show whether y integrates, one of the
+    filter has whitened the noise (`recommended`). With feedback, Box-Jenkins structures with the
+    same orders take their place. If the data show whether y integrates, one of the
     structures has nb = nf, like a plant under a zero-order hold. The fields of `StructureHints` are
     the reasons; slopes of nonparametric estimates are reported if the first structure agrees.
 
@@ -269,8 +278,9 @@ def _process_told(form: str) -> str:
     return f'a {ordinal}-order process{more}: process(data, "{form}")'
 
 
-def _named(s: Recommended) -> str:
-    return f"oe(data, nb={s.nb}, nf={s.nf}, nk={s.nk}, integrator={s.integrator})"
+def _named(family: str, s: Recommended) -> str:
+    noise = "nc=1, nd=1, " * (family == "bj")
+    return f"{family}(data, nb={s.nb}, {noise}nf={s.nf}, nk={s.nk}, integrator={s.integrator})"
 
 
 def call_of_all(found: Mapping[Name, StructureHints]) -> str:

@@ -46,6 +46,9 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (OE, "search", "", "--structure oe --search"),
         (OE, "search", "searched", OPTIONS),
         (OE, "search check", "", CHECK),
+        (OE, "feedback", "", CHECK),
+        (BJ, "feedback", "", "--structure bj --nb 1 --nc 2 --nd 3 --nf 4 --nk 1"),
+        (BJ, "feedback check", "", CHECK),
         (ARX, "level", "", "--structure arx --na 2 --nb 3 --nk 1 --detrend"),
         (ARX, "level", "detrended", "--structure arx --na 1 --nb 2 --nk 1"),
         (ARX, "integrator", "", "--structure arx --na 2 --nb 3 --nk 1"),
@@ -66,7 +69,9 @@ def test_the_next_estimation_follows_the_findings(
 ) -> None:
     request = Request(**asked)
     numbers = {"poles": int(how[0])} if "poles" in how else {}
-    findings: Any = [warning("x", "text", name, **numbers) for name in remedies.split()]  # type: ignore[arg-type]
+    about: dict[str, Any] = {"feedback": ("feedback", "text", "check")}
+    names = remedies.split()
+    findings: Any = [warning(*about.get(name, ("x", "text", name)), **numbers) for name in names]
     fit = SimpleNamespace(
         **{"ny": 1, "nu": 1, "structure": request.structure},
         orders=request.orders | {"nk": request.nk},

@@ -175,7 +175,7 @@ class _Hints(SimpleNamespace):
         (False, "", ""),
     ],
 )
-def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
+def test_the_command_after_the_hints_has_their_structure_and_orders(
     integrator: bool,
     doubtful: str,
     given: str,
@@ -184,7 +184,9 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     doubts = [warning(doubtful, "a doubt", "check")] if doubtful else []
-    found = _Hints(**HINTS, integrator=integrator, excess={4: 3.5, 5: 0.0}, findings=doubts)
+    family = "bj" if doubts else "oe"
+    named = {"family": family, "integrator": integrator, "findings": doubts}
+    found = _Hints(**HINTS, **named, excess={4: 3.5, 5: 0.0})
     monkeypatch.setattr("armrig.structure_hints", lambda _, integrator: found)
     path = written(tmp_path, of_the_arm(armrig.telegraph(200, 0.1, seed=1)))
     typed = ["hints", str(path), *given.split()]
@@ -196,10 +198,10 @@ def test_the_command_after_the_hints_uses_their_orders_or_tests_feedback(
 
     is_doubted = bool(doubtful)
     assert said.out.splitlines() == ["hints of a test"]
-    options = f"--structure oe --nb 3 --nf 5 --nk 2{' --integrator' * integrator}{given}"
-    line = f"identify {path} {options} --save model.json"
-    wanted = f"check {path}{given}" if doubtful == "feedback" else line
-    assert said.err.splitlines()[-1] == f"next: armrig {wanted}"
+    options = f"--structure {family} --nb 3 --nf 5 --nk 2{' --integrator' * integrator}{given}"
+    line = f"next: armrig identify {path} {options} --save model.json"
+    assert said.err.splitlines()[-1] == line
+    assert facts["structure"] == family
     assert facts["orders"] == {"nb": 3, "nf": 5, "nk": 2}
     assert facts["doubts"] == ["a doubt"] * is_doubted
     assert (facts["recording"], facts["integrator"]) == (armrig.load(path).sha256, integrator)

@@ -18,6 +18,7 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from tests.clients.handout_plant import converted
+from tests.clients.validation.plants import under_control
 from tests.plants import delayed_plant
 from tests.same_numbers_calls import REAL, holed, of_a_system, switching
 from tests.sampling import sampled
@@ -298,3 +299,10 @@ def test_an_output_integrates_in_all_channels_of_the_call_if_it_does_in_one() ->
     found: Any = {("y", "u"): settling, ("y", "v"): replace(settling, nf=3, integrator=True)}
 
     assert call_of_all(found) == "oe(data, nb=[[3, 2]], nf=3, nk=1, integrator=('y',))"
+
+
+def test_hints_for_data_of_a_loop_begin_with_a_noise_model() -> None:
+    found = structure_hints(under_control(3000))
+
+    assert found.family == "bj"
+    assert repr(found).startswith("structure hints: begin with bj(data, nb=")
