@@ -1,7 +1,7 @@
 """Search from several start values, and from additional start values if the minimum is in doubt.
 
-In an additional start value one mode of C, D or F is moved to another frequency or damping. If the
-noise is strong, the prediction error has several minima of nearly equal cost. In each minimum a
+In an additional start value one mode of A, C, D or F is moved to another frequency or damping. If
+the noise is strong, the prediction error has several minima of nearly equal cost. In each minimum a
 weak mode fits the noise at a different frequency. If the noise and the input are slow, a real root
 may also fit the noise. Therefore the search moves each mode.
 """

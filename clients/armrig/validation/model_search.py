@@ -111,9 +111,9 @@ def search(
         If u rests in a half, the cut is elsewhere. If no cut leaves two parts in which u moves,
         Akaike's FPE ranks the models on the data that estimated them.
     families : sequence of str, optional
-        Names of structures in discrete time, such as "oe". The default is all but "ararx", "ss" and
-        "pem"; in closed loop those whose noise model prevents a bias by feedback. For several
-        signals it is "ss", "n4sid" and "oe", or only "oe" with an integrator or a level.
+        Names of structures in discrete time, such as "oe". The default is all but "ararx" and "ss";
+        in closed loop those whose noise model prevents a bias by feedback. For several signals it
+        is "ss", "n4sid" and "oe", or only "oe" with an integrator or a level.
     orders : iterable of int, optional
         Numbers of poles to try, >= 1, including the pole of an integrator, which does not count for
         several signals. The default is 1 to 5, and 6 to 8 as long as the choice is a model of the

@@ -44,7 +44,7 @@ class Scored:
     candidate: Candidate
     """Structure and orders."""
     fit: Fit
-    """The model, estimated from the first half if the data were halved."""
+    """The model; of halved data the first half estimated it, and all data the chosen one."""
     error: Vector
     """y - ŷ on other data, or on both halves, (N,) or (N, ny); NaN where it is unknown."""
     ahead: Vector
@@ -102,7 +102,8 @@ class SearchResult:
     halved: bool
     """True if each half of the data estimated models that were ranked on the other half."""
     tests: ResidualTest
-    """Tests of the chosen model's residuals on the validation data."""
+    """Tests of the chosen model's residuals on the validation data. Of halved data, the model of
+    the first half is tested on the second half."""
     horizon: int | None
     """Number of samples that the models predict ahead; None for simulation."""
     unit: str
