@@ -39,7 +39,7 @@ _REASONS: Mapping[Kind, str] = {
     "dead zone": "a dead zone of {input} from {from} to {to}{unit}",
     "saturation": "{output} saturates at {at} in {share} of the samples",
     "gain by level": (
-        "a gain of {gain_1} at {of} = {level_1}{unit} and of {gain_2} at {of} = {level_2}{unit}"
+        "a gain of about {gain_1} at {of} = {level_1}{unit}, {gain_2} at {of} = {level_2}{unit}"
     ),
     "friction": "friction, {output} stops at rest",
 }
@@ -87,7 +87,8 @@ class Linearity:
     levels: Array = field(default_factory=lambda: np.zeros(0))
     """Levels of `gain_of`, (n,); (0,) if the rig is linear or integrates."""
     gains: Array = field(default_factory=lambda: np.zeros(0))
-    """Static gain at `levels`, in y's unit per u's unit."""
+    """Static gain at `levels`, in y's unit per u's unit: the slope of a cubic, which may be wrong
+    by half at the lowest and the highest level."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
     closed: bool
