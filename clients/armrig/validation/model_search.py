@@ -59,6 +59,7 @@ _Data = Dataset | Signals
 _Fold = tuple[_Data, _Data]
 _Ranking = tuple[list[Scored], dict[str, NDArray[Any]], int]
 _Stage = tuple[list[Candidate], int, Callable[[_Ranking], list[Candidate]]]
+_WORSE = "the model of all the data has larger errors than those of halves"
 _OWN_DATA = (
     "u moves in one part of the data only, so Akaike's FPE ranked the models on the data that "
     "estimated them; other data for validation (--validate) decide better"
@@ -222,9 +223,10 @@ def search(
         fit, request = best.fit, best.candidate.request
         if halved or request.replicates is not None:
             fit = structs.replace(request, replicates=None, starts=None).estimated(whole)
-        if not halved or len(ranked) == 1 or _is_as_good(fit, best.error, whole, horizon):
+        as_good = not halved or _is_as_good(fit, best.error, whole, horizon)
+        if as_good or len(ranked) == 1:
             break
-        failed[best.candidate] = "the model of all the data has larger errors than those of halves"
+        failed[best.candidate] = _WORSE
         ranking = _ranked([one for one in ranked if one is not best], judged)
     ranked[chosen] = replace(best, fit=fit)
     return SearchResult(
@@ -233,7 +235,7 @@ def search(
         chosen_index=chosen,
         failed=failed,
         doubts=tuple(against),
-        notes=(*([_OWN_DATA] if own else []), *notes),
+        notes=(*([_OWN_DATA] if own else []), *notes, *([] if as_good else [_WORSE])),
         halved=halved,
         tests=residuals(best.fit, validation),
         horizon=horizon,

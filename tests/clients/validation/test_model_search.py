@@ -486,3 +486,13 @@ def test_theta_1_integrates_if_a_structure_can_have_a_fixed_pole() -> None:
     found = (tried(search(data, families=families, orders=(1,))) for families in cases)
 
     assert [{one.request.structure for one in of} for of in found] == [{"oe"}, {"ss"}, {"oe"}]
+
+
+def test_a_last_choice_with_larger_errors_than_its_halves_has_a_note(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("armrig.validation.model_search._is_as_good", lambda *_: False)
+
+    found = search(_of_one_pole(0.8, 200, 1), families=["arx"], orders=[1], offset=False)
+
+    assert found.notes[-1] == "the model of all the data has larger errors than those of halves"
