@@ -115,8 +115,9 @@ def test_the_level_of_an_output_is_reported_with_the_option_that_estimates_it(
 
 
 def test_hints_of_several_outputs_give_one_request() -> None:
-    T1 = SimpleNamespace(nb=1, nf=1, nk=16, nk_interval=(0, 22), integrator=False)
-    T2 = SimpleNamespace(nb=1, nf=2, nk=3, nk_interval=None, integrator=False)
+    both = {"nb": 1, "integrator": False, "family": "oe"}
+    T1 = SimpleNamespace(**both, nf=1, nk=16, nk_interval=(0, 22))
+    T2 = SimpleNamespace(**both, nf=2, nk=3, nk_interval=None)
 
     assert _options([T1, T2], level=True) == "--structure oe --nb 2 --nf 2 --nk 16 --offset"  # type: ignore[list-item]
     assert _options([T1], level=False) == "--structure oe --nb 1 --nf 1 --nk 16"  # type: ignore[list-item]

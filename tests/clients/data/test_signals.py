@@ -225,7 +225,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no sample": ({"valid": [[True, False]] * 20}, "y2 has no valid sample in 20; leave"),
     "no rate": ({"Ts": None}, "give either Ts, the sampling time in s, or t, the time of each"),
     "rates": ({"t": np.arange(20.0)}, "give either Ts, the sampling time in s, or t"),
-    "Ts": ({"Ts": 0}, "Ts=0 must be finite and > 0, in s"),
+    "Ts": ({"Ts": 0}, "Ts=0 must be from 1e-12"),
     "t": ({"Ts": None, "t": np.zeros(20)}, "t must rise from each sample of an experiment"),
     "times": ({"Ts": None, "t": np.arange(3.0)}, r"t has shape \(3,\); give 20 finite times"),
     "starts": ({"starts": (1,)}, r"starts=\(1,\) must begin with 0"),
