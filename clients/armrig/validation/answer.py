@@ -48,8 +48,8 @@ def answer(
         f"{whiteness_sentence(fit, 'σ', 'σ robust')}"
     )
     said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
-    feedback = [f.text.partition(":")[0] for f in doubts if f.about == "feedback"]
-    said += f" But {feedback[0]}, see below." if feedback else ""
+    if any(f.about == "feedback" for f in doubts):
+        said += " But the data show feedback, or a direct term: see below."
     if validation is None or tests is None:
         untested = all(isnan(q.white.p_value) for q in fit.quality)
         return said if untested else f"{said}\n{_MORE_TESTS}"

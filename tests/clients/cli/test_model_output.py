@@ -172,7 +172,7 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     data_first = "trust σ robust, not σ; correct the data first"
     assert data_first in answer(of, None, None, [_finding("outliers")])
     first, *_ = answer(of, None, None, [_finding("feedback")]).splitlines()
-    assert first.endswith(". But text of feedback, see below.")
+    assert first.endswith(". But the data show feedback, or a direct term: see below.")
     of.findings = [_finding("level")]
     assert data_first in answer(of, None, None, [])
     of.findings = [_finding("gaps")]
