@@ -19,7 +19,7 @@ from tests.integration.driving import (
 )
 from tests.integration.processes import Bench, wait_for
 
-ROOM = 8 << 10  # B
+ROOM = 16 << 10  # B; on a busy machine the log takes several KiB of it
 
 
 def test_a_disk_that_fills_during_a_run_stops_it_and_keeps_its_samples(bench: Bench) -> None:
@@ -39,7 +39,7 @@ def test_a_disk_that_fills_during_a_run_stops_it_and_keeps_its_samples(bench: Be
     assert Path(last.recording) == active
     recording = armrig.load(active)
     assert recording.truncated
-    assert recording.samples.size >= 10  # fewer if the log needs more of the room
+    assert recording.samples.size > 20
     check_every_k(recording)
     check_volts(bench)
 
