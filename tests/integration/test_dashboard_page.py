@@ -261,9 +261,12 @@ def test_a_stop_is_sent_though_tabs_use_all_connections(
 
 
 def test_markup_in_a_name_is_shown_as_text(browser: Any, client: Client, served: Bench) -> None:
-    begin(client, served, {"kind": "csv", "text": "u\n" + "1\n" * 12_000, "file": MARKUP})
-    client.ask("/api/stop", {"owner": MARKUP})
-    client.wait("run", lambda seen: not seen["is_going"])
+    for _ in range(3):  # a busy machine may end the run before
+        begin(client, served, {"kind": "csv", "text": "u\n" + "1\n" * 12_000, "file": MARKUP})
+        client.ask("/api/stop", {"owner": MARKUP})
+        if MARKUP in client.wait("run", lambda seen: not seen["is_going"])["error"]:
+            break
+        bring_to_rest(served)
     (served.recordings / f"{MARKUP}.mcap").write_bytes(b"")
     with opened(browser, client.url) as page, served.rig() as other:
         other.arm(MARKUP)
