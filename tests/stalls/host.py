@@ -1,7 +1,7 @@
 """The stalls of the host.
 
 As a program, `host.py [CPU]` compares the clock with deadlines, because a thread would also wait
-for the interpreter of the tests. With the number of a processor, it runs there at the highest
+for the interpreter of the tests. With the number of a processor, it runs there, and at the highest
 real-time priority, if it may, as a loop does.
 """
 
@@ -56,10 +56,10 @@ class Host:
 def monitor(cpu: int | None) -> None:
     """Answer each line of input with the stalls since the last answer."""
     if cpu is not None:
+        os.sched_setaffinity(0, [cpu])
         with suppress(PermissionError):
             highest = os.sched_get_priority_max(os.SCHED_FIFO)
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(highest))
-            os.sched_setaffinity(0, [cpu])
     stalls: list[Stall] = []
     now_ns = time.monotonic_ns()
     while True:

@@ -81,3 +81,11 @@ def test_each_monitor_merges_two_stalls_with_a_short_interval() -> None:
         assert host.longest_ns(began_ns, time.monotonic_ns()) >= 1.8 * STALL_NS
         assert host.longest_ns(0, began_ns - 3600 * 10**9) == 0
     host.end()
+
+
+def test_each_processor_has_a_monitor() -> None:
+    host = Host()
+    assert [{cpu} for cpu in os.sched_getaffinity(0)] == [
+        os.sched_getaffinity(monitor.pid) for monitor in host._monitors[1:]
+    ]
+    host.end()
