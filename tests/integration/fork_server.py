@@ -81,10 +81,7 @@ class ForkServer:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             program = [sys.executable, __file__, str(theirs.fileno())]
-            # Linux shares the processors among sessions: the tests do not delay the rigs.
-            self._process = subprocess.Popen(
-                program, pass_fds=(theirs.fileno(),), start_new_session=True
-            )
+            self._process = subprocess.Popen(program, pass_fds=(theirs.fileno(),))
 
     def start(
         self, arguments: list[str], env: Mapping[str, str], stdout: IO[bytes], stderr: IO[bytes]
