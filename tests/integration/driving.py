@@ -21,7 +21,7 @@ from tests.integration.processes import WITHIN_S, Bench, wait_for
 VOLTS = (1.0, 4.0)
 STOPPED_S = 1.0
 """Threshold between a stop and no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
-_OF_A_BUSY_MACHINE = ("no answer from the device", "the host paused", "late")
+_OF_A_BUSY_MACHINE = ("pause", "stale")  # faults, by their ids
 _STEP_V = 5 / 1024  # of the emulated duty
 _RUNNER = """
 import sys
@@ -76,10 +76,12 @@ def begin(bench: Bench, changes: int, runner: str, *arguments: str) -> Popen[byt
         client = bench.client(runner, bench.endpoint, *arguments)
         if _drives(client, bench, enough):
             return client
-        if not (why := bench.reason()).startswith(_OF_A_BUSY_MACHINE):
+        with bench.rig() as rig:
+            status = rig.status()
+        if status.fault not in _OF_A_BUSY_MACHINE:
             break
         bring_to_rest(bench)
-    raise AssertionError(why)
+    raise AssertionError(status.reason)
 
 
 def _drives(client: Popen[bytes] | Forked, bench: Bench, enough: int) -> bool:

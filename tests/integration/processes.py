@@ -292,11 +292,6 @@ class Bench:
         except RuntimeError:
             return ""
 
-    def reason(self) -> str:
-        """Return why the rig's last run ended."""
-        with self.rig() as rig:
-            return rig.status().reason
-
     def settled(self) -> str:
         """Return the daemon's phase, once its device answers."""
         with self.rig() as rig:
