@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import nan, radians
 from typing import Final, Literal
 
 import msgspec
@@ -50,6 +50,10 @@ class Potentiometer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         """Return the angle of a reading in counts, in rad."""
         return (counts - self.zero_counts) * self.rad_per_count
 
+    def at_rail(self, _: float) -> float:
+        """Return NaN: at an end of its range a potentiometer shows no angle."""
+        return nan
+
 
 class Driver(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The motor's driver: terminal voltage = gain · u + offset_v if u > 0, and 0 at u = 0."""
@@ -65,6 +69,10 @@ class Driver(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise InputError(f"gain={self.gain!r} must be from 0.1 to 10")
         if not abs(self.offset_v) <= U_MAX_V:
             raise InputError(f"offset_v={self.offset_v!r} must be from -{U_MAX_V:g} to {U_MAX_V:g}")
+
+
+Conversion = tuple[Potentiometer, Potentiometer, Driver]
+"""Conversion of counts to angles and of codes to volts; equal for equal values."""
 
 
 class Figure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -108,3 +116,8 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def channels(self) -> tuple[Potentiometer, Potentiometer]:
         """Potentiometers in the order of the device's channels."""
         return self.theta_1, self.alpha
+
+    @property
+    def conversion(self) -> Conversion:
+        """Potentiometers and driver, without the origin of their values."""
+        return *self.channels, self.driver

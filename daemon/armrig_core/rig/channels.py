@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
 from math import nan
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import msgspec
 
@@ -18,8 +18,15 @@ from armrig_core.errors import InputError
 MAX_CHANNELS = 2
 """Number of readings in each sample of the device; a rig may use fewer."""
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+COUNTS = 65536
+"""Full scale of a reading, in counts."""
+HALF_COUNTS = COUNTS // 2
 MAX_VALUE = 1e15
 """Largest magnitude of a value, so that differences and squares of values are finite."""
+RAIL_COUNTS = 64
+"""Width of each end of the converter's range in which a reading counts as a broken wire."""
+Rail = Literal["", "low", "high"]
+"""End of the converter's range, at 0 V or at the reference; empty for none."""
 _RAILS = ("ADC0_RAIL", "ADC1_RAIL")
 _WORDS = (("%", "percent"), ("°", "deg"), ("Ω", "ohm"), ("µ", "u"), ("μ", "u"), ("/", "_per_"))
 
@@ -65,6 +72,13 @@ class Conversion(msgspec.Struct, frozen=True, array_like=True, gc=False):
     per_count: float
     """Change of the value by one count; 0 for a reading that the rig does not use."""
     points: Points = ()
+    valid_rail: Rail = ""
+    """End of the range at which a reading is a value, and no broken wire."""
+
+    def at_rail(self, counts: float) -> float:
+        """Return the value of a reading at an end of the range; NaN unless this end is valid."""
+        end = "low" if counts < HALF_COUNTS else "high"
+        return self.value(counts) if end == self.valid_rail else nan
 
     def value(self, counts: float) -> float:
         """Return the value of a reading in counts, in the channel's unit; NaN if it is not used."""
@@ -89,6 +103,11 @@ def check_points(points: Sequence[tuple[float, float]]) -> None:
         raise InputError(
             "points: give at least two pairs [counts, value] of finite numbers, within "
             f"±{MAX_VALUE:g}"
+        )
+    if outside := [x for x, _ in points if not 0 <= x <= COUNTS]:
+        raise InputError(
+            f"points: {outside[0]:g} counts; the converter reads 0 to {COUNTS - 1} counts, so give "
+            f"counts of 0 to {COUNTS}"
         )
     for (x, y), (x_next, y_next) in pairwise(points):
         if x_next <= x:

@@ -2,60 +2,76 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, isfinite
 from pathlib import Path
-from typing import Annotated, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Self, TypeVar
 
 import msgspec
 from msgspec import Meta
 
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
-from armrig_core.process.printable import printable
+from armrig_core.process.printable import plural, printable
 from armrig_core.process.toml_file import Table, convert, toml_tables
 from armrig_core.rig.calibration import BODY, CALIBRATED, ArmModel
 from armrig_core.rig.channels import (
+    COUNTS,
     MAX_CHANNELS,
     MAX_VALUE,
     NO_CONVERSION,
+    RAIL_COUNTS,
     Channel,
     Conversion,
     Points,
+    Rail,
     channel,
     check_points,
     sample_names,
 )
-from armrig_core.rig.firmware_image import IMAGES
+from armrig_core.rig.firmware_image import IMAGES, WITH_ENABLE_LINE
 from armrig_core.rig.saved_model import Matrix, System, saved_system
 from armrig_core.rig.volts import U_MAX_V
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 LIMIT_BYTES = 1 << 16
 """Largest size of a description, in B."""
-COUNTS = 65536
-"""Full scale of a reading, in counts."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 _RESERVED = {"k", "t", "u", "flags", "present", "valid", "outputs", "signals"}
 _RESERVED |= {"value_0", "value_1"}
+# The options of Rig.run, which takes the input by its name.
+_OPTIONS = {"accepted", "dead_man", "details", "experiment", "pacing", "progress", "tell"}
 _MAX_TEXT = 80
 _MAX_STATES = 40
 _MAX_DELAY_S = 3600.0
 _ROUNDING = 1e-9  # of the real part of a pole at 0, in 1/s
+BLIND_S = 1.0
+"""Default time without a valid sample that stops a run with a limited output, in s."""
+_MAX_OFFSET_V = 1e6  # at a larger offset the value has too few digits for the PWM's steps
+_NEAR_END = 0.05  # share of the range of readings
+_SIDES = {"low": "below", "high": "above"}
 _SHIPPED = Path(__file__).parents[1] / "rigs"
 _TABLES = ("rig", "input", "outputs", "model")
 T = TypeVar("T", bound=msgspec.Struct)
+T_Volts = TypeVar("T_Volts", float, "NDArray[np.float64]")
 Turns = Annotated[float, Meta(ge=0, le=655)]
 """Rotation in turns, which the device has in hundredths of a turn."""
 
 
 def _check_name(key: str, name: str) -> None:
-    if not _NAME.fullmatch(name) or (name in _RESERVED and (key, name) != ("input name", "u")):
+    reserved = _RESERVED - {"u"} | _OPTIONS if key == "input name" else _RESERVED
+    if not _NAME.fullmatch(name) or name in reserved:
         raise InputError(
             f"{key} = '{printable(name[:_MAX_TEXT])}': a name has 1 to 32 letters a-z, A-Z, digits "
-            f"and _, begins with a letter, and is none of {', '.join(sorted(_RESERVED))}"
+            f"and _, begins with a letter, and is none of {', '.join(sorted(reserved))}"
         )
 
 
@@ -97,9 +113,14 @@ class Input(Table, frozen=True, kw_only=True):
     name: str = "u"
     unit: str = "V"
     per_volt: float = 1.0
-    """Value of the input at 1 V, in its unit."""
+    """Change of the input's value by 1 V at the pin, in its unit."""
+    offset: float = 0.0
+    """Value of the input at 0 V, in its unit: value = offset + per_volt · u."""
+    rest_v: Annotated[float, Meta(ge=0, le=U_MAX_V)] = 0.0
+    """Voltage at which the actuator does nothing, in V. Outside a run the pin is at 0 V and the
+    enable line switches the driver off, so a rest other than 0 needs an image with this line."""
     u_max_v: Annotated[float, Meta(gt=0, le=U_MAX_V)] = U_MAX_V
-    """Default of `[limits] u_max_v`: highest voltage that a command may contain, in V."""
+    """Highest voltage that a command may contain, in V; `[limits] u_max_v` can only lower it."""
 
     def __post_init__(self) -> None:
         """Refuse a name or a unit that cannot be printed, and a factor of 0."""
@@ -107,6 +128,32 @@ class Input(Table, frozen=True, kw_only=True):
         _check_text("unit", self.unit)
         if not (isfinite(self.per_volt) and self.per_volt):
             raise InputError(f"per_volt = {self.per_volt!r} must be finite and not 0")
+        if not abs(self.offset) <= _MAX_OFFSET_V * abs(self.per_volt):  # NaN fails this, too
+            raise InputError(
+                f"offset = {self.offset!r}: the input would go from {self.value(0):g} to "
+                f"{self.value(self.u_max_v):g} {self.unit}; offset is the value at 0 V"
+            )
+        if self.rest_v > self.u_max_v:
+            raise InputError(f"rest_v = {self.rest_v:g} must be at most u_max_v = {self.u_max_v:g}")
+
+    @property
+    def is_scaled(self) -> bool:
+        """True if the value of the input is not the voltage at the pin in V."""
+        return self.unit != "V" or self.per_volt != 1 or self.offset != 0
+
+    def value(self, u: T_Volts) -> T_Volts:
+        """Return the value of a voltage at the pin, in the input's unit."""
+        return self.offset + self.per_volt * u
+
+    def volts(self, value: T_Volts) -> T_Volts:
+        """Return the voltage at the pin of a value, in V."""
+        return (value - self.offset) / self.per_volt
+
+    def both(self, low: float, high: float) -> str:
+        """Return the values of two voltages in the input's unit, and the voltages, as text."""
+        low_, high_ = sorted((self.value(low), self.value(high)))
+        own = f"{self.name} {low_:.4g} to {high_:.4g} {self.unit}"
+        return f"{own}, {low:.4g} to {high:.4g} V at the pin"
 
 
 class Output(Table, frozen=True, kw_only=True):
@@ -132,7 +179,17 @@ class Output(Table, frozen=True, kw_only=True):
     samples: Annotated[int, Meta(ge=1, le=1000)] = 2
     """Number of consecutive samples outside the limits that stop a run."""
     blind_s: Annotated[float, Meta(gt=0, le=3600)] | None = None
-    """Time without a valid sample that stops a run, in s; without this key there is no limit."""
+    """Time without a valid sample that stops a run, in s.
+
+    The default is no limit. For an output with low or high that does not turn, it is 1 s, or 5
+    sampling times if they are longer.
+    """
+    valid_rail: Rail = ""
+    """End of the converter's range, "low" (0 V) or "high", at which a reading is valid; without
+    this key a reading at either end counts as a broken wire."""
+    rail_is_outside: bool | None = None
+    """True if a reading at the end of the range counts as outside the limit before this end;
+    default: true for a limit within 5 % of the range from this end."""
     turns: Turns = 0.0
     """Largest rotation in one run, in turns, in steps of 0.01; 0 is no limit."""
 
@@ -161,7 +218,7 @@ class Output(Table, frozen=True, kw_only=True):
             raise InputError(f"turns = {self.turns:g} needs turning = true; give low and high")
         if not self.low < self.high:  # NaN fails this, too
             raise InputError(f"low = {self.low!r} must be below high = {self.high!r}")
-        ends = sorted((self.value(0), self.value(COUNTS - 1)))
+        ends = self.read_range
         if not all(abs(end) <= MAX_VALUE for end in ends):  # no reading may pass a limit as NaN
             raise InputError(f"{ends[0]:g} to {ends[1]:g} is read; ±{MAX_VALUE:g} is allowed")
         if self.low > ends[1] or self.high < ends[0]:
@@ -169,26 +226,75 @@ class Output(Table, frozen=True, kw_only=True):
                 f"low = {self.low:g}, high = {self.high:g}: every reading breaks a limit; the "
                 f"converter reads {ends[0]:.4g} to {ends[1]:.4g}"
             )
+        if self.turning and self.valid_rail:
+            raise InputError("valid_rail: a turning output reads an end in its dead band")
+        self._check_reached()
+
+    def _check_reached(self) -> None:
+        """Refuse a limit that no reading breaks."""
+        first = 0 if self.valid_rail == "low" else RAIL_COUNTS
+        last = COUNTS - 1 - (0 if self.valid_rail == "high" else RAIL_COUNTS)
+        least, most = sorted((self.value(first), self.value(last)))
+        never = {"low": self.low <= least, "high": self.high >= most}
+        for key, side in _SIDES.items():
+            limit: float = getattr(self, key)
+            if isfinite(limit) and never[key] and side not in self.sides_of_rails:
+                raise InputError(
+                    f"{key} = {limit:g}: no reading is {side} this limit; the sensor reads "
+                    f"{least:.4g} to {most:.4g} {self.unit}. Give a limit in this range, or "
+                    "rail_is_outside = true to stop at the end of the range"
+                )
+
+    @property
+    def read_range(self) -> tuple[float, float]:
+        """Smallest and largest value at the ends of the converter's range."""
+        low, high = sorted((self.value(0), self.value(COUNTS - 1)))
+        return low, high
+
+    @property
+    def sides_of_rails(self) -> tuple[str, str]:
+        """Side of the limits on which a reading at counts 0 and at full scale is; "" for inside."""
+        ends = self.read_range
+        near, forced = _NEAR_END * (ends[1] - ends[0]), self.rail_is_outside
+        first, second = (
+            side
+            if isfinite(limit) and (abs(limit - end) <= near if forced is None else forced)
+            else ""
+            for side, limit, end in zip(_SIDES.values(), (self.low, self.high), ends, strict=True)
+        )
+        return (first, second) if self.value(0) < self.value(COUNTS - 1) else (second, first)
+
+    @property
+    def is_bounded(self) -> bool:
+        """True if a value can stop a run."""
+        return isfinite(self.low) or isfinite(self.high)
+
+    @property
+    def default_blind(self) -> bool:
+        """True if the time without a value that stops a run is the default."""
+        return self.is_bounded and self.blind_s is None and not self.turning
 
     @property
     def limited(self) -> bool:
         """True if a value or the time without a value can stop a run."""
-        return isfinite(self.low) or isfinite(self.high) or self.blind_s is not None
+        return self.is_bounded or self.blind_s is not None
 
     @property
     def limits(self) -> str:
         """Return the limits as text; empty without any."""
-        turns = f"after {self.turns:g} turns" if self.turns else ""
+        turns = f"after {plural(self.turns, 'turn')}" if self.turns else ""
         parts = [f"above {self.high:g} {self.unit}"] if isfinite(self.high) else []
         parts += [f"below {self.low:g} {self.unit}"] if isfinite(self.low) else []
-        ends = f"{' or '.join(parts)} in {self.samples} samples in a row" if parts else ""
+        ends = f"{' or '.join(parts)} in {plural(self.samples, 'sample')} in a row" if parts else ""
         blind = f"blind for {self.blind_s:g} s" if self.blind_s else ""
+        if self.default_blind:
+            blind = f"blind for {BLIND_S:g} s or 5 Ts"
         return ", or ".join(text for text in (turns, ends, blind) if text)
 
     @property
     def conversion(self) -> Conversion:
         """Conversion of readings in counts to values in the output's unit."""
-        return Conversion(self.zero_counts, self.per_count, self.points)
+        return Conversion(self.zero_counts, self.per_count, self.points, self.valid_rail)
 
     def value(self, counts: float) -> float:
         """Return the value of a reading in counts, in the output's unit."""
@@ -198,14 +304,15 @@ class Output(Table, frozen=True, kw_only=True):
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[model]`: what the emulator and the rehearsal simulate, by matrices, by file or by kind.
 
-    x' = A x + B u(t - delay_s), y = C x + offset, with u in V and y in the units of the outputs.
+    x' = A x + B v(t - delay_s), y = C x + offset, with v = u - rest_v in V and y in the units of
+    the outputs.
     """
 
     A: Matrix = []
     B: Matrix = []
     C: Matrix = []
     offset: list[float] = []
-    """Values of the outputs at rest; default: 0, or those of a saved model with an offset."""
+    """Values of the outputs at rest; default: 0, or those of a saved model."""
     noise: list[float] = []
     """Standard deviations of the outputs' noise; default: 0."""
     delay_s: Annotated[float, Meta(ge=0, le=_MAX_DELAY_S)] = 0.0
@@ -229,11 +336,11 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     def _check_matrices(self) -> None:
         n = len(self.A)
         if n > _MAX_STATES:
-            raise InputError(f"A has {n} rows; at most {_MAX_STATES} are allowed")
+            raise InputError(f"A has {plural(n, 'row')}; at most {_MAX_STATES} are allowed")
         for name, rows, wide in (("A", n, n), ("B", n, 1), ("C", len(self.C), n)):
             matrix: Matrix = getattr(self, name)
             if len(matrix) != rows or not rows or any(len(row) != wide for row in matrix):
-                shape = f"{len(matrix)} rows of {sorted({len(row) for row in matrix})}"
+                shape = f"{plural(len(matrix), 'row')} of {sorted({len(row) for row in matrix})}"
                 raise InputError(f"{name} has {shape} numbers; with A it must be {rows} by {wide}")
         for name in ("A", "B", "C"):
             if not all(isfinite(x) for row in getattr(self, name) for x in row):
@@ -265,18 +372,28 @@ class Description:
         """Hash of the file."""
         return hashlib.sha256(self.text).hexdigest()
 
+    @property
+    def title(self) -> str:
+        """Name of the rig for people."""
+        return self.rig.title or self.rig.name
+
     def rows(self) -> list[tuple[str, str]]:
         """Return what the description says, as names and texts."""
         given = self.input
-        volts = "" if given.unit == "V" else f", {given.per_volt:g} {given.unit} per volt"
+        volts = f", {given.per_volt:g} {given.unit} per volt" if given.is_scaled else ""
+        volts += f" from {given.offset:g} {given.unit}" if given.offset else ""
+        rest = ""
+        if given.rest_v:
+            own = f"{given.value(given.rest_v):g} {given.unit}"
+            rest = f"; it rests at {given.rest_v:g} V" + (f" ({own})" if given.is_scaled else "")
         rows = [
-            ("described", self.rig.title or self.rig.name),
-            ("input", f"{given.name}{volts}, 0 to {given.u_max_v:g} V"),
+            ("described", self.title),
+            ("input", f"{given.name}{volts}, 0 to {given.u_max_v:g} V{rest}"),
         ]
         if self.rig.image != IMAGES[0]:
             rows.append(("image", self.rig.image))
         for name, output in self.outputs.items():
-            low, high = sorted((output.value(0), output.value(COUNTS - 1)))
+            low, high = output.read_range
             kind = "turns through a dead band" if output.turning else "a value"
             rate = f"; its rate is {output.rate}" if output.rate else ""
             text = f"{low:.4g} to {high:.4g} {output.unit}, {kind}{rate}"
@@ -287,8 +404,14 @@ class Description:
             model = self.model.file or f"the {self.arm}, with the parameters in [arm]"
         if self.system is not None:
             when = "continuous time" if self.system.Ts is None else f"Ts = {self.system.Ts:g} s"
-            model = f"{len(self.system.A)} states, {when}"
-        return [*rows, ("model", model), ("sha256", self.sha256)]
+            model = f"{plural(len(self.system.A), 'state')}, {when}"
+        both = self.text + (self.equations.read_bytes() if self.equations else b"")
+        return [*rows, ("model", model), ("sha256", hashlib.sha256(both).hexdigest())]
+
+    @property
+    def longest_sample_s(self) -> float:
+        """Longest time between two samples, in s: 1 s, and a fifth of each given blind time."""
+        return min([1.0, *(o.blind_s / 5 for o in self.outputs.values() if o.blind_s)])
 
     @property
     def arm(self) -> str:
@@ -383,8 +506,53 @@ class Description:
             )
         if counted := next((name for name, o in [*self.outputs.items()][1:] if o.turns), ""):
             raise InputError(f"{counted}: turns: the device counts those of the first output only")
+        if self.input.rest_v and self.rig.image not in WITH_ENABLE_LINE:
+            raise InputError(
+                f"input.rest_v = {self.input.rest_v:g}: the image {self.rig.image} has no enable "
+                "line. In a reset its pin falls to 0 V, which would not be this rig's rest; use "
+                f"{', '.join(WITH_ENABLE_LINE)}"
+            )
+        if self.input.rest_v and self.input.name == "u":
+            raise InputError(
+                f"input.rest_v = {self.input.rest_v:g}: give the input a name other than u, "
+                "because a number without a name is a voltage at the pin, and 0 V is not its rest"
+            )
+        if self.arm and (self.input.is_scaled or self.input.rest_v):
+            raise InputError(
+                f"model.kind = '{self.arm}': its input is the voltage at the pin, so leave unit, "
+                "per_volt, offset and rest_v out of [input]"
+            )
+        if self.is_calibrated and any(output.valid_rail for output in self.outputs.values()):
+            raise InputError("valid_rail: a calibration converts these outputs; leave it out")
         if self.model is not None:
             _check_outputs(self.model, self.outputs)
+            if not self.model.file:  # the file may say what the rig reads at rest
+                self.check_rest(self.model.offset or [0.0] * len(self.outputs))
+
+    def check_rest(self, rest: Sequence[float]) -> None:
+        """Refuse values at rest that the sensors do not read, or that break a limit."""
+        for (name, output), y in zip(self.outputs.items(), rest, strict=True):
+            where = f"outputs.{name}: the rig reads {y:g} {output.unit} at rest"
+            if not output.low <= y <= output.high:
+                raise InputError(
+                    f"{where}, outside {output.low:g} to {output.high:g}; correct the limits, or "
+                    "model.offset"
+                )
+            counts, last = round(output.conversion.counts(y)), COUNTS - 1
+            if output.turning or RAIL_COUNTS <= counts <= last - RAIL_COUNTS:
+                continue
+            least, most = output.read_range
+            end = "low" if counts < RAIL_COUNTS else "high"
+            if not -RAIL_COUNTS <= counts <= last + RAIL_COUNTS:
+                raise InputError(
+                    f"{where}; the sensor reads {least:.4g} to {most:.4g}: correct model.offset or "
+                    "the conversion"
+                )
+            if output.valid_rail != end:
+                raise InputError(
+                    f"{where}, an end of the sensor's range, where a torn wire reads the same: set "
+                    f"valid_rail = '{end}' if the sensor rests there"
+                )
 
 
 @cache
@@ -404,8 +572,10 @@ def path_of(file: Path) -> Path:
     return found if len(file.parts) == 1 and found.is_file() and not file.is_file() else file
 
 
-def require_model(description: Description) -> tuple[Model, System]:
+def require_model(description: Description, cpu_s: int = 0) -> tuple[Model, System]:
     """Return the model of a rig with its matrices, or with a new process of its own equations.
+
+    The process may have `cpu_s` seconds of processor time; 0 is no limit.
 
     Raises InputError if the rig has no model.
     """
@@ -413,15 +583,19 @@ def require_model(description: Description) -> tuple[Model, System]:
     if model is not None and description.equations:
         from armrig_core.rig.equations_file import EquationsProcess
 
-        process = EquationsProcess(description.equations, [*description.outputs])
+        rest_v = description.input.rest_v
+        process = EquationsProcess(description.equations, [*description.outputs], cpu_s, rest_v)
         offset = model.offset or [0.0] * len(process.rest)
         rest = [a + b for a, b in zip(offset, process.rest, strict=True)]
+        description.check_rest(rest)
         A, B, C = process.matrices
-        return msgspec.structs.replace(model, offset=rest), System(A, B, C, None, process=process)
+        delay_s = model.delay_s + process.delay_s
+        model = msgspec.structs.replace(model, offset=rest, delay_s=delay_s)
+        return model, System(A, B, C, None, process=process)
     if model is None or system is None:
         raise InputError(
-            f"rig {description.rig.name} cannot be emulated without [model]: give A, B and C, or "
-            "the file of a model from `armrig identify --save`, or of own equations"
+            f"the rig '{description.title}' cannot be emulated without [model]: give A, B and C, "
+            "or the file of a model from `armrig identify --save`, or of own equations"
         )
     return model, system
 
@@ -436,8 +610,15 @@ def read_description(path: Path) -> Description:
         if file.suffix == ".py":
             if not file.is_file():
                 raise InputError(f"model.file = '{file}': no regular file")
+            try:
+                ast.parse(read_bounded(file, LIMIT_BYTES))
+            except (SyntaxError, ValueError) as err:
+                raise InputError(f"model.file = '{file}': no Python: {err}") from err
             return replace(described, equations=file)
-        system = saved_system(file, tuple(described.outputs))
+        given = described.input
+        system = saved_system(
+            file, tuple(described.outputs), (given.name, given.unit), given.value, given.rest_v
+        )
         if not described.model.unstable:
             _check_stable("model.file", system.A, discrete=system.Ts is not None)
         model = msgspec.structs.replace(
@@ -445,6 +626,7 @@ def read_description(path: Path) -> Description:
             delay_s=described.model.delay_s + system.delay_s,
             offset=described.model.offset or [*system.rest],
         )
+        described.check_rest(model.offset or [0.0] * len(described.outputs))
         return replace(described, model=model, system=system)
     except OSError as err:
         raise FileError(f"{path}: {err.strerror}") from err
@@ -472,25 +654,19 @@ def _table(key: str, table: object, kind: type[T]) -> T:
 
 
 def _check_outputs(model: Model, outputs: dict[str, Output]) -> None:
-    """Refuse a model of another number of outputs, and a limit that the rig breaks at rest."""
+    """Refuse a model of another number of outputs."""
     for name in ("C", "offset", "noise"):
         numbers: list[object] = getattr(model, name)
         if numbers and len(numbers) != len(outputs):
             raise InputError(
-                f"model.{name} has {len(numbers)} rows; the rig has {len(outputs)} outputs"
+                f"model.{name} has {plural(len(numbers), 'row')}; the rig has "
+                f"{plural(len(outputs), 'output')}"
             )
     if (
         not all(isfinite(x) for x in (*model.offset, *model.noise))
         or min(model.noise, default=0) < 0
     ):
         raise InputError("model.offset and model.noise must be finite, and noise not below 0")
-    rest = model.offset or [0.0] * len(outputs)
-    for (name, output), y in zip(outputs.items(), rest, strict=True):
-        if not output.low <= y <= output.high:
-            raise InputError(
-                f"outputs.{name}: the rig reads {y:g} {output.unit} at rest, outside "
-                f"{output.low:g} to {output.high:g}; correct the limits, or model.offset"
-            )
 
 
 def _check_stable(key: str, A: Matrix, *, discrete: bool = False) -> None:

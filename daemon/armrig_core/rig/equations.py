@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig_core.errors import InputError, InputTypeError
+from armrig_core.process.printable import plural
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -77,11 +78,16 @@ class Ode:
         Names of the states, such as ``"angle [rad]"``.
     parameters : mapping of str to Parameter
         Parameters by name; a number is a parameter without unit and bounds.
+    delay : float, default 0.0
+        Dead time of the inputs in s, >= 0. If it is no multiple of Ts, the input of an interval is
+        its mean. Before the data the input is its first value, and an estimation leaves out the
+        outputs of the first dead time.
 
     Raises
     ------
     ValueError
-        A name is not an identifier, or a parameter starts outside its bounds.
+        A name is not an identifier, a parameter starts outside its bounds, or the dead time is
+        negative.
 
     Examples
     --------
@@ -101,6 +107,7 @@ class Ode:
     output: Derivative
     states: Sequence[str]
     parameters: Mapping[str, Parameter | float]
+    delay: float = 0.0
     point: Callable[..., Any] = field(init=False, repr=False, compare=False)
     """Class of p, with an attribute for each parameter."""
 
@@ -113,6 +120,8 @@ class Ode:
                 )
         if isinstance(self.states, str) or not self.states:
             raise InputError(f"states={self.states!r}: give a list of at least one name")
+        if not 0 <= self.delay < np.inf:
+            raise InputError(f"delay={self.delay!r} must be a dead time in s, 0 or more")
         for name in self.parameters:
             if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
                 raise InputError(
@@ -179,14 +188,33 @@ class Ode:
         array([20.   , 15.095,  0.38 ])
         """
         inputs = np.asarray(u, np.float64)
-        course = Course.of(inputs[:, None] if inputs.ndim == 1 else inputs, Ts)
+        inputs = inputs[:, None] if inputs.ndim == 1 else inputs
+        course = Course.of(self.delayed(inputs, Ts), Ts)
         start = np.zeros(len(self.states)) if x0 is None else np.asarray(x0, np.float64)
         if start.shape != (len(self.states),):
-            raise InputError(f"x0 has the shape {start.shape}; there are {len(self.states)} states")
+            raise InputError(
+                f"x0 has the shape {start.shape}; the model has {plural(len(self.states), 'state')}"
+            )
         point = {**self.values, **(values or {})}
         m = steps or steps_and_error(self, course, start[:, None], point, share=_SIMULATED)[0]
         y = integrated(self, course, start[:, None, None], point, m).y
         return np.asarray(y[:, :, 0, 0])
+
+    def delayed(self, u: Matrix, Ts: float) -> Matrix:
+        """Return the inputs (N, nu) after the dead time.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> late = armrig.Ode(f=lambda t, x, u, p: [u[0]], output=lambda t, x, u, p: x[0],
+        ...                   states=["level"], parameters={}, delay=0.3)
+        >>> late.delayed(np.array([[0.0], [1.0], [2.0], [2.0]]), 0.2).round(3).ravel()
+        array([0. , 0. , 0.5, 1.5])
+        """
+        whole, share = divmod(self.delay / Ts, 1.0)
+        index = np.arange(len(u)) - int(whole)
+        now, before = u[np.maximum(index, 0)], u[np.maximum(index - 1, 0)]
+        return np.asarray((1 - share) * now + share * before)
 
 
 def friction(
@@ -371,7 +399,8 @@ def checked_derivative(ode: Ode, shape: tuple[int, ...]) -> Any:
             found = f(t, x, u, p)
             if len(found) != n:
                 raise InputError(
-                    f"f returns {len(found)} values; there are {n} states: {', '.join(ode.states)}"
+                    f"f returns {plural(len(found), 'value')}; the model has {plural(n, 'state')}: "
+                    f"{', '.join(ode.states)}"
                 )
             out = np.empty((n, *shape))
             for i in range(n):
@@ -389,11 +418,18 @@ def checked_outputs(ode: Ode, t: Any, x: Any, u: Any, p: Any, shape: tuple[int, 
     """Return the outputs (ny, points, S), with sentences for errors of `output`."""
     try:
         found = ode.output(t, x, u, p)
-        several = isinstance(found, list | tuple)
+        several = isinstance(found, list | tuple) or np.ndim(found) > len(shape)
         rows = found if several else [found]
         out = np.empty((len(rows), *shape))
         for i, row in enumerate(rows):
+            if np.ndim(row) > len(shape):
+                raise InputError(
+                    f"output {i + 1} of {len(rows)} has the shape {np.shape(row)}, and each must "
+                    f"have that of a state, {shape}: return a list of outputs, such as [x[0], x[1]]"
+                )
             out[i] = row
+    except InputError:
+        raise
     except (Exception, SystemExit) as err:
         raise InputError(_sentence("output", err)) from err
     return out

@@ -18,6 +18,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from math import ceil
 from pathlib import Path
 from typing import Any
 from weakref import finalize
@@ -27,16 +28,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig_core.errors import InputError, OperationError
-from armrig_core.process.printable import printable
+from armrig_core.process.printable import plural, printable
 from armrig_core.process.realtime import end_with_parent, leave_fifo
 from armrig_core.rig.equations import Course, Ode, checked_derivative, checked_outputs, integrated
 
-# Largest times to answer. The service serves no stop during a rehearsal, at 0 V: keep them short.
-_START_S, _ANSWER_S, _RUN_S = 3.0, 2.0, 4.0
+# Largest times to answer, in the emulator and, with a limit of the processor time, in a rehearsal.
+_START_S, _ANSWER_S, _GUEST_S = 3.0, 2.0, 60.0
+_END_S = 1.0  # longest time from the end of the answers to that of the process
 _TOLERANCE = 1e-6  # relative change of the states if the steps are doubled
 _MAX_STEPS = 4096  # of one interval
 _MAX_CHARACTERS = 1000  # of an error of the file
 _MAX_ANSWER_BYTES = 1 << 26  # more than the outputs of the longest run
+_announced: set[Path] = set()  # files that this program has already named
 
 
 def load_equations(path: Path) -> Ode:
@@ -62,21 +65,33 @@ def load_equations(path: Path) -> Ode:
 class EquationsProcess:
     """The process of a model file; the states are 0 at first."""
 
-    def __init__(self, path: Path, outputs: Sequence[str]) -> None:
-        """Start the process; raise InputError if the model has other outputs."""
-        self._path, self._t = path, 0.0
-        program = [sys.executable, "-m", __name__, str(path), str(os.getpid())]
+    def __init__(
+        self, path: Path, outputs: Sequence[str], cpu_s: int = 0, rest_v: float = 0.0
+    ) -> None:
+        """Start the process at the input `rest_v`; raise InputError if the model has other outputs.
+
+        After its start it may have `cpu_s` seconds of processor time. With 0, the processor time is
+        not limited, and each answer takes at most 2 s.
+        """
+        self._path, self._t, self._cpu_s = path, 0.0, cpu_s
+        self._until_s = time.monotonic() + _GUEST_S
+        program = [sys.executable, "-m", __name__, str(path), str(os.getpid()), str(cpu_s)]
+        program.append(repr(rest_v))
+        if path not in _announced:
+            _announced.add(path)
+            print(f"executing {path}", file=sys.stderr, flush=True)
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(program, stdin=pipe, stdout=pipe, start_new_session=True)
         self.close = finalize(self, _end, self._process)
         """End the process."""
-        *self.matrices, self.rest = self._answer(_START_S)
-        """A, B and C of small motions about the states 0; and the outputs there."""
+        *self.matrices, self.rest, self.delay_s = self._answer(_START_S)
+        """A, B and C of small motions about the states 0 and the rest; the outputs there, and the
+        dead time of the input, in s."""
         if len(self.rest) != len(outputs):
             self.close()
             raise InputError(
-                f"{path}: output returns {len(self.rest)} values; the rig has {len(outputs)} "
-                f"outputs, {', '.join(outputs)}"
+                f"{path}: output returns {plural(len(self.rest), 'value')}; the rig has "
+                f"{plural(len(outputs), 'output')}, {', '.join(outputs)}"
             )
 
     def run(self, u: Sequence[float], dt: float) -> NDArray[np.float64]:
@@ -85,7 +100,7 @@ class EquationsProcess:
             with suppress(BrokenPipeError):  # the process has ended, as its answer says
                 self._process.stdin.write(msgspec.json.encode((u, dt)) + b"\n")
                 self._process.stdin.flush()
-        y = np.array(self._answer(_RUN_S if len(u) > 1 else _ANSWER_S))
+        y = np.array(self._answer(_ANSWER_S))
         if y.shape != (len(u), len(self.rest)):
             self.close()
             raise InputError(f"{self._path}: the number of outputs changes after t = {self._t:g} s")
@@ -93,16 +108,15 @@ class EquationsProcess:
         return np.asarray(y - self.rest)
 
     def _answer(self, limit_s: float) -> list[Any]:
-        line, until = bytearray(), time.monotonic() + limit_s
-        out = self._process.stdout
+        line, out = bytearray(), self._process.stdout
+        until = self._until_s if self._cpu_s else time.monotonic() + limit_s
         while out is not None and not line.endswith(b"\n"):
             if not select.select([out], [], [], max(0.0, until - time.monotonic()))[0]:
-                self.close()
-                at = f"{self._path}: from t = {self._t:g} s on"
-                way_out = "play fewer samples, or make the file faster"
-                raise OperationError(f"{at} the file took more than {limit_s:g} s: {way_out}")
+                raise self._too_long(f"{_GUEST_S if self._cpu_s else limit_s:g} s")
             part = os.read(out.fileno(), 1 << 16)
             line += part
+            if not part and self._has_used_its_time():
+                raise self._too_long(f"{self._cpu_s} s of processor time")
             if not part or len(line) > _MAX_ANSWER_BYTES:
                 reason = "wrote too much" if part else "ended"
                 line[:] = msgspec.json.encode(f"the process {reason} after t = {self._t:g} s")
@@ -116,9 +130,21 @@ class EquationsProcess:
             raise InputError(f"{self._path}: {answer}")
         return list(answer)
 
+    def _has_used_its_time(self) -> bool:
+        with suppress(subprocess.TimeoutExpired):  # a file may close its descriptors, and go on
+            return self._process.wait(_END_S) == -signal.SIGXCPU
+        return False
+
+    def _too_long(self, limit: str) -> OperationError:
+        self.close()
+        at = f"{self._path}: from t = {self._t:g} s on"
+        way_out = "play fewer samples, or make the file faster"
+        return OperationError(f"{at} the file took more than {limit}: {way_out}")
+
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    os.killpg(process.pid, signal.SIGKILL)  # also processes that the file has started
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)  # also processes that the file has started
     process.wait()
     for stream in (process.stdin, process.stdout):
         with suppress(BrokenPipeError):
@@ -129,16 +155,18 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 class _Motion:
     """Motion of the states from 0."""
 
-    def __init__(self, ode: Ode) -> None:
+    def __init__(self, ode: Ode, rest_v: float) -> None:
+        self.rest_v = rest_v
         self.ode, self.x, self.t, self.step_s = ode, np.zeros((len(ode.states), 1, 1)), 0.0, np.inf
 
     def linear(self) -> list[Any]:
-        """Return A, B, C of small motions about the states 0, and the outputs there."""
+        """Return A, B, C of small motions about states 0 and rest, outputs, and dead time."""
         n, ode, h = len(self.ode.states), self.ode, 1e-6
         derivative, p = checked_derivative(ode, (1, 1)), ode.point(**ode.values)
 
         def at(z: NDArray[np.float64]) -> NDArray[np.float64]:
-            t, x, u = np.zeros((1, 1)), z[:n, None, None].copy(), z[n:, None, None]
+            t, x = np.zeros((1, 1)), z[:n, None, None].copy()
+            u = self.rest_v + z[n:, None, None]
             y = checked_outputs(ode, t, x, u, p, (1, 1))
             return np.concatenate([derivative(t, x, u, p), y])[:, 0, 0]
 
@@ -146,7 +174,8 @@ class _Motion:
             slopes = [(at(step) - at(-step)) / (2 * h) for step in h * np.eye(n + 1)]
             M, rest = np.nan_to_num(slopes).T, at(np.zeros(n + 1))[n:]
         _check_finite(rest)
-        return [M[:n, :n].tolist(), M[:n, n:].tolist(), M[n:, :n].tolist(), rest.tolist()]
+        matrices = [M[:n, :n].tolist(), M[:n, n:].tolist(), M[n:, :n].tolist()]
+        return [*matrices, rest.tolist(), ode.delay]
 
     def held(self, u: float, dt: float) -> list[float]:
         """Hold an input for a time; return the outputs at its end."""
@@ -179,11 +208,10 @@ def _check_finite(y: NDArray[np.float64]) -> None:
         raise InputError("output returns a value that is not finite")
 
 
-def _serve(path: Path, parent: int) -> None:
-    """Answer the requests on standard input until it ends."""
+def _serve(path: Path, parent: int, cpu_s: int, rest_v: float) -> None:
+    """Answer the requests on standard input until it ends; see `EquationsProcess`."""
     leave_fifo()  # the emulator may be at SCHED_FIFO
     end_with_parent(parent, signal.SIGKILL)  # the file may ignore SIGTERM
-    print(f"executing {path}", file=sys.stderr, flush=True)
     answers, requests = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(0), "rb")
     os.dup2(2, 1)  # the file may print
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # and read
@@ -192,8 +220,13 @@ def _serve(path: Path, parent: int) -> None:
         answers.write(msgspec.json.encode(value) + b"\n")
         answers.flush()
 
+    if cpu_s:
+        import resource  # Windows, which also loads equations, has none
+
+        most = ceil(time.process_time()) + cpu_s
+        resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
     try:
-        motion = _Motion(load_equations(path))
+        motion = _Motion(load_equations(path), rest_v)
         answer(motion.linear())
         for line in requests:
             u, dt = msgspec.json.decode(line)
@@ -203,4 +236,4 @@ def _serve(path: Path, parent: int) -> None:
 
 
 if __name__ == "__main__":
-    _serve(Path(sys.argv[1]), int(sys.argv[2]))
+    _serve(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]))

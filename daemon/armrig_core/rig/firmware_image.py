@@ -18,6 +18,8 @@ from armrig_core.process.bounded import read_bounded
 
 IMAGES = ("uno", "tclab", "heatshield", "optoshield")
 """Names of the images: the arm's, and one for each supported shield."""
+WITH_ENABLE_LINE = ("uno",)
+"""Names of the images with an enable line, which switches the driver off outside a run."""
 _MAX_FILE_B = 1 << 20  # 256 KiB of flash, the largest AVR, are 0.7 MiB of text
 _DATA, _END, _SEGMENT, _LINEAR = 0, 1, 2, 4
 _START_KINDS = (3, 5)  # address where the processor begins: an AVR begins at 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -11,6 +11,7 @@ import msgspec
 
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_text
+from armrig_core.process.printable import plural
 
 if TYPE_CHECKING:
     from armrig_core.rig.equations_file import EquationsProcess
@@ -26,7 +27,7 @@ _MAX_CONDITION = 1e12  # of I - A, or of A in continuous time; larger with an in
 
 
 class System(NamedTuple):
-    """A linear system of one input: x' = A x + B u, or x(t + Ts) = A x + B u; y = C x."""
+    """A linear system: x' = A x + B v, or x(t + Ts) = A x + B v; y = C x, v = u - rest_v in V."""
 
     A: Matrix
     B: Matrix
@@ -38,7 +39,7 @@ class System(NamedTuple):
     process: EquationsProcess | None = None
     """Process of own equations, whose small motions the matrices describe; otherwise None."""
     rest: Sequence[float] = ()
-    """Outputs at u = 0 of a model with an input offset; otherwise empty."""
+    """Outputs at rest, if they follow from the model; otherwise empty."""
 
 
 class _Matrices(msgspec.Struct, tag_field="kind", tag="matrices"):
@@ -79,11 +80,21 @@ class _Saved(msgspec.Struct):
     input_units: list[str]
     Ts: float
     form: _Matrices | _Polynomials | _TransferFunction
+    inputs: tuple[str, ...] = ("u",)
     free: list[_Free] = []
 
 
-def saved_system(path: Path, outputs: Sequence[str]) -> System:
+def saved_system(
+    path: Path,
+    outputs: Sequence[str],
+    input: tuple[str, str] = ("u", "V"),
+    own: Callable[[float], float] = lambda u: u,
+    rest_v: float = 0.0,
+) -> System:
     """Return the model in a file for a rig with these outputs.
+
+    `input` is the name and the unit of the rig's input, and `own` returns its value at a voltage of
+    the pin. A model of this input is converted; a model of another input has the voltage itself.
 
     Raises
     ------
@@ -91,7 +102,7 @@ def saved_system(path: Path, outputs: Sequence[str]) -> System:
         The file contains no model, or a model that has other signals or a direct term.
     """
     try:
-        return _system(read_text(path, _MAX_BYTES), tuple(outputs))
+        return _system(read_text(path, _MAX_BYTES), tuple(outputs), input, own, rest_v)
     except OSError as err:
         raise FileError(f"model.file = '{path}': {err.strerror}") from err
     except FileError as err:
@@ -100,7 +111,13 @@ def saved_system(path: Path, outputs: Sequence[str]) -> System:
         raise FileError(f"model.file = '{path}': a damaged model; save it again") from err
 
 
-def _system(text: str, outputs: tuple[str, ...]) -> System:
+def _system(
+    text: str,
+    outputs: tuple[str, ...],
+    input: tuple[str, str],
+    own: Callable[[float], float],
+    rest_v: float,
+) -> System:
     """Return the model in the text of a file; raise ValueError or IndexError if it is damaged."""
     if '"armrig model"' not in text:
         raise FileError("no model; `armrig identify --save` writes a model")
@@ -132,20 +149,30 @@ def _system(text: str, outputs: tuple[str, ...]) -> System:
     finite = all(isfinite(x) for M, *_ in shapes for row in M for x in row)
     if not (fits and finite and 0 <= delay_s <= _MAX_DELAY_S):
         raise InputError("its fields do not match each other")
+    came = saved.inputs[0], saved.input_units[0]
+    if came != input and came[1] not in ("", "V"):
+        raise FileError(
+            f"a model of the input {came[0]} [{came[1]}]; the rig's is {input[0]} [{input[1]}], or "
+            "V at the pin"
+        )
+    scale, at_rest = 1.0, rest_v
+    if came == input:
+        scale, at_rest = own(1.0) - own(0.0), own(rest_v)
     rest: list[float] = []
-    if saved.free and saved.free[0].offset:
+    u = at_rest - (saved.free[0].offset if saved.free else 0.0)
+    if u:
         import numpy as np
 
         M = -np.array(A) if Ts is None else np.eye(len(A)) - np.array(A)
         if np.linalg.cond(M) < _MAX_CONDITION:
-            u = -saved.free[0].offset
             rest = (np.array(C) @ np.linalg.solve(M, np.array(B)[:, 0] * u)).tolist()
+    B = [[scale * b] for (b,) in B]
     return System(A, B, C, Ts, delay_s, rest=rest)
 
 
 def _check_states(n: int) -> None:
     if not 1 <= n <= _MAX_STATES:
-        raise FileError(f"the model has {n} states; 1 to {_MAX_STATES} are allowed")
+        raise FileError(f"the model has {plural(n, 'state')}; 1 to {_MAX_STATES} are allowed")
 
 
 def _quotient(form: _Polynomials, i: int) -> tuple[list[float], list[float]]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any, TypeVar
 
+from armrig_core.process.printable import plural
 from armrig_protocol import decoder, frame
 from armrig_protocol import messages as wire
 from armrig_protocol.frame import Spoilt, Unknown
@@ -317,5 +318,7 @@ def only(kind: type[M], came: list[wire.Message]) -> M:
     """
     found = [m for m in came if isinstance(m, kind)]
     if len(found) != 1:
-        raise Broken(f"{len(found)} {kind.__name__} among {len(came)} frames instead of one")
+        raise Broken(
+            f"{len(found)} {kind.__name__} among {plural(len(came), 'frame')} instead of one"
+        )
     return found[0]

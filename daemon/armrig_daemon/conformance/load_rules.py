@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from zlib import crc32
 
+from armrig_core.process.printable import plural
 from armrig_core.rig.volts import applied_code
 from armrig_protocol import frame
 from armrig_protocol import messages as wire
@@ -71,7 +72,10 @@ def _full_line(host: Host) -> None:
     expect(pongs == pings and host.breaks == breaks, f"{pongs} PONG of {pings} PING")
     after = next_status(host)
     lost = after.rx_lost - before.rx_lost, after.tx_dropped - before.tx_dropped
-    expect(lost == (0, 0), f"{lost[0]} bytes not received, {lost[1]} frames not sent")
+    expect(
+        lost == (0, 0),
+        f"{plural(lost[0], 'byte')} not received, {plural(lost[1], 'frame')} not sent",
+    )
 
 
 @rule(1, "Bytes lost in a flood are reported, by `rx_lost` in STATUS and RX_OVERFLOW in a SAMPLE")
@@ -88,7 +92,7 @@ def _flood(host: Host) -> None:
     after, sent = next_status(host), (host.seq - seq) & 0xFFFF
     frames, lost = after.frames - before.frames, after.rx_lost - before.rx_lost
     spoilt = after.spoilt - before.spoilt
-    found = f"{lost} bytes lost, {frames} of {sent} frames received, {spoilt} spoilt"
+    found = f"{plural(lost, 'byte')} lost, {frames} of {sent} frames received, {spoilt} spoilt"
     expect(lost > 0 or (frames == sent and spoilt == 0), found)
     flagged = any(isinstance(m, wire.Sample) and m.flags & Flag.RX_OVERFLOW for m in came)
     expect(flagged == (lost > 0), f"{found}, RX_OVERFLOW {'' if flagged else 'not '}set")

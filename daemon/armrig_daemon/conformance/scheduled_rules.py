@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import NamedTuple
 
+from armrig_core.process.printable import plural
 from armrig_core.rig.volts import applied_code
 from armrig_protocol import messages as wire
 from armrig_protocol.messages import (
@@ -78,7 +79,7 @@ def run_to_end(host: Host, k_stop: int) -> Took:
     came += host.alive(limit_ms, ends)
     events = [m for m in came if isinstance(m, wire.Event) and m.was == State.RUN]
     if not events:
-        raise Broken(f"the run did not end; {len(came)} frames came")
+        raise Broken(f"the run did not end; {plural(len(came), 'frame')} came")
     return Took([m for m in came if isinstance(m, wire.Sample)], events[0], started)
 
 
@@ -137,7 +138,10 @@ def _frames(host: Host) -> None:
     came = host.fence()
     expect(not came, came)
     held = queued(host)
-    expect(held == most, f"{held} queued of {most + 1} frames with one setpoint each, not {most}")
+    expect(
+        held == most,
+        f"{held} queued of {plural(most + 1, 'frame')} with one setpoint each, not {most}",
+    )
 
 
 @rule(6, "SETPOINTS with n = 0, n > 24, or `zero` other than 0 is answered BAD_VALUE")
@@ -191,7 +195,8 @@ def _aligned(host: Host) -> None:
     took = run_to_end(host, n)
     ks = [m.k for m in took.samples]
     expect(
-        ks == list(range(n)), f"k of {len(ks)} samples, {ks[:3]} ... {ks[-3:]}, not 0 ... {n - 1}"
+        ks == list(range(n)),
+        f"k of {plural(len(ks), 'sample')}, {ks[:3]} ... {ks[-3:]}, not 0 ... {n - 1}",
     )
     bits = host.known.pwm_bits
     for m in took.samples:
@@ -224,7 +229,10 @@ def _end(host: Host) -> None:
     armed(host)
     fill(host, [1_000] * 10)
     took = run_to_end(host, 5)
-    expect([m.k for m in took.samples] == list(range(5)), f"{len(took.samples)} samples, not 5")
+    expect(
+        [m.k for m in took.samples] == list(range(5)),
+        f"{plural(len(took.samples), 'sample')}, not 5",
+    )
     end = took.end
     expect((end.state, end.cause) == (State.IDLE, Cause.END), [end])
     held = elapsed(took.samples[-1].t_us, end.t_us) - host.known.hold_us

@@ -81,6 +81,19 @@ REMEDIES: dict[Id, str] = {
 }
 """Remedy of each fault; after the remedy, `armrig reset` clears the fault."""
 
+EMULATOR_REMEDY = "continue the emulator if its process is stopped, or start `armrig lab` again"
+REMEDIES_OF_EMULATED: dict[Id, str] = {
+    Id.LINK: EMULATOR_REMEDY,
+    Id.STALE: f"{EMULATOR_REMEDY}; if this host was late, close other programs (`armrig doctor`)",
+    Id.RESET: "wait until the emulator, which was started again, answers",
+    Id.BLIND: "check the description of the rig and [emulator]: this reading is at an end of its "
+    "range",
+    Id.APPLIED: "start `armrig lab` again, and report this bug of the emulator",
+    Id.REQUEST: EMULATOR_REMEDY,
+    Id.FIRMWARE: "start the emulator of this version of armrig, with the image that the rig needs",
+}
+"""Remedy of an emulated rig, for each fault whose usual remedy names a cable, supply or board."""
+
 
 OF_DEVICE: dict[int, str] = {
     Cause.WATCHDOG: "it received nothing from this host in time",
@@ -106,6 +119,12 @@ def of_device(cause: int) -> str:
     return f"{name}, {OF_DEVICE[cause]}" if cause in OF_DEVICE else name
 
 
-def sentence(fault: Fault) -> str:
+def remedy(fault: Id, *, is_emulated: bool) -> str:
+    """Return the remedy of a fault; an emulated rig has no cable and no supply."""
+    usual = REMEDIES[fault]
+    return REMEDIES_OF_EMULATED.get(fault, usual) if is_emulated else usual
+
+
+def sentence(fault: Fault, *, is_emulated: bool) -> str:
     """Return cause and remedy as one sentence."""
-    return f"{fault.cause}; {REMEDIES[fault.id]}"
+    return f"{fault.cause}; {remedy(fault.id, is_emulated=is_emulated)}"

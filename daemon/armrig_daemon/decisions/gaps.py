@@ -126,7 +126,8 @@ def publish(
     if arrived.answered is None and state.run is not None:
         state = _note_missing(state, state.run, m.k, now_ns)
     sample = arrived.sample
-    state, done = report_missing(state, sample.k, now_ns, m.u_km1)
+    acting, flags = state.rules.acting, m.flags
+    state, done = report_missing(state, sample.k, now_ns, acting(m.u_km1, flags))
     done.append(Publish(sample, m.queued if arrived.answered is None else -1))
     state = replace(
         state,
@@ -134,7 +135,7 @@ def publish(
         run=arrived.run,
         sampled_ns=sample.t_host_ns,
         t_us=sample.t_device_us,
-        applied=m.u_k,
+        applied=acting(m.u_k, flags),
         last_reported_k=sample.k,
     )
     return state, done
@@ -165,7 +166,8 @@ def end_run(state: State, now_ns: int, *, complete: bool = False) -> tuple[State
             by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
             n = max(0, min(by_now, run.samples) - run.due)
             due = due_ns(state, end)
-            untaken = MissingSamples(end, n, state.outcome, 0, due, now_ns, GapCode.FAULT)
+            held = state.outcome, state.rules.rest_code
+            untaken = MissingSamples(end, n, *held, due, now_ns, GapCode.FAULT)
             state = note(state, untaken)
             run, end = replace(run, due=run.due + n), end + n
         state, reports = report_missing(state, end, now_ns)

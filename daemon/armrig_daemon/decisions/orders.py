@@ -27,7 +27,7 @@ def handle(state: State, now_ns: int, order: pipe.Order) -> Step:
     state = replace(state, service_ns=now_ns)
     match order:
         case pipe.Alive():
-            return state, []
+            return _alive(state, now_ns, order), []
         case pipe.Stop():
             return _stop(state, order)
         case pipe.Quit():
@@ -61,6 +61,13 @@ def quit_(state: State) -> Step:
     if state.link is None or state.device is None:
         return state, [outcomes.EndRun(), Then.LEAVE]
     return state, [outcomes.Halt("the daemon was ended", code=OutcomeCode.DAEMON_ENDED)]
+
+
+def _alive(state: State, now_ns: int, order: pipe.Alive) -> State:
+    lease = state.lease
+    if lease is None or state.phase is not Phase.ARMED or order.lease != lease.lease:
+        return state
+    return replace(state, lease=replace(lease, renewed_ns=now_ns))
 
 
 def _stop(state: State, order: pipe.Stop) -> Step:
@@ -116,9 +123,10 @@ def _arm(state: State, now_ns: int, order: pipe.Arm) -> Step:
         text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text, RefusalCode.STALE, limit_ms=limit_ns / 1e6)
     if limits := state.rules.limits:
-        fault = outside(limits, state.watch) or blind(limits, state.watch, now_ns)
+        fault = outside(limits, state.watch) or blind(limits, state.watch, now_ns, state.ts_us)
         if fault is not None:
-            return state, refuse(order, sentence(fault), RefusalCode.READINGS, output=fault.output)
+            text = sentence(fault, is_emulated=state.is_emulated)
+            return state, refuse(order, text, RefusalCode.READINGS, output=fault.output)
     if link.device_state not in _AT_REST:
         # HELLO requests the device's state, after which the device is brought to rest.
         name = name_of(DeviceState, link.device_state)

@@ -11,15 +11,16 @@ from enum import Enum
 from typing import NamedTuple
 
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
+from armrig_core.process.printable import plural
 from armrig_protocol.messages import HelloReply, Message
 from armrig_protocol.messages import State as DeviceState
 
-from armrig_daemon.decisions.faults import REMEDIES, Fault
+from armrig_daemon.decisions.faults import EMULATOR_REMEDY, Fault, remedy
 from armrig_daemon.decisions.state import Action, Emit, RequestKind, State
 from armrig_daemon.pipe import Answer, Log, Order, Run
 from armrig_daemon.pipe import State as StateRecord
 
-NO_DEVICE = "no device answers; check that it is plugged in, and that its supply is on: try again"
+NO_DEVICE = "no device answers; check that the rig is on, or that its emulator runs: try again"
 """Refusal of an order that needs a device while no device answers."""
 NOTICE_TRIES = 18
 """Number of unanswered HELLOs, 0.1 s apart, after which the daemon reports a silent device."""
@@ -135,7 +136,7 @@ def motor(state: State) -> str:
     if state.device is None or state.link is None:
         return f"not known: the device does not answer; {watchdog}"
     if state.device_state != DeviceState.RUN:
-        return "at 0 V, as the device reports"
+        return f"at {state.rules.rest}, as the device reports"
     if state.asked is not None and state.asked.want is RequestKind.STOP:
         return "stop sent, not confirmed yet"
     return f"stop sent, but not confirmed; {watchdog}" if state.fault else "driven"
@@ -145,27 +146,30 @@ def unanswered(state: State) -> str:
     """Return the reason why no device answers HELLO, and a remedy; "" if there is no problem."""
     link = state.link
     if link is None:
-        return (
-            "no rig is connected, and the daemon waits for one: check that the rig is plugged in, "
-            "and that this is its port"
-        )
+        plugged = "the rig is plugged in, and that this is its port"
+        runs = "its emulator runs (`armrigd emulate`), or start `armrig lab` again"
+        waits = "no rig is connected, and the daemon waits for one: check that "
+        return waits + (runs if state.is_emulated else plugged)
     asked, came, baud = state.asked, link.came, state.rules.baud
     if asked is None or asked.want is not RequestKind.HELLO or asked.tries < NOTICE_TRIES:
         return ""
+    if state.is_emulated:
+        return f"the emulator does not answer: {EMULATOR_REMEDY}"
     if came.frames:
         found = (
-            f"{came.frames} frames came, but no answer to HELLO; check that its firmware speaks "
-            "this version of the wire, and that nothing else is on this port"
+            f"{plural(came.frames, 'frame')} came, but no answer to HELLO; check that its firmware "
+            "speaks this version of the wire, and that nothing else is on this port"
         )
     elif came.bytes:
         found = (
-            f"{came.bytes} bytes came at {baud} baud, but no frame; check the [device] baud and "
+            f"{plural(came.bytes, 'byte')} came at {baud} baud, but no frame; check the [device] "
+            "baud and "
             "the port; another sketch may run on the board: `armrig flash` writes armrig's firmware"
         )
     else:
         found = (
-            f"{asked.tries} requests at {baud} baud had no answer; check that the device has "
-            "power, that this is its port, and that it contains the firmware"
+            f"{plural(asked.tries, 'request')} at {baud} baud had no answer; check that the device "
+            "has power, that this is its port, and that it contains the firmware"
         )
     return f"the device does not answer: {found}"
 
@@ -183,7 +187,7 @@ def report_state(state: State, now_ns: int) -> Action:
             device=device_facts(state.device),
             fault=state.fault.id if state.fault else "",
             motor=motor(state),
-            remedy=REMEDIES[state.fault.id] if state.fault else "",
+            remedy=remedy(state.fault.id, is_emulated=state.is_emulated) if state.fault else "",
             line=unanswered(state),
             owner_checked=state.lease.owner_checked if state.lease else "",
             device_cause=state.fault.device_cause if state.fault else 0,

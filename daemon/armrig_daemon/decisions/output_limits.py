@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from math import isnan
+from math import inf, isinf, isnan, nan
 
+from armrig_core.process.printable import plural
+from armrig_core.rig.channels import HALF_COUNTS
 from armrig_core.telemetry.telemetry import Sample
+from armrig_protocol.messages import Flag
 from msgspec import UnsetType
 from msgspec.structs import replace
 
@@ -13,6 +16,7 @@ from armrig_daemon.decisions.outcomes import Step, Trip
 from armrig_daemon.decisions.state import OutputLimit, OutputWatch, Phase, State
 
 _DRIVING = (Phase.ARMED, Phase.ACTIVE)
+_RAILS = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)  # int: `&` of two Flags takes 0.5 µs
 
 
 def observe(state: State, limits: tuple[OutputLimit, ...], sample: Sample) -> Step:
@@ -21,22 +25,29 @@ def observe(state: State, limits: tuple[OutputLimit, ...], sample: Sample) -> St
     A valid sample inside the limits begins the count again. An invalid sample and a missing sample
     do not, because neither shows that the output has come back.
     """
-    values, watch = (sample.value_0, sample.value_1), state.watch
+    watch = state.watch
     watched = tuple(
-        _watched(watch[i] if watch else None, limit, values[limit.channel], sample.t_host_ns)
-        for i, limit in enumerate(limits)
+        _watched(watch[i] if watch else None, limit, sample) for i, limit in enumerate(limits)
     )
     state = replace(state, watch=watched)
     fault = outside(limits, watched) if state.phase in _DRIVING else None
     return state, [] if fault is None else [Trip(fault)]
 
 
-def _watched(
-    before: OutputWatch | None, limit: OutputLimit, value: float, t_ns: int
-) -> OutputWatch:
-    """Return what is known of an output after a sample that was requested at `t_ns`."""
+def _watched(before: OutputWatch | None, limit: OutputLimit, sample: Sample) -> OutputWatch:
+    """Return what is known of an output after a sample."""
+    value, t_ns = (sample.value_1 if limit.channel else sample.value_0), sample.t_host_ns
+    at_rail = 0
+    if sample.flags & _RAILS[limit.channel]:
+        counts = sample.counts_1 if limit.channel else sample.counts_0
+        if side := limit.sides_of_rails[counts >= HALF_COUNTS]:
+            value = inf if side == "above" else -inf
+        elif isnan(value):
+            at_rail = min((before.at_rail if before else 0) + 1, limit.rail_samples)
     if isnan(value):
-        return before or OutputWatch(0, t_ns, value)  # the blind time begins with the first sample
+        # The blind time begins with the first sample.
+        known = before or OutputWatch(0, t_ns, value)
+        return replace(known, at_rail=at_rail) if at_rail != known.at_rail else known
     if not _side(limit, value):
         return OutputWatch(0, t_ns, value)
     count = before.outside if before else 0
@@ -59,20 +70,32 @@ def outside(
             side = _side(limit, known.value)
             end = limit.high if side == "above" else limit.low
             cause = f"{limit.name} = {known.value:.6g} {limit.unit} is {side} {end:g} {limit.unit}"
+            if isinf(known.value):
+                cause = (
+                    f"{limit.name} reads the end of its range, which counts as {side} {end:g} "
+                    f"{limit.unit}"
+                )
+            value = nan if isinf(known.value) else known.value
+            return Fault(Id.OUTPUT, cause, output=limit.name, value=value)
+        if limit.rail_samples and known.at_rail >= limit.rail_samples:
+            cause = f"{limit.name} read an end of its range in {plural(known.at_rail, 'sample')}"
             return Fault(Id.OUTPUT, cause, output=limit.name, value=known.value)
     return None
 
 
 def blind(
-    limits: tuple[OutputLimit, ...], watch: tuple[OutputWatch, ...] | UnsetType, now_ns: int
+    limits: tuple[OutputLimit, ...],
+    watch: tuple[OutputWatch, ...] | UnsetType,
+    now_ns: int,
+    ts_us: int,
 ) -> Fault | None:
     """Return the fault if no valid sample of an output came for longer than allowed, or None."""
     for limit, known in zip(limits, watch or (), strict=False):
-        age_ns = now_ns - known.valid_ns
-        if limit.blind_ns and age_ns > limit.blind_ns:
+        age_ns, most_ns = now_ns - known.valid_ns, limit.blind_after_ns(ts_us)
+        if most_ns and age_ns > most_ns:
             cause = (
                 f"{limit.name} has had no valid sample for {age_ns / 1e6:.0f} ms: "
-                f"{limit.blind_ns / 1e6:g} ms are allowed"
+                f"{most_ns / 1e6:g} ms are allowed"
             )
             return Fault(Id.BLIND, cause, output=limit.name, value=known.value)
     return None
@@ -82,7 +105,7 @@ def too_slow(limits: tuple[OutputLimit, ...], ts_us: int) -> str:
     """Return why the blind time of an output does not fit a sampling time; "" if all fit."""
     least_ns = max(50_000_000, 5_000 * ts_us)
     for limit in limits:
-        if 0 < limit.blind_ns < least_ns:
+        if 0 < limit.blind_ns < least_ns and not limit.blind_grows:
             return (
                 f"blind_s = {limit.blind_ns / 1e9:g} of {limit.name} is too short for "
                 f"Ts = {ts_us / 1e6:g} s: at least {least_ns / 1e9:g} s"

@@ -6,8 +6,6 @@ by its own timer. Each mode determines in its own way which sample was due.
 
 from __future__ import annotations
 
-from math import nan
-
 from armrig_core.rig.volts import applied_code, volts_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
@@ -15,7 +13,7 @@ from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 
 from armrig_daemon.decisions.clockmap import extend, host_ns_at
-from armrig_daemon.decisions.state import ActiveRun, Arrived, Conversions, Sent, State, is_newer
+from armrig_daemon.decisions.state import ActiveRun, Arrived, Rules, Sent, State, is_newer
 
 _RUN = int(Flag.RUN)  # int: `&` of two Flags takes 0.5 µs
 _ADC0_RAIL, _ADC1_RAIL = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
@@ -33,6 +31,8 @@ def answer(state: State, m: DeviceSample) -> tuple[State, Arrived | None]:
     if _is_older_than_last(state, m):
         return state, None
     sent, unanswered, later = link.sent[at], link.sent[:at], link.sent[at + 1 :]
+    if (m.echo - sent.seq) & 0xFFFF >= 0x8000:
+        return state, None  # made before the device took this EXCHANGE in, for a repeated frame
     if sent.device_seq is not None and not is_newer(m.seq, sent.device_seq):
         # Sent before the EXCHANGE: it answers a repeated frame of an old session.
         return state, None
@@ -40,7 +40,7 @@ def answer(state: State, m: DeviceSample) -> tuple[State, Arrived | None]:
         return state.linked(sent=later), None  # too late: it was already reported as a gap
     expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
     link = replace(link, sent=later, last_round_trip_ns=sent.sent_ns)
-    t_us, by = extended(state.t_us, m.t_us), state.rules.conversions
+    t_us, by = extended(state.t_us, m.t_us), state.rules
     sample = converted(by, m, sent.k, sent.sched_ns, sent.sent_ns, t_us, sent.code)
     return state, Arrived(sample, sent.code, expected, link, state.run, sent, unanswered)
 
@@ -61,7 +61,7 @@ def of_run(state: State, now_ns: int, m: DeviceSample) -> Arrived | None:
     if device is None or link is None or _is_older_than_last(state, m):
         return None
     code = run.code(m.k)
-    t_us, by = extended(state.t_us, m.t_us), state.rules.conversions
+    t_us, by = extended(state.t_us, m.t_us), state.rules
     sched_ns = _sched_ns(state, run, m)
     sample = converted(by, m, run.k_first + m.k, sched_ns, now_ns, t_us, code)
     expected = applied_code(code, device.pwm_bits)
@@ -87,7 +87,7 @@ def extended(last: int, raw: int) -> int:
 
 
 def converted(
-    conversions: Conversions,
+    rules: Rules,
     m: DeviceSample,
     k: int,
     sched_ns: int,
@@ -95,17 +95,17 @@ def converted(
     device_us: int,
     code: int,
 ) -> Sample:
-    """Return a sample in ns, V and the units of the channels; a value at a rail is NaN."""
-    first, second = conversions
+    """Return a sample in ns, V and the units of the channels; NaN at a rail that is not valid."""
+    first, second = rules.conversions
     return Sample(
         k,
         sched_ns,
         host_ns,
         device_us,
-        nan if m.flags & _ADC0_RAIL else first.value(m.y0),
-        nan if m.flags & _ADC1_RAIL else second.value(m.y1),
+        first.at_rail(m.y0) if m.flags & _ADC0_RAIL else first.value(m.y0),
+        second.at_rail(m.y1) if m.flags & _ADC1_RAIL else second.value(m.y1),
         volts_of(code),
-        volts_of(m.u_k),
+        volts_of(rules.acting(m.u_k, m.flags)),
         m.y0,
         m.y1,
         m.flags,

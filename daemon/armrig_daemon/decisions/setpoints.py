@@ -50,7 +50,8 @@ def refill(state: State, now_ns: int) -> Step:
         end - sent >= SETPOINTS_PER_FRAME or sent < end == run.samples
     ):
         codes = [run.code(i) for i in range(sent, min(sent + SETPOINTS_PER_FRAME, end))]
-        if not all(map(state.rules.allows, [run.code(sent - 1), *codes], codes)):
+        before = run.code_before(sent, state.rules.rest_code)
+        if not all(map(state.rules.allows, [before, *codes], codes)):
             fault = Fault(Id.LIMITS, f"a voltage from u[{sent}] on is not within the limits")
             return state, [outcomes.Transmit(tuple(frames)), outcomes.Trip(fault)]
         n = len(codes)

@@ -9,8 +9,9 @@ import msgspec
 from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
 from armrig_core.rig.calibration import Calibration, Potentiometer
 from armrig_core.rig.channels import Conversion
+from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_core.telemetry.telemetry import Sample
-from armrig_protocol.messages import Config, HelloReply, Mode, Underrun
+from armrig_protocol.messages import Config, Flag, HelloReply, Mode, Underrun
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
@@ -63,6 +64,18 @@ class OutputLimit(Value, frozen=True):
     """Number of consecutive valid samples outside `low` to `high` after which the rig stops."""
     blind_ns: int
     """Time without a valid sample after which the rig stops, in ns; 0 is no limit."""
+    blind_grows: bool = False
+    """True if the blind time is at least 5 sampling times."""
+    sides_of_rails: tuple[str, str] = ("", "")
+    """Side of the limits, "below" or "above", on which a reading at the low and at the high end of
+    the range is; "" for no value."""
+    rail_samples: int = 0
+    """Number of consecutive samples without a value, at an end of the range, after which the rig
+    stops; 0 is no limit. The device counts them if no end of a range is a value."""
+
+    def blind_after_ns(self, ts_us: int) -> int:
+        """Return the time without a valid sample after which the rig stops, in ns; 0 is none."""
+        return max(self.blind_ns, 5_000 * ts_us) if self.blind_grows else self.blind_ns
 
 
 class OutputWatch(Value, frozen=True):
@@ -73,7 +86,11 @@ class OutputWatch(Value, frozen=True):
     valid_ns: int
     """Time at which the newest valid sample was requested, in ns."""
     value: float
-    """Newest valid value; NaN before the first one."""
+    """Newest valid value; NaN before the first one. It is infinite for a reading at an end of the
+    range that is outside the limits."""
+    at_rail: int = 0
+    """Number of consecutive samples without a value, at an end of the range, at most
+    `OutputLimit.rail_samples`."""
 
 
 class Image(Value, frozen=True):
@@ -90,6 +107,7 @@ class Image(Value, frozen=True):
         return crc != 0 and crc not in self.others and self.crc in (0, crc)
 
 
+_RUN = int(Flag.RUN)  # int: `&` of two Flags takes 0.5 µs
 Conversions = tuple[Conversion, Conversion] | tuple[Potentiometer, Potentiometer]
 
 
@@ -100,6 +118,8 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     """Lowest code that a command may contain."""
     code_max: int
     """Highest code that a command may contain."""
+    rest_code: int = 0
+    """Code at which the actuator does nothing; every code that no command contains is this one."""
     slew: int
     """Largest change of the code in one sample; 0 is no limit."""
     ts_us: int
@@ -119,6 +139,8 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     """Conversions of a rig that is described in a file; without them, `calibration` converts."""
     limits: tuple[OutputLimit, ...] | UnsetType = UNSET
     """Limits of measured outputs; without them, no measured output stops the motor."""
+    is_emulated: bool = False
+    """True if the port shows that the rig is emulated."""
     image: Image | UnsetType = UNSET
     """Firmware that the rig needs; without it, any firmware with this protocol is driven."""
     service_ns: int = 0
@@ -126,6 +148,18 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
 
     stop_after: int
     """Number of consecutive missed ticks after which the motor is stopped; 0 is no limit."""
+
+    @property
+    def rest(self) -> str:
+        """Return where the input is while nothing drives the rig, as text for a person."""
+        return "rest" if self.rest_code else "0 V"
+
+    def acting(self, code: int, flags: int) -> int:
+        """Return the code that acts on the rig, by the code and the flags of a sample.
+
+        Outside RUN the device reports 0, its driver is off, and the rig rests.
+        """
+        return code if code or flags & _RUN else self.rest_code
 
     @property
     def conversions(self) -> Conversions:
@@ -162,10 +196,10 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
             state=0,
             seq=seq,
             ts_us=ts_us,
-            # 0 V is always allowed, because the input is 0 V between START and the first sample.
-            u_min=0,
+            # Rest is always allowed, because the input rests between START and the first sample.
+            u_min=min(self.code_min, self.rest_code),
             u_max=self.code_max,
-            u_rest=0,
+            u_rest=self.rest_code,
             slew=self.slew,
             watchdog_ms=self.watchdog_ms,
             mode=Mode.SCHEDULED if scheduled else Mode.EXCHANGE,
@@ -260,8 +294,12 @@ class ActiveRun(msgspec.Struct, frozen=True, gc=False):
         return len(self.codes) // 2
 
     def code(self, i: int) -> int:
-        """Return u[i]; 0 before the first sample."""
-        return self.codes[2 * i] | self.codes[2 * i + 1] << 8 if i >= 0 else 0
+        """Return u[i]."""
+        return self.codes[2 * i] | self.codes[2 * i + 1] << 8
+
+    def code_before(self, i: int, rest_code: int) -> int:
+        """Return u[i - 1]; the rest code before the first sample."""
+        return self.code(i - 1) if i else rest_code
 
 
 class Queue(msgspec.Struct, frozen=True, gc=False):
@@ -357,6 +395,8 @@ class State(msgspec.Struct, frozen=True, gc=False):
     link: Link | None = None
     """None while no port is open."""
     device: HelloReply | None = None
+    device_uid: int = 0
+    """Identity of the newest device that answered HELLO, even if it is silent now."""
     asked: PendingRequest | None = None
     configuration: Configuration | None = None
     """None until a device has accepted a configuration."""
@@ -375,7 +415,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     absent: tuple[MissingSamples, ...] = ()
     """Samples after `last_reported_k` that are known to be missing."""
     applied: int = 0
-    """Code that the device last reported as latched."""
+    """Code that the device last reported as latched; the rest code outside RUN."""
     t_us: int = 0
     """Device's time of the last sample, without wraps."""
     sampled_ns: int = 0
@@ -386,7 +426,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     outcome: str = ""
     """Outcome of the run, as a sentence; the run ends when the device has stopped."""
     code: int = 0
-    """Code that the newest `set` command holds; otherwise 0."""
+    """Code that the newest `set` command holds; otherwise the rest code."""
     outcome_code: OutcomeCode | None = None
     """Outcome of the run, for programs; None while `outcome` is empty."""
     watch: tuple[OutputWatch, ...] | UnsetType = UNSET
@@ -418,6 +458,11 @@ class State(msgspec.Struct, frozen=True, gc=False):
         """Return whether the device must stop; it must then get no setpoint and no KEEPALIVE."""
         asked = self.asked
         return self.phase is Phase.FAULT or (asked is not None and asked.want is RequestKind.STOP)
+
+    @property
+    def is_emulated(self) -> bool:
+        """Return whether the port or the newest device is that of an emulated rig."""
+        return self.rules.is_emulated or self.device_uid == EMULATOR_UID
 
     @property
     def reason(self) -> str:

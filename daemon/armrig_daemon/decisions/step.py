@@ -1,9 +1,10 @@
 """All decisions of the daemon: `step(state, now_ns, events) -> (state', actions)`.
 
 The function is pure: no clock, I/O, randomness, logging or threads. It keeps these invariants of
-ARCHITECTURE.md. Every non-zero code that the function sends belongs to a command of the lease's
-holder (S5). The code is within the limits (S1), and the last round trip is recent enough (S4). A
-fault stays latched until a reset (S6). A limited output is inside its limits, or the motor stops.
+ARCHITECTURE.md. Every code other than rest that the function sends belongs to a command of the
+lease's holder (S5). The code is within the limits (S1), and the last round trip is recent enough
+(S4). A fault stays latched until a reset (S6). A limited output is inside its limits, or the motor
+stops.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.process.printable import plural
 from armrig_core.rig.volts import volts_of
 from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
@@ -69,7 +71,8 @@ Decided = tuple[State, list[Action]]
 
 def start(rules: Rules) -> State:
     """Return the state before the first event."""
-    return State(rules=rules, pace_us=rules.ts_us)
+    rest = rules.rest_code
+    return State(rules=rules, pace_us=rules.ts_us, code=rest, applied=rest)
 
 
 def step(state: State, now_ns: int, events: Iterable[Event]) -> Decided:
@@ -240,17 +243,18 @@ def handle_sample(state: State, now_ns: int, m: wire.Sample) -> Decided:
         # If the device has stopped, the sample is still valid: handle the state after the sample.
         state, actions = carry_out(now_ns, transitions.note_state(state, now_ns, m.state))
         done += actions
-    base = m.k + 1 if self_paced else 0
-    state, actions = carry_out(now_ns, setpoints.note_queue(state, now_ns, base, m.queued))
-    done += actions
+    # The limits come before the queue: a full queue starts the run of a rig that is inside them.
     if limits := state.rules.limits:
         state, actions = carry_out(now_ns, output_limits.observe(state, limits, arrived.sample))
         done += actions
+    base = m.k + 1 if self_paced else 0
+    state, actions = carry_out(now_ns, setpoints.note_queue(state, now_ns, base, m.queued))
+    done += actions
     if self_paced and m.flags & _FLAG_UNDERRUN:
         u = f"its input was {volts_of(m.u_k):.3g} V"
         done.append(log(now_ns, "warning", f"sample {arrived.sample.k} had no setpoint: {u}"))
     elif m.u_k != arrived.expected and (self_paced or state.phase is not _FAULT):
-        # In exchange mode, a fault has set the commanded code to 0, and its cause is kept. In a
+        # In exchange mode, a fault has set the commanded code to rest, and its cause is kept. In a
         # scheduled run, a device that still plays its queue gets STOP again at once.
         text = f"the device applied code {m.u_k}, but code {arrived.code} was commanded"
         state, actions = carry_out(now_ns, (state, [outcomes.Trip(Fault(Id.APPLIED, text))]))
@@ -315,12 +319,13 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Decided:
     if pause_ns > rules.pause_ns(ts_us, scheduled=self_paced):
         fault = Fault(Id.PAUSE, f"the host paused for {pause_ns / 1e6:.0f} ms")
     elif rules.stop_after and skipped >= rules.stop_after and not self_paced:
-        cause = f"{skipped} ticks in a row were missed: {rules.stop_after} are allowed"
+        missed = plural(skipped, "tick in a row was", "ticks in a row were")
+        cause = f"{missed} missed: {rules.stop_after} are allowed"
         fault = Fault(Id.MISSED, cause)
     elif rules.service_ns and now_ns - state.service_ns > rules.service_ns:
         fault = Fault(Id.SERVICE, "the service is frozen: nobody could stop the motor")
     elif rules.limits:
-        fault = output_limits.blind(rules.limits, state.watch, now_ns)
+        fault = output_limits.blind(rules.limits, state.watch, now_ns, ts_us)
     if driving and fault:
         return carry_out(now_ns, (state, [outcomes.Trip(fault)]))
     age_ns = now_ns - link.last_round_trip_ns
@@ -362,19 +367,19 @@ def _stale(state: State, now_ns: int, age_ns: int, *, driving: bool) -> Step:
 
 
 def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcomes.Outcome]]:
-    """Return the code for tick `k`: the code of a valid command, or 0 without a valid command."""
-    lease = state.lease
+    """Return the code for tick `k`: that of a valid command, or the rest code without one."""
+    lease, rest = state.lease, state.rules.rest_code
     if lease is None or (state.asked is not None and state.asked.want is RequestKind.STOP):
-        return state, 0, []
+        return state, rest, []
     if state.phase is _ARMED and now_ns - lease.renewed_ns > ARMED_NS:
         text = "armed for 10 s without a command: disarmed"
-        return state, 0, [log(now_ns, "info", text), outcomes.Halt("")]
+        return state, rest, [log(now_ns, "info", text), outcomes.Halt("")]
     if state.phase is not _ACTIVE:
-        return state, 0, []
+        return state, rest, []
     if state.run is None:
         if _has_run_out(state, now_ns):
             cause = "the lease ran out: no command from its holder"
-            return state, 0, [outcomes.Trip(Fault(Id.LEASE, cause))]
+            return state, rest, [outcomes.Trip(Fault(Id.LEASE, cause))]
         return state, state.code, []
     done: list[outcomes.Outcome] = []
     run = state.run
@@ -386,9 +391,9 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcome
     i = k - run.k_first
     if i >= run.samples:
         state = replace(state, run=replace(run, due=run.samples))
-        return state, 0, [*done, outcomes.Halt("complete", code=OutcomeCode.COMPLETE)]
+        return state, rest, [*done, outcomes.Halt("complete", code=OutcomeCode.COMPLETE)]
     code = run.code(i)
-    if not state.rules.allows(run.code(i - 1), code):
+    if not state.rules.allows(run.code_before(i, rest), code):
         fault = Fault(Id.LIMITS, f"u[{i}] is not within the limits")
-        return state, 0, [*done, outcomes.Trip(fault)]
+        return state, rest, [*done, outcomes.Trip(fault)]
     return replace(state, run=replace(run, due=i + 1)), code, done

@@ -1,4 +1,4 @@
-"""All ways of bringing the motor to 0 V."""
+"""All ways of bringing the input to rest: 0 V, or the rest of the rig's description."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from armrig_daemon.decisions.state import Exit, RequestKind, State
 
 def stop(state: State, halt: outcomes.Halt) -> Step:
     """Stop the motor without a fault; the run ends when the device has stopped."""
-    state = replace(state.ending_with(halt.outcome, halt.code), code=0)
+    state = replace(state.ending_with(halt.outcome, halt.code), code=state.rules.rest_code)
     return state, [outcomes.Ask(RequestKind.STOP, halt.order)]
 
 
 def leave(state: State) -> Step:
     """Remove the lease and exit, so that later frames of the same step cannot cause a fault."""
-    return moved(state, On.ENDED, lease=None, code=0), [Exit()]
+    return moved(state, On.ENDED, lease=None, code=state.rules.rest_code), [Exit()]
 
 
 def trip(state: State, now_ns: int, fault: Fault) -> Step:
     """Stop the motor and latch the fault, which only a reset ends (S6 of ARCHITECTURE.md)."""
     state = state.ending_with(fault.cause, OutcomeCode.FAULT)
-    state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0)
-    text = f"stopped at 0 V: {sentence(fault)}; then `armrig reset`, then repeat"
+    state = moved(state, On.TRIPPED, fault=fault, lease=None, code=state.rules.rest_code)
+    said = sentence(fault, is_emulated=state.is_emulated)
+    text = f"stopped at {state.rules.rest}: {said}; then `armrig reset`, then repeat"
     # A device that cannot be reached is stopped by its own watchdog.
     stopped = outcomes.Ask(RequestKind.STOP) if state.link is not None else outcomes.EndRun()
     facts = {"cause": str(fault.id)}

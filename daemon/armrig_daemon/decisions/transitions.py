@@ -153,6 +153,8 @@ def _armed(state: State, now_ns: int, asked: PendingRequest) -> Step:
         "u_min": round(volts_of(rules.code_min), 4),
         "u_max": round(volts_of(rules.code_max), 4),
     }
+    if rules.rest_code:
+        granted["rest_v"] = round(volts_of(rules.rest_code), 4)
     return state, [Then.REPORT, *answer(order, granted)]
 
 
@@ -161,7 +163,8 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     if state.lease is None or not isinstance(order, Run | Set):
         return state, [outcomes.Trip(Fault(Id.INTERNAL, "started without an owner"))]
     # The command has renewed the lease; the later effect of START does not renew it.
-    state = moved(state.linked(beats=()), On.STARTED, outcome="", outcome_code=None, code=0)
+    state = moved(state.linked(beats=()), On.STARTED, outcome="", outcome_code=None)
+    state = replace(state, code=state.rules.rest_code)
     done = [Then.REPORT, *answer(order, {"done": True})]
     if isinstance(order, Set):
         return replace(state, code=order.code), done
@@ -208,7 +211,7 @@ def handle_hello(state: State, now_ns: int, reply: wire.HelloReply) -> Step:
         state = replace(state, clock=clock, t_us=0, device=None)
     if state.device is None:
         state = replace(state, sampled_ns=0)  # earlier samples were of another link or boot
-    state = replace(state, asked=None, device=reply).linked(
+    state = replace(state, asked=None, device=reply, device_uid=reply.uid).linked(
         token=reply.token,
         device_state=reply.state,
         last_round_trip_ns=asked.sent_ns,
@@ -246,6 +249,11 @@ def _unfit(device: wire.HelloReply, rules: Rules) -> Fault | None:
         )
     elif not device.capabilities & Capability.EXCHANGE:
         text = "the device has no exchange mode"
+    elif rules.rest_code and not device.capabilities & Capability.ENABLE_LINE:
+        text = (
+            "the device has no enable line: in a reset its pin falls to 0 V, which is not this "
+            "rig's rest"
+        )
     elif not 1 <= device.pwm_bits <= 16:
         text = f"the device's duty has {device.pwm_bits} bits: 1 to 16 are possible"
     elif (image := rules.image) and not (device.uid == EMULATOR_UID or image.fits(device.firmware)):
@@ -263,7 +271,8 @@ def _latch(state: State, now_ns: int, asked: PendingRequest, fault: Fault) -> St
     done = refuse(asked.order, fault.cause, RefusalCode.NO_EFFECT)
     if state.fault != fault:
         state = moved(state, On.TRIPPED, fault=fault)
-        done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
+        text = sentence(fault, is_emulated=state.is_emulated)
+        done.append(log(now_ns, "error", text, cause=fault.id))
     # The state is reported even for the same fault, because `device` has changed.
     return state, [*done, Then.REPORT]
 

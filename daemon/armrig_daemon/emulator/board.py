@@ -83,6 +83,7 @@ class Arm:
         )
         self.state = plant.REST
         """Angles of the arm and their rates."""
+        self.rest_v = 0.0  # as while the driver is off
 
     def advance(self, u: float, dt_ns: int) -> None:
         """Move under a constant voltage."""
@@ -136,7 +137,7 @@ class Board:
         self._supply_mv = round(settings.supply_v * 1000)
         self._brown_out_ns = now_ns + round(settings.brown_out_s * 1e9)
         self._browns_out = settings.brown_out_s > 0
-        self._volts = 0.0
+        self._volts, self._acting_v = 0.0, self._rig.rest_v
         self.code = 0
         """Code of the motor's voltage; 0 while the pin is off."""
 
@@ -148,7 +149,7 @@ class Board:
     def motion(self, now_ns: int) -> tuple[float, ...]:
         """Return the state of the rig; the arm's are its angles and their rates."""
         if now_ns != self._now_ns:  # equal at each latch, because channel 0 was just read
-            self._rig.advance(self._volts, now_ns - self._now_ns)
+            self._rig.advance(self._acting_v, now_ns - self._now_ns)
             self._now_ns = now_ns
         return self._rig.state
 
@@ -158,38 +159,44 @@ class Board:
             raise VoltageError(f"code {code} at the pin: must be from 0 to {CODE_FULL_SCALE}")
         self.code = reported(code, self._pwm_bits)
         terminal_v = driven(volts(code, self._pwm_bits), *self._driver)
-        self._apply(now_ns, terminal_v, _RUN, cause)
+        self._apply(now_ns, terminal_v, _RUN, cause, enabled=True)
 
     def release(self, now_ns: int, state: State, cause: Cause) -> None:
         """Set the motor to 0 V: disconnect the pin, and drive the pin and the enable line low."""
         self.code = 0
-        self._apply(now_ns, 0.0, state, cause)
+        self._apply(now_ns, 0.0, state, cause, enabled=False)
 
     def supply_mv(self, now_ns: int) -> int:
         """Return the supply voltage, in mV."""
         low = self._browns_out and now_ns >= self._brown_out_ns
         return BROWN_OUT_MV if low else self._supply_mv
 
-    def drive(self, now_ns: int, share: float, state: State, cause: Cause) -> None:
+    def drive(
+        self, now_ns: int, share: float, state: State, cause: Cause, *, enabled: bool = True
+    ) -> None:
         """Apply the measured duty of a simulated board's pin, a share of the full voltage.
 
         The duty is known only at the end of its PWM period. If the motion of the rig has already
         been computed beyond `now_ns`, the voltage changes at the end of this motion.
         """
         terminal_v = driven(FULL_SCALE_V * share, *self._driver)
-        self._apply(max(now_ns, self._now_ns), terminal_v, state, cause)
+        now_ns = max(now_ns, self._now_ns)
+        self._apply(now_ns, terminal_v, state, cause, enabled=enabled)
 
     def reading(self, channel: int, now_ns: int) -> int:
         """Return the reading of a channel, in counts."""
         self.motion(now_ns)
         return convert(self._rig.wiper(channel), self._adc_bits, self._noise_v, self._rng)
 
-    def _apply(self, now_ns: int, terminal_v: float, state: State, cause: Cause) -> None:
+    def _apply(
+        self, now_ns: int, terminal_v: float, state: State, cause: Cause, *, enabled: bool
+    ) -> None:
         if not 0.0 <= terminal_v <= FULL_SCALE_V:
             raise VoltageError(f"{terminal_v} V at the motor: must be from 0 to {FULL_SCALE_V}")
-        if terminal_v == self._volts:
+        acting_v = terminal_v if enabled else self._rig.rest_v
+        if (terminal_v, acting_v) == (self._volts, self._acting_v):
             return
         self.motion(now_ns)
-        self._volts = terminal_v
+        self._volts, self._acting_v = terminal_v, acting_v
         if self._witness:
             self._witness(Change(now_ns, terminal_v, state, cause))

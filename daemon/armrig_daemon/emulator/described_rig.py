@@ -1,4 +1,6 @@
-"""A rig whose description has a model: x' = A x + B u(t - delay_s), y = C x + offset.
+"""A rig whose description has a model: x' = A x + B v(t - delay_s), y = C x + offset.
+
+The input v is the voltage at the pin less that at rest, which acts while the driver is off.
 
 Between changes of the input the states are exact except for rounding, as those of the arm. A model
 in discrete time makes a step at the first reading after its sampling time. A process of its own
@@ -11,7 +13,8 @@ from collections import deque
 from math import tau
 
 import numpy as np
-from armrig_core.rig.description import COUNTS, Description, Output, require_model
+from armrig_core.rig.channels import COUNTS
+from armrig_core.rig.description import Description, Output, require_model
 
 from armrig_daemon.emulator import plant
 
@@ -37,7 +40,9 @@ class DescribedRig:
         self._powers = plant.digit_powers(self._A, self._B) if is_exact else []
         self._xu = np.zeros(len(system.A) + 1)  # the states and, last, the delayed input
         self._delay_ns = round(model.delay_s * 1e9)
-        self._changes = deque([(0, 0.0)])  # inputs that are delayed, with their times
+        self.rest_v = description.input.rest_v  # as while the driver is off
+        self._origin = 0.0 if system.process is not None else self.rest_v
+        self._changes = deque([(0, self.rest_v - self._origin)])  # delayed inputs with their times
         self._now_ns = 0
         self._rng = rng
 
@@ -48,9 +53,9 @@ class DescribedRig:
 
     def advance(self, u: float, dt_ns: int) -> None:
         """Apply a constant voltage for a time."""
-        changes = self._changes
-        if u != changes[-1][1]:
-            changes.append((self._now_ns, u))
+        changes, v = self._changes, u - self._origin
+        if v != changes[-1][1]:
+            changes.append((self._now_ns, v))
         end_ns = self._now_ns + dt_ns
         while self._now_ns < end_ns:
             seen_ns = self._now_ns - self._delay_ns

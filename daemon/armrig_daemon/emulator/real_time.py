@@ -11,10 +11,9 @@ import ctypes
 import gc
 import os
 import signal
-import sys
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from time import monotonic_ns
@@ -22,6 +21,8 @@ from typing import TextIO
 
 from armrig_core.access.emulator_socket import socket_path
 from armrig_core.errors import OperationError
+from armrig_core.process.line_writer import print_error
+from armrig_core.process.printable import plural
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.waiting import Waiter
 
@@ -52,6 +53,7 @@ def emulate(
     trace: Path | None = None,
     started: str = "",
     held_up: Callable[[int], None] = lambda ns: None,
+    say: Callable[[str], None] = print_error,
 ) -> int:
     """Run a rig at `port` until SIGTERM or SIGINT; return the exit code.
 
@@ -66,7 +68,8 @@ def emulate(
     voltage. The first line is the state at the start.
 
     If the settings tolerate stalls, `held_up` is called after a stall of this process. Its argument
-    is the time for which the device's clock stood still, in ns. The function must not wait.
+    is the time for which the device's clock stood still, in ns. `say` prints a line. Neither
+    function may wait, because the emulated device would stand still.
 
     Raises OperationError if `port` or `trace` cannot be created.
     """
@@ -93,15 +96,18 @@ def emulate(
         with _naming(port):
             line.offer(port, stack)
         if started:
-            print(started, file=sys.stderr, flush=True)
+            say(started)
         if not is_punctual:
             text = "not granted: SCHED_FIFO; the emulated rig may reply late"
-            print(f"armrigd: warning: {text}", file=sys.stderr, flush=True)
-        _run(line, device, time, settings, wake, held_up, partial(_print_violation, port))
+            say(f"armrigd: warning: {text}")
+        _run(line, device, time, settings, wake, held_up, partial(_say_violation, say, port))
         lost = line.backlog
         if lost.dropped_frames:
-            text = f"{lost.dropped_frames} frames ({lost.dropped_bytes} bytes) dropped"
-            print(f"{port}: {text}, because they were not read in time", file=sys.stderr)
+            text = (
+                f"{plural(lost.dropped_frames, 'frame')} "
+                f"({plural(lost.dropped_bytes, 'byte')}) dropped"
+            )
+            say(f"{port}: {text}, because they were not read in time")
             # The firmware itself counts the bytes that the host sends too fast.
         wrong = {violated.what for violated in device.violations} - {Violation.RX_OVERRUN}
     return 1 if wrong else 0
@@ -161,11 +167,9 @@ def _run(
                     device.receive(time.given_ns(monotonic_ns(), due_ns), data)
 
 
-def _print_violation(port: Path, violated: Violated) -> None:
+def _say_violation(say: Callable[[str], None], port: Path, violated: Violated) -> None:
     ms = violated.cycle / CYCLES_PER_US / 1000
-    with suppress(OSError):
-        text = f"{port}: {violated.what.sentence}, {ms:.2f} ms after power-on"
-        print(text, file=sys.stderr, flush=True)
+    say(f"{port}: {violated.what.sentence}, {ms:.2f} ms after power-on")
 
 
 @contextmanager

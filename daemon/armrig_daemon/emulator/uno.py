@@ -178,9 +178,9 @@ class Uno:
     def _apply(self, duty: Duty) -> None:
         """Apply the measured duty to the motor; a duty is known only at the end of its period."""
         self._pins.measure(duty)
-        self.board.drive(
-            self.ns(duty.cycle), duty.high / self._layout.period, self.state, self.cause
-        )
+        now_ns, share = self.ns(duty.cycle), duty.high / self._layout.period
+        enabled = duty.enabled or share > 0
+        self.board.drive(now_ns, share, self.state, self.cause, enabled=enabled)
 
     def _reading(self, cycle: int, pin: int) -> int:
         t_ns = self.ns(cycle)
