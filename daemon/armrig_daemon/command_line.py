@@ -29,6 +29,8 @@ from armrig_daemon.config import EX_CONFIG, Config
 from armrig_daemon.config import Device as DeviceSettings
 
 if TYPE_CHECKING:
+    from armrig_core.process.line_writer import LineWriter
+
     from armrig_daemon.conformance.line import Line
     from armrig_daemon.conformance.rule import Rule
     from armrig_daemon.emulator.uno import Uno
@@ -44,15 +46,18 @@ _ConfigFile = Annotated[
     option("--config", "Configuration file (TOML).", "the installed configuration files"),
 ]
 _Port = Annotated[
-    str | None, option("--port DEVICE", "Serial port of the device.", "[device] port")
+    str | None,
+    option("--port DEVICE", "Serial port of the device.", "the configuration's [device] port"),
 ]
-_Rig = Annotated[str | None, option("--rig", "Id of the rig: a-z, 0-9 and -.", "[rig] id")]
+_Rig = Annotated[
+    str | None, option("--rig", "Id of the rig: a-z, 0-9 and -.", "the configuration's [rig] id")
+]
 _RigFile = Annotated[
     Path | None,
     option(
         "--rig-file",
         "Description of the rig: a file (TOML), or a name of `armrig rigs`.",
-        "[rig] file, or the arm",
+        "the configuration's [rig] file, otherwise the arm",
     ),
 ]
 _System = Annotated[
@@ -112,6 +117,7 @@ def run(
     except OperationError as err:
         _refuse(str(err), EX_CONFIG)
     with held_back():  # Python may ignore an exception during an import
+        from armrig_core.process.line_writer import LineWriter
         from armrig_core.process.realtime import end_with_parent
         from armrig_core.recording_file.recording_directory import directory_of
         from armrig_core.rig.description import require_model
@@ -136,25 +142,32 @@ def run(
         _check_no_file(Path(where.partition("/")[2]))
     except ValueError as err:
         _refuse(str(err), EX_CONFIG)
+    log = LineWriter()
     os.umask(0o027)  # the group may read a recording; only the daemon's user may change it
     of_systemd = notifier, load if notifier.is_asked else None
     if not emulate:
-        _end(Service(loaded, where, directory, None, *of_systemd, description=described).run())
+        service = Service(
+            loaded, where, directory, None, *of_systemd, description=described, log=log
+        )
+        _end(service.run(), log)
     try:
-        with emulated(loaded, _socket_directory()) as (device, stalls_fd):
+        with emulated(loaded, _socket_directory(), log.relay()) as (device, stalls_fd):
             service = Service(
-                device, where, directory, stalls_fd, *of_systemd, description=described
+                device, where, directory, stalls_fd, *of_systemd, description=described, log=log
             )
             code = service.run()
     except OperationError as err:
+        log.close()
         _refuse(str(err))
-    _end(code)
+    _end(code, log)
 
 
-def _end(code: int) -> NoReturn:
-    """End the process before zenoh's threads use the ended interpreter, which would abort it."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+def _end(code: int, log: LineWriter) -> NoReturn:
+    """End the process before zenoh's threads use the ended interpreter, which would abort it.
+
+    No stream is flushed, because a terminal may stand still.
+    """
+    log.close()
     os._exit(code)
 
 
@@ -259,16 +272,18 @@ def emulate(
         option("--port", "Port to create: a path (a link to a pseudo-terminal), or unix:PATH."),
     ],
     config: Path | None = chosen(
-        None, "File (TOML) with a table [emulator], and [rig] file.", "no file"
+        None, "File (TOML) with a table [emulator], and [rig] file.", "none"
     ),
     trace: Path | None = chosen(
-        None, "File to write, with a line for each change of the voltage.", "no file"
+        None, "File to write, with a line for each change of the voltage.", "none"
     ),
     seed: int | None = chosen(
-        None, "Seed of all noise and of the boot ids.", "[emulator] seed, or 1"
+        None, "Seed of all noise and of the boot ids.", "the file's [emulator] seed, otherwise 1"
     ),
     baud: int | None = chosen(
-        None, "Speed of the emulated line, in bit/s.", "[emulator] baud, or 500000"
+        None,
+        "Speed of the emulated line, in bit/s.",
+        "the file's [emulator] baud, otherwise 500000",
     ),
     rig_file: _RigFile = None,
     firmware: _Firmware = False,
@@ -282,6 +297,7 @@ def emulate(
         from armrig_core.process.open_files import require
 
         require("armrigd emulate", memory_mib=512, files=16)
+        from armrig_core.process.line_writer import LineWriter
         from armrig_core.process.toml_file import convert
         from armrig_core.rig.description import path_of, read_description, shipped
 
@@ -302,12 +318,22 @@ def emulate(
         given = {key: value for key, value in given.items() if value is not None}
         used = convert(msgspec.structs.asdict(used) | given, EmulatorSettings)
         started = "" if settings is not None else _started(port, used.baud)
-        report_stall = _print_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
+        lines = LineWriter()
+        report_stall = partial(_say_stall, lines)
+        if stalls_fd is not None:
+            report_stall = partial(_write_stall, stalls_fd)
         device = _firmware(image) if firmware or image else Device
         switch_on = partial(device, description=described)
         code = run_emulator(
-            port, used, switch_on=switch_on, trace=trace, started=started, held_up=report_stall
+            port,
+            used,
+            switch_on=switch_on,
+            trace=trace,
+            started=started,
+            held_up=report_stall,
+            say=lines.put,
         )
+        lines.close()
     except (ValueError, OperationError) as err:
         _refuse(str(err), EX_CONFIG)
     raise typer.Exit(code)
@@ -506,10 +532,9 @@ def _started(port: Path, baud: int) -> str:
     )
 
 
-def _print_stall(ns: int) -> None:
+def _say_stall(lines: LineWriter, ns: int) -> None:
     """Print how long the emulator was held up."""
-    with suppress(OSError):  # nobody reads the standard error any more
-        print(f"armrigd: {held_up(ns)}", file=sys.stderr, flush=True)
+    lines.put(f"armrigd: {held_up(ns)}")
 
 
 def _write_stall(fd: int, ns: int) -> None:

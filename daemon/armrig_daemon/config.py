@@ -20,6 +20,7 @@ import msgspec
 from armrig_core.access.client_settings import ClientSettings
 from armrig_core.access.emulator_socket import socket_path
 from armrig_core.access.endpoint import anchored, check_listen, network_address
+from armrig_core.commands.commands import OutputRange
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.process.printable import printable
@@ -29,13 +30,16 @@ from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import tables_of
 from armrig_core.rig.channels import Channel
 from armrig_core.rig.description import (
+    BLIND_S,
     Description,
     Output,
     Turns,
     check_turns,
+    path_of,
     read_description,
     shipped,
 )
+from armrig_core.rig.emulated import is_emulated
 from armrig_core.rig.firmware_image import IMAGES, image_crcs
 from armrig_core.rig.volts import U_MAX_V, code_of
 from armrig_core.telemetry.topics import check_own_id
@@ -76,9 +80,10 @@ class Rig(Table, frozen=True, kw_only=True):
     id: str = "1"
     """Name of the rig in keys, topics and files, of a-z, 0-9 and -."""
     file: str | UnsetType = UNSET
-    """File that describes the rig; its path is relative to the folder of the configuration file.
+    """File that describes the rig, or a name of `armrig rigs`.
 
-    The default is the description of the arm.
+    A path is relative to the folder of the configuration file. The default is the description of
+    the arm.
     """
 
     def __post_init__(self) -> None:
@@ -136,13 +141,13 @@ class Limits(Table, frozen=True, kw_only=True):
     u_min_v: Volts = 0.0
     """Lowest motor voltage that a command may contain, in V."""
     u_max_v: Volts = U_MAX_V
-    """Highest motor voltage that a command may contain, in V."""
+    """Highest motor voltage that a command may contain, in V; default: as the rig's description."""
     slew_v: Volts = 0.0
     """Largest change of the voltage from sample to sample, in V; 0 is no limit."""
     revolutions: Turns = 0.0
-    """Largest rotation of the chassis in one run, in turns, in steps of 0.01; 0 is no limit."""
+    """Largest rotation of the chassis in one run, in turns, in steps of 0.01; 0 adds no limit."""
     alpha_rad: Annotated[float, Meta(ge=0, le=100)] = 0.0
-    """Largest deflection of the arm in a run and its rehearsal, in rad; 0 is no limit."""
+    """Largest deflection of the arm in a run and its rehearsal, in rad; 0 adds no limit."""
 
     def __post_init__(self) -> None:
         """Refuse an empty range of voltages, and turns with more than two decimals."""
@@ -305,16 +310,69 @@ class Config(Table, frozen=True, kw_only=True):
             _require_limit("alpha_rad", description, fits=description.is_calibrated)
             (second,), most = others, limits.alpha_rad
             low, high = max(outputs[second].low, -most), min(outputs[second].high, most)
-            outputs[second] = msgspec.structs.replace(outputs[second], low=low, high=high)
+            try:
+                outputs[second] = msgspec.structs.replace(outputs[second], low=low, high=high)
+            except InputError as err:
+                raise InputError(f"limits.alpha_rad = {most:g}: {err}") from err
         return replace(description, outputs=outputs)
+
+    def check_limits(self, description: Description, sources: Mapping[str, str]) -> None:
+        """Refuse a key of `[limits]` that is wider than the same limit of the description.
+
+        `sources` names the file, or another source, of each key that was given. A key that was not
+        given, or is 0 where 0 adds no limit, leaves the description's limit in force.
+
+        Raises InputError.
+        """
+        first, *others = description.outputs.values()
+        widest = [("u_max_v", description.input.u_max_v, "input.u_max_v")]
+        if first.turns:
+            widest.append(
+                ("revolutions", first.turns, f"turns of {next(iter(description.outputs))}")
+            )
+        if description.is_calibrated and not (self.arm.removed or description.arm_removed):
+            largest = max(-others[0].low, others[0].high)
+            widest.append(("alpha_rad", largest, "low and high of alpha"))
+        rest, limits = description.input.rest_v, self.limits
+        if rest and not limits.u_min_v <= rest <= limits.u_max_v:
+            raise InputError(
+                f"limits.u_min_v = {limits.u_min_v:g}, u_max_v = {limits.u_max_v:g}: rig "
+                f"{description.rig.name} rests at {rest:g} V, which the limits must allow"
+            )
+        for key, most, name in widest:
+            value = getattr(self.limits, key)
+            if key in sources and value > most:
+                raise InputError(
+                    f"{sources[key]}: limits.{key} = {value:g}: expected at most {most:g}, as "
+                    f"{name} in the description of rig {description.rig.name}; [limits] can only "
+                    "narrow the description: give a smaller value, or leave the key out"
+                )
+
+    def ranges(self, description: Description) -> dict[str, OutputRange]:
+        """Return the limits of the outputs that are read and have a limit, for the status."""
+        rig = self.limited(description)
+        outputs = {channel.name: rig.outputs[channel.name] for channel in self.channels(rig)}
+        return {
+            name: OutputRange(
+                low=output.low if isfinite(output.low) else None,
+                high=output.high if isfinite(output.high) else None,
+                turns=output.turns,
+            )
+            for name, output in outputs.items()
+            if output.turns or isfinite(output.low) or isfinite(output.high)
+        }
 
     def rules(self, description: Description | None = None) -> Rules:
         """Return the limits and constants that the core needs; default: the arm's description."""
         limits, rig = self.limits, self.limited(description or shipped("arm"))
         read = {channel.name: rig.outputs[channel.name] for channel in self.channels(rig)}
+        # CONFIG has one number for both channels, so the core counts beside a valid rail.
+        rail_ticks = self.device.rail_ticks
+        in_core = rail_ticks if any(output.valid_rail for output in read.values()) else 0
         return Rules(
             code_min=code_of(limits.u_min_v),
             code_max=code_of(limits.u_max_v),
+            rest_code=code_of(rig.input.rest_v),
             # One code more, because a step of exactly the limit may round up.
             slew=min(code_of(limits.slew_v) + 1, CODE_FULL_SCALE) if limits.slew_v else 0,
             ts_us=self.ts_us,
@@ -322,12 +380,13 @@ class Config(Table, frozen=True, kw_only=True):
             baud=self.device.baud,
             stop_after=self.timing.stop_after,
             turns=round(next(iter(read.values())).turns * 100),
-            rail_ticks=self.device.rail_ticks,
+            rail_ticks=rail_ticks - in_core,
             oversampling=self.device.oversampling,
             calibration=msgspec.structs.replace(self.calibration, made=None),
             described=UNSET if rig.is_calibrated else rig.conversions,
+            is_emulated=is_emulated(uid="", port=self.device.port),
             image=needed_image(rig),
-            limits=output_limits(read),
+            limits=output_limits(read, in_core),
         )
 
 
@@ -349,8 +408,13 @@ def needed_image(description: Description) -> Image | UnsetType:
     return Image(name, 0, tuple(crc for other, crc in image_crcs().items() if other != name))
 
 
-def output_limits(outputs: Mapping[str, Output]) -> tuple[OutputLimit, ...] | UnsetType:
-    """Return the limits of a rig's measured outputs, as the core needs them."""
+def output_limits(
+    outputs: Mapping[str, Output], rail_samples: int = 0
+) -> tuple[OutputLimit, ...] | UnsetType:
+    """Return the limits of a rig's measured outputs, as the core needs them.
+
+    `rail_samples` is the number of samples at a rail that stop a run, if the core counts them.
+    """
     limits = tuple(
         OutputLimit(
             channel,
@@ -359,10 +423,13 @@ def output_limits(outputs: Mapping[str, Output]) -> tuple[OutputLimit, ...] | Un
             output.low if isfinite(output.low) else None,
             output.high if isfinite(output.high) else None,
             output.samples,
-            round((output.blind_s or 0.0) * 1e9),
+            round((BLIND_S if output.default_blind else output.blind_s or 0.0) * 1e9),
+            output.default_blind,
+            output.sides_of_rails,
+            rail_samples,
         )
         for channel, (name, output) in enumerate(outputs.items())
-        if output.limited
+        if output.limited or rail_samples
     )
     return limits or UNSET
 
@@ -393,20 +460,24 @@ def load(
     must exist. Only variables of `environ` that begin with `ARMRIG_` are read. `overrides` are the
     values of the command line, and `below` the defaults, both by table and key.
 
-    Raises InputError if a file cannot be read, or a key or value is not allowed.
+    Raises InputError if a file cannot be read, a key or value is not allowed, or a limit is wider
+    than that of the rig's description.
     """
     tables = dict(below)
+    layers: list[tuple[Mapping[str, Any], str]] = [(below, "defaults")]
     for path in paths:
         directory = path.absolute().parent
-        layer = _calibrated(anchored(_read(path), directory), directory, str(path))
+        layer = _calibrated(_anchored(_read(path), directory), directory, str(path))
         _check(layer, str(path))
+        layers.append((layer, str(path)))
         tables = _merged(tables, layer)
-    given = anchored(_from_environment(environ), Path.cwd())
+    given = _anchored(_from_environment(environ), Path.cwd())
     layer = _calibrated(given, Path.cwd(), "environment")
     _check(layer, "environment")
     tables = _merged(tables, layer)
     _check(overrides, "command line")
     tables = _merged(tables, overrides)
+    layers += [(layer, "environment"), (overrides, "command line")]
     where = ", ".join(map(str, paths)) or "configuration"
     tables = _merged(_described(_check(tables, where)), tables)
     config = _check(tables, where)
@@ -414,7 +485,11 @@ def load(
         check(config.ts_us, config.device.baud, oversampling=config.device.oversampling)
     except ValueError as err:
         raise InputError(f"[timing] {err}") from err
-    if error := too_slow(config.rules(description_of(config)).limits or (), config.ts_us):
+    description = description_of(config)
+    config.check_limits(
+        description, {key: source for layer, source in layers for key in layer.get("limits", ())}
+    )
+    if error := too_slow(config.rules(description).limits or (), config.ts_us):
         raise InputError(f"[rig] file: {error}")
     return config
 
@@ -446,6 +521,17 @@ def load_installed(
     if named != first.rig.id:
         raise InputError(f"{own}: rig.id = {named!r}: the file belongs to rig {first.rig.id!r}")
     return load(installed(first.rig.id, system=system), environ, overrides, below=below)
+
+
+def _anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
+    """Return `tables` with absolute paths; `[rig] file` may name a shipped description."""
+    found = anchored(tables, directory)
+    rig = tables.get("rig")
+    if isinstance(rig, Mapping) and isinstance(file := rig.get("file"), str) and file:
+        shipped_file = path_of(Path(file))
+        if shipped_file != Path(file) and not Path(found["rig"]["file"]).exists():
+            found["rig"] = {**found["rig"], "file": str(shipped_file)}
+    return found
 
 
 def _described(config: Config) -> dict[str, Any]:

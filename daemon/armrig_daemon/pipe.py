@@ -235,6 +235,9 @@ class Calibrate(Order, frozen=True, kw_only=True):
 class Alive(Order, frozen=True, kw_only=True):
     """Sign of life of the service, which requests nothing."""
 
+    lease: str = ""
+    """Lease whose client waits for the preparation of its run: the rig stays armed, at 0 V."""
+
 
 class Quit(Order, frozen=True, kw_only=True):
     """Stop the motor and end the loop."""

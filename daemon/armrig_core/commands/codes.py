@@ -18,6 +18,10 @@ class RefusalCode(StrEnum):
 
     NOT_ALLOWED = "not_allowed"
     """The command, or one of its fields, is not allowed."""
+    EXPIRED = "expired"
+    """The client no longer waits for the reply, or the command names no time of validity."""
+    CANCELLED = "cancelled"
+    """A stop, a reset or the end of the lease came while the run was prepared."""
     TOO_LONG = "too_long"
     """The command has `bytes` bytes, more than the allowed `most_bytes`."""
     NOT_HELD = "not_held"

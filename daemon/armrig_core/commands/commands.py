@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from math import degrees
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from math import ceil, degrees
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, ParameterError
 from armrig_core.process.printable import printable
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description, shipped
@@ -23,12 +23,21 @@ Owner = Annotated[
 Lease = Annotated[str, Meta(min_length=32, max_length=32)]
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{1,40}\Z", description="a-z, 0-9 and -")]
 Counter = Annotated[int, Meta(ge=0, lt=2**53)]
+_T = TypeVar("_T")
+Time = Annotated[int, Meta(ge=0, lt=2**62, description="ns")]
 Fact = str | int | float | bool | list[str | int | float | bool] | None
 """A value that a daemon reports about a device or a host; no deeper nesting is allowed."""
 
 
 MOST_SAMPLES = 4_000_000
 """Longest run, in samples: more than an hour at 1 kHz."""
+LONGEST_TS, LONGEST_SAMPLE_S = 60.0, 1.0
+"""Longest sampling time, and longest time between two samples of a device, in s."""
+EVERY = "every"
+"""Name of a detail of a run: the number of samples in which a client plays each voltage, so that
+the sampling time is above 1 s."""
+UNTIL = "until"
+"""Name of a detail of a run that its client stops when the outputs have settled."""
 MOST_NOTE_LENGTH = 500
 """Longest note, in characters."""
 
@@ -84,13 +93,19 @@ class Arm(Request, frozen=True, kw_only=True):
     """Sampling time, in s; default: the configured sampling time."""
 
 
-class Leased(Request, frozen=True, kw_only=True):
+class Leased(Request, frozen=True, kw_only=True, omit_defaults=True):
     """A command of the owner; only a valid command renews the lease."""
 
     lease: Lease
     """Lease from `LeaseGranted`."""
     n: Counter
     """Number of the command; it must increase with each command of this lease."""
+    valid_until_ns: Time | None = None
+    """Time until which the client waits for the reply, on the clock of `LeaseGranted.now_ns`.
+
+    A later command is refused, so that no motor moves for a client that has given up. A command
+    over a network needs this time, except `disarm`.
+    """
 
 
 class Disarm(Leased, frozen=True, kw_only=True):
@@ -107,12 +122,10 @@ class Set(Leased, frozen=True, kw_only=True):
     """Motor voltage, in V."""
 
 
-class Run(Leased, frozen=True, kw_only=True):
-    """Play and record an experiment; the reply is a `RunAccepted`."""
+class RunOptions(Leased, frozen=True, kw_only=True):
+    """Command `run` without its input."""
 
     name: ClassVar[str] = "run"
-    u: Annotated[list[Volts], Meta(min_length=1, max_length=MOST_SAMPLES)]
-    """Motor voltage at each sample, in V."""
     pacing: Literal["scheduled", "exchange"] = "scheduled"
     """Source of the sampling instants: the device's timer, or the host at each tick."""
     experiment: Name = "run"
@@ -123,8 +136,19 @@ class Run(Leased, frozen=True, kw_only=True):
     """Longest time without a `renew`, in s, after which the run stops; None: no limit."""
 
 
+class Run(RunOptions, frozen=True, kw_only=True):
+    """Play and record an experiment; the reply is a `RunAccepted`.
+
+    The reply may take long, because the input is rehearsed on the model of the rig. Meanwhile the
+    client sends `renew`, with the new time until which it waits.
+    """
+
+    u: Annotated[list[Volts], Meta(min_length=1, max_length=MOST_SAMPLES)]
+    """Motor voltage at each sample, in V."""
+
+
 class Renew(Leased, frozen=True, kw_only=True):
-    """Show that the client of the current run is still alive."""
+    """Show that the client of the current run, or of the run in preparation, is still alive."""
 
     name: ClassVar[str] = "renew"
 
@@ -151,16 +175,24 @@ class Note(Request, frozen=True, kw_only=True, omit_defaults=True):
     """Author of the note; characters after the 80th are cut off."""
 
 
-class Reset(Request, frozen=True, kw_only=True):
+class Reset(Request, frozen=True, kw_only=True, omit_defaults=True):
     """Clear a latched fault; the rig is then disarmed."""
 
     name: ClassVar[str] = "reset"
+    fault: str | None = None
+    """Id of the fault that is cleared; another fault stays. Required over a network."""
+    valid_until_ns: Time | None = None
+    """As in `Leased`: a late command would clear a newer fault. Required over a network."""
 
 
-class Calibrate(Request, frozen=True, kw_only=True):
+class Calibrate(Request, frozen=True, kw_only=True, omit_defaults=True):
     """Use a measured calibration from now on; accepted only while the rig is safe."""
 
     name: ClassVar[str] = "calibrate"
+    replaces: str | None = None
+    """Hash of the calibration that is replaced; another one stays. Required over a network."""
+    valid_until_ns: Time | None = None
+    """As in `Leased`. Required over a network."""
     calibration: Calibration
     """Contents of the file that `armrig calibrate` writes."""
     raw: bytes = b""
@@ -196,6 +228,10 @@ class LeaseGranted(msgspec.Struct, frozen=True, kw_only=True):
     """Lowest accepted voltage, in V."""
     u_max: Volts
     """Highest accepted voltage, in V."""
+    now_ns: Time = 0
+    """Time of the reply on the daemon's clock, in ns (CLOCK_BOOTTIME); 0 in an older release."""
+    rest_v: Volts = 0.0
+    """Voltage at which the actuator does nothing, in V."""
 
 
 class RunAccepted(msgspec.Struct, frozen=True, kw_only=True):
@@ -239,6 +275,17 @@ class LastRun(msgspec.Struct, frozen=True, kw_only=True):
         return self.code == OutcomeCode.COMPLETE
 
 
+class OutputRange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Limits of an output: a value outside, or a rotation of `turns`, ends a run."""
+
+    low: float | None = None
+    """Lowest value, in the output's unit."""
+    high: float | None = None
+    """Highest value, in the output's unit."""
+    turns: float = 0.0
+    """Largest rotation from the start of a run, in turns; 0 is no limit."""
+
+
 class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     """State of the daemon, the rig and the newest recording."""
 
@@ -278,6 +325,10 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     """True if the configuration states that the rotating part is removed."""
     owner_checked: str = ""
     """Verified identity of the owner, such as `certificate alice`; empty if none was verified."""
+    limits: dict[str, OutputRange] = {}
+    """Limits in force, by the name of the output; an output without a limit is absent."""
+    now_ns: Time = 0
+    """Time of the report on the daemon's clock, as in `LeaseGranted`."""
     description: str | UnsetType = UNSET
     """Description of the rig, as in its file; absent for the arm."""
 
@@ -326,12 +377,7 @@ def parse(name: str, payload: bytes) -> Requests:
     kind = REQUESTS.get(name)
     if kind is None:
         raise InputError(f"command {name!r}: allowed are {', '.join(REQUESTS)}")
-    try:
-        request = msgspec.json.decode(payload or b"{}", type=kind)
-    except msgspec.DecodeError as err:  # ValidationError is one of them
-        raise InputError(f"{name}: {err}") from err
-    except RecursionError as err:
-        raise InputError(f"{name}: nested too deeply") from err
+    request = decode(name, payload, kind)
     if isinstance(request, Arm) and not _is_name(request.owner):
         # Clients print the name of the owner: an escape sequence in it would reach their terminals.
         raise InputError(
@@ -340,9 +386,25 @@ def parse(name: str, payload: bytes) -> Requests:
         )
     if isinstance(request, Note):
         check_note(request.text)
-    if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS_BYTES:
-        raise InputError(f"run: details have more than {MOST_DETAILS_BYTES} B of JSON")
+    if isinstance(request, Run):
+        check_details(request.details)
     return request
+
+
+def decode(name: str, payload: bytes | bytearray, kind: type[_T]) -> _T:
+    """Decode the JSON of the command `name`; raise InputError, which names the command."""
+    try:
+        return msgspec.json.decode(payload or b"{}", type=kind)
+    except msgspec.DecodeError as err:  # ValidationError is one of them
+        raise InputError(f"{name}: {err}") from err
+    except RecursionError as err:
+        raise InputError(f"{name}: nested too deeply") from err
+
+
+def check_details(details: dict[str, Any]) -> None:
+    """Raise InputError if the details of a run are too long."""
+    if len(msgspec.json.encode(details)) > MOST_DETAILS_BYTES:
+        raise InputError(f"run: details have more than {MOST_DETAILS_BYTES} B of JSON")
 
 
 def check_note(text: str) -> None:
@@ -362,3 +424,26 @@ def _is_name(owner: str) -> bool:
 def json_schema(name: str) -> bytes:
     """Return the JSON Schema of a command's fields."""
     return msgspec.json.encode(msgspec.json.schema(REQUESTS[name]))
+
+
+def samples_of(Ts: float, longest_s: float = LONGEST_SAMPLE_S) -> int:
+    """Return the number of samples, at most `longest_s` apart, in which each voltage is played.
+
+    The time between two samples is a whole number of microseconds, if one is possible.
+
+    Raises
+    ------
+    ParameterError
+        The sampling time is not allowed.
+
+    Examples
+    --------
+    >>> samples_of(0.01), samples_of(2.5)
+    (1, 4)
+    """
+    if not 0 < Ts <= LONGEST_TS:
+        allowed = f"must be more than 0 and at most {LONGEST_TS:g}, in seconds; 10 ms are 0.01"
+        raise ParameterError("Ts", f"{Ts:g}", allowed)
+    least = ceil(Ts / longest_s - 1e-9)
+    whole = (n for n in range(least, 2 * least) if round(Ts * 1e6) % n == 0)
+    return next(whole, least)

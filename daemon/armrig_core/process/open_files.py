@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from armrig_core.errors import OperationError
+from armrig_core.process.printable import plural
 
 MOST_FILES = 16_384
 """Limit on open files, as LimitNOFILE= in the unit; 1024 are too few for 1000 connections."""
@@ -115,7 +116,8 @@ class NetworkGuard:
         self._shut()
         self._is_shut, self._again_s = True, now_s + SHUT_S
         return "error", (
-            f"[access] {found} files are open: a client holds unused connections; the network is "
+            f"[access] {plural(found, 'file is', 'files are')} open: a client holds unused "
+            "connections; the network is "
             f"shut for {SHUT_S:g} s, the Unix socket stays open; `ss -tn` shows the client"
         )
 

@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import Field, field, fields
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -21,7 +21,8 @@ def option(
 ) -> Any:
     """Return an option of a command, such as `option("-o --plot FIGURE", "Figure to write.")`.
 
-    `shown` is the text for the default in the help; `more` are arguments of `typer.Option`.
+    `shown` is the text for the default in the help; it is needed if the default is None, or a flag
+    is set. `more` are arguments of `typer.Option`.
     """
     flags = [word for word in names.split() if word.startswith("-")]
     metavar = metavar or names.removeprefix(" ".join(flags)).strip() or None
@@ -128,11 +129,28 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
                 of.check(made[name], _files(values))
         command(**made, **values)
 
-    taking.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[p.replace(kind=p.KEYWORD_ONLY) for p in taken]
-    )
+    taken = [_with_default(p).replace(kind=p.KEYWORD_ONLY) for p in taken]
+    taking.__signature__ = signature.replace(parameters=taken)  # type: ignore[attr-defined]
     taking.__annotations__ = {p.name: p.annotation for p in taken}
     return taking
+
+
+def _with_default(p: inspect.Parameter) -> inspect.Parameter:
+    """Return an option or argument whose help ends with its default, if there is one.
+
+    The default is a text of `option`, or a value that the user could type. A list has the metavar
+    of one value, because the option is repeated.
+    """
+    kind, which = get_args(p.annotation)
+    which, shown = copy(which), which.show_default
+    if values := [get_args(one) for one in (kind, *get_args(kind)) if get_origin(one) is list]:
+        which.metavar = which.metavar or f"<{values[0][0].__name__}>"
+    if shown is True and p.default not in (p.empty, None, False):
+        shown = f"{p.default:g}" if isinstance(p.default, float) else str(p.default)
+    if isinstance(shown, str):
+        which.help = f"{which.help} Default: {shown}"
+        which.show_default = False
+    return p.replace(annotation=Annotated[kind, which])
 
 
 def _files(values: dict[str, Any]) -> list[Path]:

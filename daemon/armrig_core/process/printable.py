@@ -7,7 +7,11 @@ that change the direction of writing can hide text, too. All these characters ar
 from __future__ import annotations
 
 import re
+from operator import index
+from typing import Any, SupportsIndex
 
+SPACES = "\u00a0\u202f\u2009"
+"""Spaces that armrig writes between a number and its unit; they are harmless."""
 _MAX_WORD, _KEPT_LENGTH = 400, 100  # characters; a path may have several hundred
 _LONG_WORD = re.compile(rf"'[^']{{{_MAX_WORD},}}'|\"[^\"]{{{_MAX_WORD},}}\"|\S{{{_MAX_WORD},}}")
 
@@ -20,6 +24,20 @@ def printable(text: str, keep: str = "") -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in keep else _escaped(c) for c in text)
+
+
+def printable_texts(found: Any) -> Any:
+    """Return lists and tables, as of JSON, with unprintable characters of their texts escaped.
+
+    Line breaks, tabs and `SPACES` are kept.
+    """
+    if isinstance(found, str):
+        return printable(found, keep="\n\t" + SPACES)
+    if isinstance(found, list):
+        return [printable_texts(value) for value in found]
+    if isinstance(found, dict):
+        return {printable_texts(key): printable_texts(value) for key, value in found.items()}
+    return found
 
 
 def json_printable(text: str) -> str:
@@ -42,7 +60,7 @@ def brief(message: str) -> str:
 
 def _shortened(found: re.Match[str]) -> str:
     text = found[0]
-    return f"{text[:_KEPT_LENGTH]}… ({len(text)} characters){text[-1]}"
+    return f"{text[:_KEPT_LENGTH]}… ({plural(len(text), 'character')}){text[-1]}"
 
 
 def _escaped(character: str) -> str:
@@ -52,3 +70,21 @@ def _escaped(character: str) -> str:
 def _json_escaped(character: str) -> str:
     units = character.encode("utf-16-be", "surrogatepass")
     return "".join(f"\\u{units[i : i + 2].hex()}" for i in range(0, len(units), 2))
+
+
+def plural(n: SupportsIndex | float, one: str, many: str = "") -> str:
+    """Return a number with its noun: 1 sample, 2 samples, 0.5 days; `many` is by default with s."""
+    number = f"{n:g}" if isinstance(n, float) else f"{index(n)}"
+    return f"{number} {one if number == '1' else many or f'{one}s'}"
+
+
+def with_degrees(text: str) -> str:
+    """Return a text for people: degC and degF are °C and °F, but not in a name such as T1_degC.
+
+    Examples
+    --------
+    >>> from armrig_core.process.printable import with_degrees
+    >>> print(with_degrees("T1_degC in degC"))
+    T1_degC in °C
+    """
+    return re.sub(r"(?<![\w\"'])deg(?=[CF](?![A-Za-z0-9_]))", "°", text)

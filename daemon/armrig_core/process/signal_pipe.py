@@ -49,7 +49,7 @@ class SignalPipe:
         if self._is_woken:
             return  # a pipe full of zeros would have no room for a signal
         self._is_woken = True
-        with suppress(BlockingIOError):
+        with suppress(OSError):  # a full pipe is readable, and nobody reads a closed one
             self._waker.send(b"\0")
 
     def read(self) -> set[int]:

@@ -1,4 +1,4 @@
-"""Detection of a sleep of this computer, or of a stop of this program (SIGSTOP)."""
+"""A clock that a sleep does not stop; detection of a sleep, or of a stop of this program."""
 
 from __future__ import annotations
 
@@ -25,8 +25,12 @@ class Standstill:
         return f"this computer slept, or this program was stopped, for {gap_s:.0f} s"
 
 
+def boot_ns() -> int:
+    """Return a time in ns that continues during a sleep, if this system has such a clock."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic_ns() if clock is None else time.clock_gettime_ns(clock)
+
+
 def _times_s() -> tuple[float, float]:
     """Return two times in s: the first continues during a sleep, if this system has its clock."""
-    clock = getattr(time, "CLOCK_BOOTTIME", None)
-    awake_s = time.monotonic()
-    return (awake_s if clock is None else time.clock_gettime(clock)), awake_s
+    return boot_ns() / 1e9, time.monotonic()

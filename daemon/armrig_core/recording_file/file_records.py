@@ -5,13 +5,14 @@ The reader trusts none of the sizes that a file states.
 
 from __future__ import annotations
 
+import hashlib
 import struct
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from struct import Struct
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
@@ -54,6 +55,8 @@ _DATA_OPCODES = (
 _ATTACHMENT_HEAD = 8 + 8 + 4  # size of two times and of the name's length, in B
 _NAME_LIMIT = 100  # in B
 _CRC = Struct("<I")
+_HEAD_BYTES = 1 << 10  # times, name and media type of an attachment
+_BLOCK_BYTES = 1 << 18
 
 
 class CutOffError(DamageError):
@@ -161,6 +164,29 @@ def check_attachment(attachment: bytes) -> None:
     raise DamageError(
         f"the checksum of the attachment '{printable(name)}' is wrong: it is left out"
     )
+
+
+def attachment_sha256(stream: IO[bytes], place: Place) -> str:
+    """Return the SHA-256 of the data of the attachment at `place`; "" if the attachment is damaged.
+
+    The data are read in blocks, because an input may be long.
+    """
+    stream.seek(place.at)
+    head = stream.read(min(place.length, _HEAD_BYTES))
+    at = _ATTACHMENT_HEAD - 4
+    for _ in range(2):  # name and media type
+        at += 4 + int.from_bytes(head[at : at + 4], "little")
+    left = int.from_bytes(head[at : at + 8], "little")
+    at += 8
+    if at > len(head) or at + left + _CRC.size != place.length:
+        return ""
+    stream.seek(place.at + at)
+    crc, digest = zlib.crc32(head[:at]), hashlib.sha256()
+    while left and (data := stream.read(min(left, _BLOCK_BYTES))):
+        crc, left = zlib.crc32(data, crc), left - len(data)
+        digest.update(data)
+    expected = int.from_bytes(stream.read(_CRC.size), "little")
+    return "" if left or expected not in (0, crc) else digest.hexdigest()
 
 
 def _stays(begin: bytes, name: str) -> bool:

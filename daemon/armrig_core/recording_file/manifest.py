@@ -8,7 +8,7 @@ from typing import Any, Self
 import msgspec
 
 from armrig_core.commands.codes import OutcomeCode
-from armrig_core.commands.commands import Rehearsal
+from armrig_core.commands.commands import EVERY, Rehearsal
 from armrig_core.errors import InputError
 from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.emulated import is_emulated
@@ -47,6 +47,9 @@ class _Record(msgspec.Struct, frozen=True, kw_only=True):
         """
         fields = {key: msgspec.json.decode(text) for key, text in metadata.items()}
         return msgspec.convert(fields, cls)
+
+
+_MOST_EVERY = 12_000  # 60 s, in samples of 5 ms
 
 
 class Manifest(_Record, frozen=True, kw_only=True):
@@ -90,13 +93,39 @@ class Manifest(_Record, frozen=True, kw_only=True):
     host: dict[str, Any] = {}
     """Kernel, scheduling and locked memory of the loop, baud rate, port."""
     config_sha256: str = ""
-    """Hash of the attached configuration."""
+    """SHA-256 of the attached configuration; a hash is empty in a file of an older release."""
     calibration_sha256: str = ""
-    """Hash of the attached calibration."""
+    """SHA-256 of the attached calibration."""
     description_sha256: str = ""
-    """Hash of the attached description of the rig; empty in a recording of an older release."""
+    """SHA-256 of the attached description of the rig."""
+    calibration_raw_sha256: str = ""
+    """SHA-256 of the attached samples of the calibration; empty without such samples."""
+    input_sha256: str = ""
+    """SHA-256 of the attached input, which only the first part of a run contains."""
     rehearsal: Rehearsal | None = None
     """Response of the rig's model to the input, computed before the run."""
+
+    @property
+    def every(self) -> int:
+        """Number of samples with each value of the input.
+
+        A client makes a Ts that is too long for the device: it plays each value in `every` samples.
+        The instants of this sampling time, `every` * `Ts`, are the first sample of each value.
+        """
+        every = self.details.get(EVERY, 1)
+        return every if type(every) is int and 1 <= every <= _MOST_EVERY else 1
+
+    @property
+    def attachment_hashes(self) -> dict[str, str]:
+        """Recorded SHA-256 of the attachments of this file, by name, in hexadecimal digits."""
+        hashes = {
+            CONFIG: self.config_sha256,
+            CALIBRATION: self.calibration_sha256,
+            DESCRIPTION: self.description_sha256,
+            CALIBRATION_RAW: self.calibration_raw_sha256,
+            INPUT: self.input_sha256 if self.part <= 1 else "",
+        }
+        return {name: sha256 for name, sha256 in hashes.items() if sha256}
 
     @property
     def due(self) -> range:

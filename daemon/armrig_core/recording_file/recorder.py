@@ -1,7 +1,8 @@
 """Recording of a run into MCAP files; if the process dies, all flushed messages remain.
 
-The file is `NAME.mcap.active` until it is complete. A thread writes the files and a second thread
-syncs them, so that the caller never waits for the disk, and no flush waits for a sync.
+The file is `NAME.mcap.active` until it is complete. A thread creates and writes the files and a
+second thread syncs them, so that the caller never waits for the disk, and no flush waits for a
+sync.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from math import inf
 from pathlib import Path
+from typing import NamedTuple, Self
 
 from msgspec.structs import replace
 
 from armrig_core.commands.codes import CONTINUED, Ending, OutcomeCode
 from armrig_core.errors import ArmrigError
+from armrig_core.process.printable import plural
 from armrig_core.recording_file.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.part_names import ACTIVE, part_path
 from armrig_core.recording_file.recording_part import ChangedError, EndsHereError, Part
@@ -35,29 +38,39 @@ class RecordingError(ArmrigError, OSError):
     """A recording cannot begin; the message gives file and reason."""
 
 
+class _Beginning(NamedTuple):
+    """Contents of the beginning of a file, and the time of the first sample."""
+
+    manifest: Manifest
+    attachments: dict[str, bytes]
+    t_first_ns: int
+
+
 class Recording:
-    """An open recording; after its creation, the caller never waits for the disk."""
+    """A recording; its caller never waits for the disk."""
+
+    _part: Part  # from the creation of its file on
 
     def __init__(
         self,
         path: Path,
-        manifest: Manifest,
-        attachments: dict[str, bytes],
         *,
-        t_first_ns: int,
         changed: Callable[[], None],
+        check: Callable[[], str] = str,
         part_samples: int = 0,
+        mode: int = 0o666,
     ) -> None:
-        """Create the file and write header, schemas, manifest and attachments to the kernel.
+        """Have the writer's thread create an empty file.
 
-        No file may exist at `path`, the path of the finished recording. `t_first_ns` is the
-        monotonic time of the first sample. The writer's thread calls `changed` when `error`,
-        `moved` or `done` has changed. A part ends after `part_samples` samples, recorded or
-        missing; with 0, the run is recorded in one file.
-
-        Raises RecordingError if the file cannot be created.
+        No file may exist at `path`, the path of the finished recording. The thread first calls
+        `check`, which returns the reason why nothing can be recorded, or an empty text. It calls
+        `changed` when `is_created`, `error`, `moved` or `done` has changed. A part ends after
+        `part_samples` samples, recorded or missing; with 0, the run is recorded in one file. The
+        files have no permissions beyond `mode` and the umask.
         """
-        self.path = path
+        self.path, self._mode = path, mode
+        self.is_created = False
+        """True if the empty file exists."""
         self.samples = 0
         """Number of samples passed to `add`."""
         self.missing = 0
@@ -69,27 +82,60 @@ class Recording:
         """Message that the file was moved; writing continues at its new path."""
         self.done = False
         """True if the file is complete under its final name, or if writing has failed and ended."""
-        self._part_samples = part_samples
-        # Only the first part contains the input, which may have 80 MB.
-        self._attachments = {n: data for n, data in attachments.items() if n != INPUT}
+        self._part_samples, self._check = part_samples, check
+        self._attachments: dict[str, bytes] = {}
         self._changed = changed
+        self._failure: OSError | None = None
+        self._is_open = False
         self._parts: list[Part] = []
         self._written = self._flushed = 0  # samples
-        self._busy_since_s = inf  # inf: the writer waits for messages, not for the disk
-        self._queue: queue.SimpleQueue[list[Outgoing] | Ending] = queue.SimpleQueue()
-        if part_samples:
-            manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
-        path = part_path(path, manifest.part)
-        try:
-            self._part = Part(path, manifest, attachments, t_first_ns)
-        except OSError as err:
-            where, way_out = f"{path}{ACTIVE}", "free disk space, or set [recording] directory"
-            if isinstance(err, FileExistsError):
-                where, way_out = err.filename, "set [recording] directory to another"
-            raise RecordingError(f"{where}: {err.strerror}; {way_out}") from err
+        self._busy_since_s = time.monotonic()  # inf: the writer waits for messages, not for a disk
+        self._queue: queue.SimpleQueue[_Beginning | list[Outgoing] | Ending] = queue.SimpleQueue()
+        self._has_tried, self._has_begun = threading.Event(), threading.Event()
         self._syncer = Syncer()
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
+
+    @classmethod
+    def create(
+        cls,
+        path: Path,
+        manifest: Manifest,
+        attachments: dict[str, bytes],
+        *,
+        t_first_ns: int,
+        changed: Callable[[], None],
+        part_samples: int = 0,
+    ) -> Self:
+        """Return a recording whose file exists and has begun; the arguments are those of both.
+
+        Raises RecordingError if the file cannot be created.
+        """
+        recording = cls(path, changed=lambda: None, part_samples=part_samples)
+        recording.begin(manifest, attachments, t_first_ns=t_first_ns)
+        recording._has_begun.wait()
+        if not recording._is_open:
+            recording.finish(Ending(OutcomeCode.RECORDING, recording.error))
+            raise RecordingError(recording.error) from recording._failure
+        recording._changed = changed
+        return recording
+
+    def begin(self, manifest: Manifest, attachments: dict[str, bytes], *, t_first_ns: int) -> None:
+        """Write header, schemas, manifest and attachments; messages may follow.
+
+        `t_first_ns` is the monotonic time of the first sample.
+        """
+        if self._part_samples:
+            manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
+        self._queue.put(_Beginning(manifest, attachments, t_first_ns))
+
+    def wait_for_file(self) -> None:
+        """Wait until the file exists, or `error` says why it does not."""
+        self._has_tried.wait()
+
+    def discard(self) -> None:
+        """Remove the file of a recording that has not begun."""
+        self.finish(Ending(OutcomeCode.RECORDING, "discarded"))
 
     @property
     def synced(self) -> int:
@@ -99,15 +145,18 @@ class Recording:
     @property
     def kept(self) -> Path:
         """Path of the finished recording; before the end, path of the unfinished file."""
+        if not self.is_created or not self._part.is_named:
+            return self.active
         part = self._part
-        if not part.is_named:
-            return part.active
         return part.path.with_name(self.path.name) if self._part_samples else part.path
 
     @property
     def active(self) -> Path:
         """Path of the file that is being written."""
-        return self._part.active
+        if self.is_created:
+            return self._part.active
+        first = part_path(self.path, 1 if self._part_samples else 0)
+        return first.with_name(first.name + ACTIVE)
 
     @property
     def behind(self) -> int:
@@ -130,7 +179,7 @@ class Recording:
         """Wait until the file is complete; after `timeout` s or `STALL_S` give it up."""
         until_s = time.monotonic() + timeout
         while not self.done and time.monotonic() < until_s:
-            self._thread.join(_LOOK_S)
+            self._thread.join(min(_LOOK_S, max(0.0, until_s - time.monotonic())))
             self.look()
         self.look(-inf)
 
@@ -141,20 +190,25 @@ class Recording:
             return
         came = self.samples + self.dropped
         why = f"the disk did not answer for {waited_s:.0f} s" if waited_s > 0 else "not renamed"
-        what = f"all {came} samples are on the disk; `armrig recover` the file"
+        what = (
+            f"all {plural(came, 'sample is', 'samples are')} on the disk; `armrig recover` the file"
+        )
         if lost := came - self.synced:
             what = f"up to {lost} of {came} samples are lost; `armrig recover` the others"
-        if not self._part.is_named:  # a named file is complete; its chunks may still be short
+        if not (self.is_created and self._part.is_named):  # a named file is complete
             self.error = self.error or f"{self.kept}: {why}; {what}"
         self.done = True
 
     def _write(self) -> None:
         """Write the queued messages, and complete the file; report any failure in `error`."""
         try:
-            self._write_run()
+            if self._has_file() and self._is_begun():
+                self._write_run()
         except Exception as err:
             self._give_up(err)
         finally:
+            self._has_tried.set()
+            self._has_begun.set()
             self._busy_since_s = time.monotonic() + _REWRITE_S
             with suppress(Exception):  # `error` has the first failure
                 self._syncer.join()
@@ -162,6 +216,53 @@ class Recording:
                     part.compact()
             self.done = True
             self._changed()
+
+    def _has_file(self) -> bool:
+        """Create the file; on a failure, report it, wait for the end, and return False."""
+        try:
+            if objection := self._check():
+                raise RecordingError(objection)
+            name = self.active.name.removesuffix(ACTIVE)
+            self._part = Part(self.active.with_name(name), self._mode)
+        except OSError as err:
+            self._fail(err)
+            return False
+        self.is_created = True
+        self._has_tried.set()
+        self._changed()
+        return True
+
+    def _is_begun(self) -> bool:
+        """Wait for the beginning, and write it; return False without one, or if this fails."""
+        self._busy_since_s = inf
+        first = self._queue.get()
+        self._busy_since_s = time.monotonic()
+        if not isinstance(first, _Beginning):
+            self._part.discard()
+            return False
+        # Only the first part contains the input, which may have 80 MB.
+        self._attachments = {n: data for n, data in first.attachments.items() if n != INPUT}
+        try:
+            self._part.begin(*first)
+        except OSError as err:
+            self._fail(err)
+            return False
+        self._is_open = True
+        self._has_begun.set()
+        return True
+
+    def _fail(self, err: OSError) -> None:
+        """Report that there is no file, and wait for the end of the recording."""
+        where, way_out = str(self.active), "free disk space, or set [recording] directory"
+        if isinstance(err, FileExistsError):
+            where, way_out = err.filename, "set [recording] directory to another"
+        self._failure = err
+        self.error = f"{where}: {err.strerror}; {way_out}"
+        if isinstance(err, RecordingError):
+            self.error = str(err)
+        for event in (self._has_tried, self._has_begun):
+            event.set()
+        self._wait_for_the_end()
 
     def _write_run(self) -> None:
         try:
@@ -182,7 +283,7 @@ class Recording:
         """Report the error, and discard the remaining messages of the run."""
         self._changed()
         self._busy_since_s = inf
-        while isinstance(self._queue.get(), list):
+        while not isinstance(self._queue.get(), Ending):
             pass
 
     def _write_until_the_end(self) -> Ending:
@@ -195,8 +296,10 @@ class Recording:
             except queue.Empty:
                 batch = []
             self._busy_since_s = time.monotonic()
-            if not isinstance(batch, list):
+            if isinstance(batch, Ending):
                 return batch
+            if isinstance(batch, _Beginning):
+                raise TypeError("a recording begins once")
             if self.error or self._syncer.error is not None:
                 raise self._syncer.error or RecordingError(self.error)
             for message in batch:
@@ -225,7 +328,9 @@ class Recording:
         ended, number = self._part, self._part.manifest.part + 1
         manifest = replace(ended.manifest, part=number, part_k_first=k_first)
         try:
-            part = Part(part_path(self.path, number), manifest, self._attachments, t_ns)
+            part = Part(part_path(self.path, number), self._mode).begin(
+                manifest, self._attachments, t_ns
+            )
         except OSError as err:
             raise EndsHereError(f"{err.strerror}; part {number} cannot begin") from err
         try:
@@ -284,7 +389,8 @@ class Recording:
             reason = f"{reason}; the flushed samples are kept there"
         where = self._syncer.failed if err is self._syncer.error else self.kept
         self.error = self.error or f"{where}: {reason}"
-        self._part.give_up()
+        if self.is_created:
+            self._part.give_up()
 
 
 class Syncer:

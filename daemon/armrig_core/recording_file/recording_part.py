@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import sys
 import tempfile
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Self, cast
 
 from mcap.writer import CompressionType, Writer
 
@@ -46,10 +47,13 @@ class ChangedError(OSError):
 class Part:
     """One open file; its name is NAME.mcap.active until it is complete."""
 
-    def __init__(
-        self, path: Path, manifest: Manifest, attachments: dict[str, bytes], t_first_ns: int
-    ) -> None:
-        """Create the file and write header, schemas, manifest and attachments to the kernel.
+    manifest: Manifest
+    """Manifest of the run; available after `begin`."""
+
+    def __init__(self, path: Path, mode: int = 0o666) -> None:
+        """Create the empty file, and reserve space for its end.
+
+        The file has no permissions beyond `mode` and the umask.
 
         Raises OSError if the file cannot be created, or a file with this name exists. No new file
         is left.
@@ -57,19 +61,17 @@ class Part:
         _check_free(path)
         self.path = path
         self.active = path.with_name(path.name + ACTIVE)
-        self.manifest = manifest
         self.samples = self.missing = 0
         self.size = 0
         """Size of the file up to the last flush, in B."""
         self.is_named = False
         """True if the file is complete and has its final name."""
         self._chunks = 0
-        self._offset_ns = manifest.clock_offset_ns
-        self._sample_ns = t_first_ns
         self._logged_ns = 0
         self._pending = _Pending()
         self._file = cast("IO[bytes]", self.active.open("xb", buffering=0))
         try:
+            self._restrict(mode)
             self._reserve = Reserve(path.parent)
         except BaseException:
             self._file.close()
@@ -77,17 +79,37 @@ class Part:
             raise
         try:
             lock(self._file)
-            self._writer = Writer(
-                cast("IO[bytes]", self._pending),
-                chunk_size=CHUNK_BYTES,
-                compression=CompressionType.ZSTD,
-                enable_data_crcs=True,
-            )
-            self._channels = self._begin(attachments)
             self._reserve.hold(_ENDING_BYTES)
         except BaseException:
             self.discard()
             raise
+
+    def _restrict(self, mode: int) -> None:
+        fd = self._file.fileno()
+        now = stat.S_IMODE(os.fstat(fd).st_mode)
+        if now & ~mode:
+            os.fchmod(fd, now & mode)
+
+    def begin(self, manifest: Manifest, attachments: dict[str, bytes], t_first_ns: int) -> Self:
+        """Write header, schemas, manifest and attachments to the kernel; return this part.
+
+        `t_first_ns` is the monotonic time of the first sample. If this fails with OSError, the file
+        is removed.
+        """
+        self.manifest, self._sample_ns = manifest, t_first_ns
+        self._offset_ns = manifest.clock_offset_ns
+        self._writer = Writer(
+            cast("IO[bytes]", self._pending),
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        try:
+            self._channels = self._begin(attachments)
+        except BaseException:
+            self.discard()
+            raise
+        return self
 
     def _begin(self, attachments: dict[str, bytes]) -> dict[str, int]:
         writer, channels, manifest = self._writer, {}, self.manifest

@@ -17,6 +17,7 @@ from typing import IO, NamedTuple, TypeVar
 import msgspec
 
 from armrig_core.commands.codes import OutcomeCode
+from armrig_core.process.printable import plural
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
@@ -150,8 +151,8 @@ class Recovery:
                 if tally.samples < outcome.samples:
                     raise RecoveryError(
                         f"{path}: the run was recorded to the end, but only {tally.samples} of its "
-                        f"{outcome.samples} samples are readable; the file stays as it is; "
-                        "copy it again"
+                        f"{plural(outcome.samples, 'sample is', 'samples are')} readable; the file "
+                        "stays as it is; copy it again"
                     )
             else:
                 rewriter.add_metadata(OUTCOME, outcome.metadata())
@@ -215,7 +216,7 @@ def sentence(done: RecoveredFile) -> str:
     """Return the result of a recovery as a sentence."""
     manifest, outcome = done.manifest, done.outcome
     seconds = (outcome.samples + outcome.missing) * manifest.Ts
-    text = f"{done.path}: recovered, {outcome.samples} samples, {seconds:g} s"
+    text = f"{done.path}: recovered, {plural(outcome.samples, 'sample')}, {seconds:g} s"
     text += f" of {manifest.samples * manifest.Ts:g} s" if manifest.samples else ""
     if done.recovered.cut_off_bytes:
         text += f"; the last {done.recovered.cut_off_bytes} B were incomplete and were cut off"

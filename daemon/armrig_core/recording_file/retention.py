@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from armrig_core.commands.codes import OutcomeCode
+from armrig_core.process.printable import plural
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
@@ -90,7 +91,7 @@ class Retention:
         until_s = now_s - self.keep_days * DAY_S if self.keep_days else -inf
         if found and found[-1].ended_s < until_s:
             if found[1:] and not self._keeps_old:
-                why = f"the newest recording is older than {self.keep_days:g} days"
+                why = f"the newest recording is older than {plural(self.keep_days, 'day')}"
                 yield Removal(
                     False, f"{self.folder}: {why}, so none is removed by its age: check `date`"
                 )
@@ -104,7 +105,7 @@ class Retention:
 
     def _reason(self, run: _Run, total: int, until_s: float) -> str:
         if run.ended_s < until_s:
-            return f"older than {self.keep_days:g} days"
+            return f"older than {plural(self.keep_days, 'day')}"
         if self.keep_gb and total > self.keep_gb * GB:
             return f"the recordings of rig {self.rig} take more than {self.keep_gb:g} GB"
         return ""
@@ -167,7 +168,9 @@ class Retention:
             reason = err.strerror if isinstance(err, OSError) else err
             text = f"{path}: {why}, but it stays, because reading or removing it failed"
             return Removal(False, f"{text}: {reason}")
-        parts = f" and the {len(run.files) - 1} parts before it" if len(run.files) > 1 else ""
+        parts = (
+            f" and the {plural(len(run.files) - 1, 'part')} before it" if len(run.files) > 1 else ""
+        )
         return Removal(True, f"{path}{parts}: removed, {run.size / 1e6:.1f} MB: {why}")
 
     def _outcome(self, stream: IO[bytes]) -> str:

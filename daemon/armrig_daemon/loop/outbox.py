@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from armrig_core.commands.codes import GapCode
+from armrig_core.process.printable import plural
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 
 from armrig_daemon.loop.ports import Ports
@@ -72,7 +73,10 @@ class Outbox:
         while self._waiting and self._ports.put(self._waiting[0]):
             self._waiting.popleft()
         if self._dropped and not self._waiting:
-            text = f"{self._dropped} messages were dropped: {GapCode.SERVICE_LATE.sentence}"
+            text = (
+                f"{plural(self._dropped, 'message was', 'messages were')} dropped: "
+                f"{GapCode.SERVICE_LATE.sentence}"
+            )
             self._dropped = 0
             self._waiting.append(
                 record_bytes(Log(t_host_ns=self._ports.now_ns(), level="warning", message=text))

@@ -11,7 +11,7 @@ from math import inf
 from typing import NamedTuple
 
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import CommandRefusedError, Renew, Run, refused
+from armrig_core.commands.commands import CommandRefusedError, Renew, RunOptions, refused
 
 from armrig_daemon.decisions import orders
 
@@ -33,7 +33,7 @@ class ClientWatchdog(NamedTuple):
         return self.heard_s + self.period_s
 
 
-def begun(run: Run, now_s: float) -> ClientWatchdog:
+def begun(run: RunOptions, now_s: float) -> ClientWatchdog:
     """Return the watchdog at the start of a run; the start is the first sign of life."""
     return ClientWatchdog(run.lease, run.n, run.dead_man or inf, now_s)
 

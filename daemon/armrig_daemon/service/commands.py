@@ -10,7 +10,6 @@ import secrets
 import time
 import unicodedata
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple, assert_never
 
 from armrig_core.commands import commands
@@ -18,6 +17,7 @@ from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import CommandRefusedError
 from armrig_core.errors import InputError
 from armrig_core.process.printable import printable
+from armrig_core.process.standstill import boot_ns
 from armrig_core.rig.volts import code_of
 from msgspec.structs import replace
 
@@ -31,16 +31,29 @@ from armrig_daemon.service.admission import Bucket, take
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.host.child import LoopChild
+from armrig_daemon.service.host.planner import Job
+from armrig_daemon.service.host.worker import Worker
 from armrig_daemon.service.listener import Command
+from armrig_daemon.service.plan import checked
+from armrig_daemon.service.preparation import UNTIMED_S, Preparation
 from armrig_daemon.service.publish import TOO_MANY, Kind, Session
 from armrig_daemon.service.rig_view import RigView
-from armrig_daemon.service.runs import Runs, checked
+from armrig_daemon.service.runs import Runs
 
 ANSWER_S = 3.0
 """Longest time for the loop to answer a command, in s."""
 _SILENT = commands.refused(
     RefusalCode.NO_ANSWER,
     f"the loop did not answer within {ANSWER_S:g} s: try again, or restart armrigd",
+)
+_SLOW_DISK = commands.refused(
+    RefusalCode.NO_ROOM,
+    f"the disk of the recordings did not answer within {ANSWER_S:g} s: arm again when it does, or "
+    "set [recording] directory to another disk",
+)
+_EXPIRED = commands.refused(
+    RefusalCode.EXPIRED,
+    "the command came too late, because its client no longer waited for the reply: send it again",
 )
 _NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
@@ -49,6 +62,8 @@ _MAX_PENDING = 16  # unanswered orders; at this number, arm, reset and calibrate
 _NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients; a flood must fill neither recording nor log
 _MAX_UNANSWERED = 64  # orders of all clients; more would delay the orders of the service itself
 _MAX_NAME_CHARACTERS = 80
+_MOST_WAITING = 4  # calls of the file system that have not returned; more would fill the memory
+_KEEP_S = 0.5  # shortest time between two signs of life for the lease, in s
 _SQUARE = str.maketrans("()", "[]")
 
 
@@ -80,19 +95,26 @@ class Commands:
         runs: Runs,
         session: Session,
         loop: LoopChild,
+        preparation: Preparation,
+        disk: Worker,
         say: Callable[..., None],
         note: Callable[[int, str, str], None],
     ) -> None:
         """Create the handler; no lease is in force.
 
-        `say` logs a line: its arguments are the level, the text, and the fields by keyword. `note`
-        publishes and records a note: its arguments are the monotonic time in ns, text and owner.
+        `preparation` prepares runs, and `disk` calls functions of the file system. `say` logs a
+        line: its arguments are the level, the text, and the fields by keyword. `note` publishes and
+        records a note: its arguments are the monotonic time in ns, text and owner.
         """
         self._config = config
         self._rig = rig
         self._runs = runs
         self._session = session
         self._loop = loop
+        self._preparation = preparation
+        self._disk = disk
+        self._kept_s = 0.0  # time of the newest sign of life for the lease, on the monotonic clock
+        self._arming: Command | None = None  # whose room on the disk is being checked
         self._say = say
         self._note = note
         self._notes = Bucket(_MAX_NOTES)
@@ -108,6 +130,8 @@ class Commands:
         """Store the lease in force; "" if no lease is in force."""
         self._lease, self._n = lease, -1
         self._session.lease = lease.encode()
+        if not lease:
+            self.cancel("the lease ended")
 
     @property
     def room(self) -> int:
@@ -116,8 +140,8 @@ class Commands:
 
     @property
     def is_waiting(self) -> bool:
-        """True while the loop has not answered a command."""
-        return bool(self._waiting)
+        """True while the loop has not answered a command, or a command is prepared."""
+        return bool(self._waiting or self._arming or self._preparation.is_busy)
 
     def serve_signs(self) -> None:
         """Handle the signs of life of the run's client, each with its time of arrival."""
@@ -133,6 +157,38 @@ class Commands:
         for kind in (Kind.STATUS, Kind.CALIBRATE, Kind.OTHER):
             for command in self._session.waiting(kind, _MAX_COMMANDS):
                 self._try(command)
+        self._disk.hand_back()
+        try:
+            self._go_on()
+        except Exception as err:  # such as too many threads
+            text = f"run: {err!r}"
+            self._preparation.cancel(commands.refused(RefusalCode.INTERNAL, text))
+            self._say("error", text)
+
+    def _go_on(self) -> None:
+        """Send the order of a prepared run if its client still waits."""
+        if self._is_expired(self._preparation.valid_until_ns):
+            self._preparation.cancel(_EXPIRED)
+        ready = self._preparation.advance(self._check_run)
+        if ready is None:
+            return
+        try:
+            self._check_run(ready.command, ready.options, ready.valid_until_ns)
+            self._order(ready.command, ready.order, ready.accepted)
+        except CommandRefusedError as err:
+            self._preparation.cancel(err.refusal)
+        else:
+            self._preparation.drop()
+
+    def _check_run(
+        self, command: Command, options: commands.RunOptions, valid_until_ns: int | None
+    ) -> None:
+        """Raise CommandRefusedError if the order of a run may not leave now."""
+        if options.lease != self._lease:
+            raise CommandRefusedError(_NOT_HELD)
+        if options.n <= self._n:
+            raise not_newer(options.n, self._n)
+        self._check_time(command, valid_until_ns)
 
     def answer(self, answer: Answer) -> None:
         """Pass on an answer of the loop."""
@@ -154,7 +210,8 @@ class Commands:
             self._holder = _Holder(waiting.order.owner, waiting.command.by)
         elif isinstance(waiting.order, Leased) and waiting.order.lease == self._lease:
             self._n = max(self._n, waiting.order.n)
-        waiting.command.answer(waiting.body or answer.body)
+        now = {"now_ns": boot_ns()} if isinstance(waiting.order, pipe.Arm) else {}
+        waiting.command.answer(waiting.body or answer.body | now)
         if not isinstance(waiting.order, pipe.Set):
             name, who = waiting.command.name, waiting.who or _SOMEBODY
             cause = waiting.order.reason if isinstance(waiting.order, pipe.Stop) else ""
@@ -171,6 +228,9 @@ class Commands:
         """Refuse commands that the loop has not answered in time; `now` is monotonic, in s."""
         for number in [n for n, w in self._waiting.items() if now > w.until]:
             self._give_up(self._waiting.pop(number), _SILENT)
+        if self._arming is not None and now > self._arming.came_s + ANSWER_S:
+            command, self._arming = self._arming, None
+            command.refuse(_SLOW_DISK)
 
     def _give_up(self, waiting: _Waiting, refusal: commands.Refused) -> None:
         if isinstance(waiting.order, pipe.Run):
@@ -179,7 +239,10 @@ class Commands:
 
     def _try(self, command: Command) -> None:
         try:
-            self._carry_out(command, commands.parse(command.name, command.payload))
+            if command.name == commands.RunOptions.name:
+                self._prepare(command)
+            else:
+                self._carry_out(command, commands.parse(command.name, command.payload))
         except CommandRefusedError as err:
             command.refuse(err.refusal)
         except ValueError as err:
@@ -191,50 +254,41 @@ class Commands:
 
     def _carry_out(self, command: Command, request: commands.Requests) -> None:
         """Pass a request to the loop; raise ValueError if the request is not allowed."""
-        if isinstance(request, commands.Leased) and command.by != self._holder.by:
-            raise CommandRefusedError(_NOT_HELD)
+        if isinstance(request, commands.Leased):
+            if command.by != self._holder.by:
+                raise CommandRefusedError(_NOT_HELD)
+            if not isinstance(request, commands.Disarm):  # which may come late, as a stop
+                self._check_time(command, request.valid_until_ns)
         match request:
             case commands.Status():
                 command.answer(self._rig.status(self._runs.last))
             case commands.Arm():
-                objection = self._objection()
-                if objection is not None:
-                    raise CommandRefusedError(objection)
-                lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
-                owner = signed(request.owner, command.by)
-                self._order(
-                    command,
-                    pipe.Arm(owner=owner, lease=lease, ts_us=ts_us, owner_checked=command.by),
-                    who=owner,
-                )
+                self._arm(command, request)
             case commands.Disarm():
                 self._order(command, pipe.Disarm(lease=request.lease, n=request.n))
+                self.cancel("the rig was disarmed")
             case commands.Set():
                 (volts,) = checked([request.u], replace(self._config.limits, slew_v=0.0))
                 code = code_of(volts)
                 self._order(command, pipe.Set(lease=request.lease, n=request.n, code=code))
-            case commands.Run():
-                self._check_holder(request)
-                start = self._rig.start_rad
-                # For millions of samples, planning takes seconds; the motor is then at 0 V. After
-                # each step, `alive` shows the loop that the service is not frozen. The first step,
-                # the decoding of the command, is done.
-                alive = partial(self._loop.order, Alive())
-                alive()
-                self._order(command, *self._runs.plan(request, self._Ts, start, alive))
             case commands.Renew():
-                self._runs.renew(request, command.came_s)
-                command.answer(commands.Done(done=True))
+                self._renew(command, request)
             case commands.Stop():
                 who = signed(request.by, command.by)
                 halt = pipe.Stop(reason=f"stopped by {who}") if who else pipe.Stop()
                 self._order(command, halt, who=who)
+                self.cancel(f"stopped by {who}" if who else "stopped")
             case commands.Note():
                 self._take_note(command, request)
             case commands.Reset():
+                self._require(command, "fault", request.fault, self._rig.state.fault)
+                self._check_time(command, request.valid_until_ns)
                 self._order(command, Reset())
+                self.cancel("reset")
             case commands.Calibrate():
                 self._calibrate(command, request)
+            case commands.Run():
+                raise AssertionError  # `_prepare` has taken it
             case _:
                 assert_never(request)
 
@@ -256,6 +310,9 @@ class Commands:
         if self._calibration is not None:
             text = "another calibration is on its way: try again"
             raise CommandRefusedError(commands.refused(RefusalCode.TOO_MANY, text))
+        now = self._rig.calibration_sha256
+        self._require(command, "replaces", request.replaces, now)
+        self._check_time(command, request.valid_until_ns)
         device = self._rig.state.device
         checked = checked_calibration(
             request.calibration, request.raw, self._config, device, self._rig.description
@@ -277,18 +334,84 @@ class Commands:
             return commands.refused(RefusalCode.HELD, orders.held_by(owner), owner=owner)
         if line := self._rig.line:
             return commands.refused(RefusalCode.NO_RIG, line)
-        if no_room := self._runs.no_room():
-            return no_room
         return self._rig.objection()
 
-    def _check_holder(self, request: commands.Run) -> None:
-        """Raise CommandRefusedError before the rehearsal if the core will refuse the run."""
-        if request.lease != self._lease:
+    def _arm(self, command: Command, request: commands.Arm) -> None:
+        """Arm the rig after a look at the disk, if the client still waits then."""
+        if objection := self._objection():
+            raise CommandRefusedError(objection)
+        if self._arming is not None:
+            raise CommandRefusedError(TOO_MANY)
+        if self._disk.waiting > _MOST_WAITING:
+            raise CommandRefusedError(_SLOW_DISK)
+        lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
+        owner = signed(request.owner, command.by)
+        order = pipe.Arm(owner=owner, lease=lease, ts_us=ts_us, owner_checked=command.by)
+
+        def then(no_room: commands.Refused | Exception | None) -> None:
+            if self._arming is not command:
+                return  # refused meanwhile
+            self._arming = None
+            if isinstance(no_room, Exception):
+                no_room = commands.refused(RefusalCode.INTERNAL, f"arm: {no_room!r}")
+            try:
+                if objection := no_room or self._objection():
+                    raise CommandRefusedError(objection)
+                self._order(command, order, who=owner)
+            except CommandRefusedError as err:
+                command.refuse(err.refusal)
+
+        self._arming = command
+        self._disk.call(self._runs.no_room, then)
+
+    def _prepare(self, command: Command) -> None:
+        """Have a run planned and its file created; `_go_on` then sends its order."""
+        if not self._lease or command.by != self._holder.by:
             raise CommandRefusedError(_NOT_HELD)
-        if request.n <= self._n:
-            raise not_newer(request.n, self._n)
         if self._rig.state.phase == Phase.ACTIVE and self._runs.is_idle:
             raise CommandRefusedError(commands.refused(RefusalCode.BY_HAND, orders.BY_HAND))
+        config, start_rad = self._runs.config, self._rig.start_rad
+        self._preparation.begin(command, Job(0, command.payload, self._Ts, config, start_rad))
+        command.payload = b""  # of up to 80 MB
+
+    def _renew(self, command: Command, request: commands.Renew) -> None:
+        """Note a sign of life of the client of the current run, or of the run in preparation."""
+        if self._preparation.is_busy and request.lease == self._lease:
+            self._preparation.renew(request)
+            if command.came_s >= self._kept_s + _KEEP_S:
+                self._kept_s = command.came_s
+                self._loop.order(Alive(lease=self._lease))  # the rig stays armed
+        else:
+            self._runs.renew(request, command.came_s)
+        command.answer(commands.Done(done=True))
+
+    def cancel(self, why: str) -> None:
+        """Refuse the run in preparation, if there is one."""
+        text = f"the run did not begin: {why}"
+        self._preparation.cancel(commands.refused(RefusalCode.CANCELLED, text))
+
+    def _check_time(self, command: Command, valid_until_ns: int | None) -> None:
+        """Raise CommandRefusedError if the client of a command has given up."""
+        if valid_until_ns is None and command.by:
+            text = f"{command.name}: valid_until_ns is missing: install a newer armrig"
+            raise CommandRefusedError(commands.refused(RefusalCode.EXPIRED, text))
+        late_s = time.monotonic() - command.came_s - UNTIMED_S if valid_until_ns is None else 0.0
+        if late_s > 0 or self._is_expired(valid_until_ns):
+            raise CommandRefusedError(_EXPIRED)
+
+    def _is_expired(self, valid_until_ns: int | None) -> bool:
+        return valid_until_ns is not None and boot_ns() > valid_until_ns
+
+    def _require(self, command: Command, field: str, named: str | None, now: str) -> None:
+        """Raise CommandRefusedError if a command names another fault or calibration than now."""
+        if named is None and command.by:
+            text = f"{command.name}: {field} is missing: install a newer armrig"
+        elif named is not None and named != now:
+            text = f"{command.name}: {field} is '{printable(named[:64])}', and it is now '{now}'"
+            text += ": look at `armrig status`, then repeat the command"
+        else:
+            return
+        raise CommandRefusedError(commands.refused(RefusalCode.EXPIRED, text))
 
     def _ts_us(self, Ts: float | None) -> int:
         """Return the requested sampling time, in µs; 0 for the configured sampling time."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import Refused, refused
-from armrig_core.rig.channels import Channel
+from armrig_core.rig.channels import HALF_COUNTS, Channel
 from armrig_core.telemetry.telemetry import Sample
 from armrig_protocol.messages import Flag
 
@@ -70,25 +70,38 @@ def start_rad(readings: Readings) -> float | None:
 
 
 def objection(
-    readings: Readings, channels: Sequence[Channel], *, turns_per_volt_s: float
+    readings: Readings,
+    channels: Sequence[Channel],
+    *,
+    turns_per_volt_s: float,
+    is_described: bool = False,
 ) -> Refused | None:
     """Return the refusal to arm a rig with these readings, or None.
 
     `channels` are the channels that are read, in their order. `turns_per_volt_s` is the number of
-    turns of a moving shaft per Vs of input, as the model predicts; 0 without such a model.
+    turns of a moving shaft per Vs of input, as the model predicts; 0 without such a model. An
+    output of a rig that `is_described` may have a valid end.
     """
     newest = readings.newest
     if newest is None:
         return refused(RefusalCode.STALE, "no sample has come from the rig yet: try again")
     turns = readings.volt_s * turns_per_volt_s
-    read = zip(channels, (newest.counts_0, newest.counts_1), readings.inside_ns, strict=False)
-    for channel, counts, inside_ns in read:
-        if not channel.turns and newest.t_host_ns - inside_ns >= RAIL_NS:
-            return refused(
-                RefusalCode.READINGS,
+    counts_, values = (newest.counts_0, newest.counts_1), (newest.value_0, newest.value_1)
+    read = zip(channels, counts_, values, readings.inside_ns, strict=False)
+    for channel, counts, value, inside_ns in read:
+        is_valid = is_described and not isnan(value)
+        if not (channel.turns or is_valid) and newest.t_host_ns - inside_ns >= RAIL_NS:
+            text = (
                 f"{channel.name} reads {counts} of 65535, the end of its range: check the wires "
-                "of its sensor, and that nothing holds it there",
+                "of its sensor, and that nothing holds it there"
             )
+            if is_described:
+                end = "low" if counts < HALF_COUNTS else "high"
+                text += (
+                    f"; if the sensor rests there, give valid_rail = '{end}' to [outputs."
+                    f"{channel.name}] in the rig's description"
+                )
+            return refused(RefusalCode.READINGS, text)
         if channel.turns and turns >= 1:
             return refused(
                 RefusalCode.READINGS,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from importlib.metadata import version
+from math import nan
 from pathlib import Path
 from typing import Any
 
 from armrig_core.commands.commands import LastRun, Refused, StatusReport
+from armrig_core.process.standstill import boot_ns
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
@@ -45,7 +47,9 @@ class RigView:
         self._turns_per_volt_s = config.arm.turns_per_volt_s if self.description.arm else 0.0
         self._readings = readings.Readings()
         self._timing: Timing | None = None
-        self._pressure = pressure.Pressure()
+        self._pressure = nan, -1
+        self.load = pressure.load()
+        """Newest known load of the processors, as text for a person."""
 
     @property
     def is_known(self) -> bool:
@@ -57,6 +61,11 @@ class RigView:
         """Port, and the reason why no device answers; empty if a device answers."""
         line = self.state.line
         return f"{self._config.device.port}: {line}" if line else ""
+
+    @property
+    def calibration_sha256(self) -> str:
+        """Hash of the calibration in force."""
+        return self._config.calibration_sha256
 
     @property
     def start_rad(self) -> float | None:
@@ -72,8 +81,9 @@ class RigView:
         self._calibration = f"sent by `armrig calibrate`, made {date}; in force until armrigd ends"
 
     def _note_channels(self) -> None:
-        """Store the channels that are read, and which of them is of a turning shaft."""
+        """Store the channels that are read, their limits, and which is of a turning shaft."""
         self._channels = self._config.channels(self.description)
+        self._ranges = self._config.ranges(self.description)
         self._turning = next((n for n, channel in enumerate(self._channels) if channel.turns), 0)
 
     def note_sample(self, sample: Sample) -> None:
@@ -82,16 +92,23 @@ class RigView:
 
     def note_timing(self, timing: Timing) -> Timing:
         """Store the timing of the last second; return it together with the load of this machine."""
-        share, runnable = self._pressure.read()
+        share, runnable = self._pressure
         self._timing = replace(timing, cpu_pressure_percent=share, run_queue=runnable)
         return self._timing
+
+    def note_load(self, share: float, runnable: int, text: str) -> None:
+        """Store the load of this machine; see `armrig_daemon.service.host.pressure`."""
+        self._pressure, self.load = (share, runnable), text
 
     def objection(self) -> Refused | None:
         """Return the refusal of an arming because of the readings or a late host; else None."""
         config = self._config
         return readings.objection(
-            self._readings, self._channels, turns_per_volt_s=self._turns_per_volt_s
-        ) or pressure.untimely(self._timing, config.device.watchdog_ms, pressure.load())
+            self._readings,
+            self._channels,
+            turns_per_volt_s=self._turns_per_volt_s,
+            is_described=not self.description.is_calibrated,
+        ) or pressure.untimely(self._timing, config.device.watchdog_ms, self.load)
 
     def status(self, last_run: LastRun | None) -> StatusReport:
         """Return the status of the daemon and the rig."""
@@ -119,5 +136,7 @@ class RigView:
             calibration_file=self._calibration_file,
             arm_removed=config.arm.removed,
             owner_checked=state.owner_checked,
+            limits=self._ranges,
+            now_ns=boot_ns(),
             description=self.description.text.decode() if config.rig.file else UNSET,
         )

@@ -1,29 +1,27 @@
-"""Runs and their recordings: plan, beginning, contents and end."""
+"""Runs and their recordings: file, beginning, contents and end."""
 
 from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-import numpy as np
 from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands.commands import (
     CommandRefusedError,
     LastRun,
     Refused,
-    Rehearsal,
     Renew,
-    Run,
     RunAccepted,
     refused,
 )
-from armrig_core.errors import InputError
+from armrig_core.process.printable import plural
 from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CALIBRATION_RAW,
@@ -32,36 +30,34 @@ from armrig_core.recording_file.manifest import (
     INPUT,
     Manifest,
 )
-from armrig_core.recording_file.recorder import Recording, RecordingError
+from armrig_core.recording_file.recorder import Recording
 from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.calibration_file import raw_samples
 from armrig_core.rig.description import Description, shipped
-from armrig_core.rig.volts import codes_of
 from armrig_core.telemetry.telemetry import Outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
-from numpy.typing import NDArray
 
 from armrig_daemon import pipe
-from armrig_daemon.config import Config, Limits
+from armrig_daemon.config import Config
 from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
 from armrig_daemon.service.host.host_facts import HostFacts, check_directory, of_this_host
+from armrig_daemon.service.plan import Plan
 
 _BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed
 _BYTES_PER_SECOND = 4000  # of the core's inputs and its reports, which do not depend on Ts
 _BASE_BYTES = 1 << 20  # size of a recording without samples
+_MOST_DROPPED = 2  # recordings that never began and whose threads still wait for the disk
+_MODE = 0o640  # the group may read a recording; only the daemon's user may change it
+_VERSION = version("armrig")  # read once, because it is read from a file
 
 
 class Planned(NamedTuple):
-    """Run that was requested and has not begun."""
+    """Run whose file is being created, or that has not begun."""
 
     run_id: str
-    path: Path
-    request: Run
-    rehearsal: Rehearsal | None
-    """Response of the model to the input; None for a rig without a model."""
-    text: bytes
-    """Input as text for the recording; the slow conversion is done before the run, at 0 V."""
+    plan: Plan
+    recording: Recording
 
 
 class Runs:
@@ -79,7 +75,8 @@ class Runs:
 
         The default of `description` is the description of the arm.
         """
-        self._description = description or shipped("arm")
+        self.description = description or shipped("arm")
+        """Description of the rig."""
         self._config = config
         self._circumstances = circumstances or of_this_host()
         self._directory = directory
@@ -94,6 +91,13 @@ class Runs:
         """True if a recording failed before all its samples were on the disk."""
         self._presence: ClientWatchdog | None = None
         self._early_notes: list[Outgoing] = []  # of a run that was requested and has not begun
+        self._is_expected = False
+        self._dropped: list[Recording] = []  # their threads may still wait for the disk
+
+    @property
+    def config(self) -> Config:
+        """Configuration with the calibration in force."""
+        return self._config
 
     @property
     def last(self) -> LastRun | None:
@@ -116,6 +120,17 @@ class Runs:
         return "" if self.is_idle or self.last is None else self.last.run_id
 
     @property
+    def is_expected(self) -> bool:
+        """True while a run is planned that was requested; its notes are kept for its recording."""
+        return self._is_expected
+
+    @is_expected.setter
+    def is_expected(self, value: bool) -> None:
+        self._is_expected = value
+        if not value and self._planned is None:
+            self._early_notes = []
+
+    @property
     def is_idle(self) -> bool:
         """True without a current run."""
         return self._planned is None and self._recording is None and self._finishing is None
@@ -129,50 +144,69 @@ class Runs:
         self._config = msgspec.structs.replace(self._config, calibration=calibration)
         self._calibration_raw = raw
 
-    def plan(
-        self,
-        request: Run,
-        Ts: float,
-        start_rad: float | None = None,
-        alive: Callable[[], None] = lambda: None,
-    ) -> tuple[pipe.Run, RunAccepted]:
-        """Return the order to the loop, and the answer to the client if the loop accepts the order.
-
-        `request` is the request of the client, `Ts` the sampling time of the lease in s, and
-        `start_rad` the angle of the turning shaft in rad. `alive` is called after each slow step,
-        because the plan may take seconds.
-
-        Raises CommandRefusedError if another run is requested or running, or there is no room for
-        the recording. The exception is a ValueError. Raises ValueError if a voltage or the
-        rehearsal is outside the limits.
-        """
+    def objection(self) -> Refused | None:
+        """Return the refusal of a run because of another run or a silent disk, or None."""
         if not self.is_idle:
             busy = "an experiment is running: stop it first, or wait for its end"
-            raise CommandRefusedError(refused(RefusalCode.RUNNING, busy))
-        no_room = check_directory(self._directory, _most_bytes(len(request.u), Ts) + _BASE_BYTES)
-        if no_room:
-            raise CommandRefusedError(no_room)
-        u = checked(request.u, self._config.limits)
-        alive()
-        rehearsal = self._config.rehearsal(u, Ts, self._description, start_rad)
-        alive()
-        text = one_a_line(u)
-        alive()
-        codes = codes_of(u.tolist())
-        alive()
-        run_id = self._circumstances.run_id(codes)
-        stamp = self._circumstances.now().strftime("%Y%m%dT%H%M%S")
-        name = f"{self._config.rig.id}-{request.experiment}-{stamp}-{run_id}.mcap"
-        self._planned = Planned(run_id, self._directory / name, request, rehearsal, text)
-        order = pipe.Run(
-            lease=request.lease,
-            n=request.n,
-            run_id=run_id,
-            codes=codes,
-            scheduled=request.pacing == "scheduled",
+            return refused(RefusalCode.RUNNING, busy)
+        self._dropped = [recording for recording in self._dropped if not recording.done]
+        if len(self._dropped) >= _MOST_DROPPED:
+            silent = f"{self._directory}: the disk does not answer; wait until it does, or set "
+            silent += "[recording] directory to another disk"
+            return refused(RefusalCode.NO_ROOM, silent)
+        return None
+
+    def open(self, plan: Plan, Ts: float, *, waits: bool = False) -> tuple[pipe.Run, RunAccepted]:
+        """Have the file of a run created; return the order to the loop, and the client's answer.
+
+        `Ts` is the sampling time of the lease in s. The order may leave when `opened` is True. If
+        `waits` is True, the file exists at the return.
+
+        Raises CommandRefusedError if another run is requested or running, or the file that was
+        waited for cannot be created. The exception is a ValueError.
+        """
+        if objection := self.objection():
+            raise CommandRefusedError(objection)
+        options = plan.options
+        run_id = self._circumstances.run_id(plan.codes)
+        stamp = self._circumstances.now(plan.zone).strftime("%Y%m%dT%H%M%S")
+        name = f"{self._config.rig.id}-{options.experiment}-{stamp}-{run_id}.mcap"
+        needed = _most_bytes(plan.samples, Ts) + _BASE_BYTES
+        recording = Recording(
+            self._directory / name,
+            changed=self._changed,
+            check=partial(_no_room, self._directory, needed),
+            mode=_MODE,
+            part_samples=part_samples(self._config.recording.part_minutes, plan.samples, Ts),
         )
-        path = str(self._planned.path)
-        return order, RunAccepted(run_id=run_id, recording=path, rehearsal=rehearsal)
+        self._planned = Planned(run_id, plan, recording)
+        self._is_expected = False
+        if waits:
+            recording.wait_for_file()
+            self.opened()
+        order = pipe.Run(
+            lease=options.lease,
+            n=options.n,
+            run_id=run_id,
+            codes=plan.codes,
+            scheduled=options.pacing == "scheduled",
+        )
+        path = str(recording.path)
+        return order, RunAccepted(run_id=run_id, recording=path, rehearsal=plan.rehearsal)
+
+    def opened(self) -> bool:
+        """Return whether the file of the planned run exists.
+
+        Raises CommandRefusedError if the file cannot be created; the run is then forgotten.
+        """
+        if self._planned is None:
+            overtaken = "the run was overtaken by another: arm, and send it again"
+            raise CommandRefusedError(refused(RefusalCode.OVERTAKEN, overtaken))
+        recording = self._planned.recording
+        if recording.error:
+            self.forget(self._planned.run_id)
+            raise CommandRefusedError(refused(RefusalCode.NO_ROOM, recording.error))
+        return recording.is_created
 
     def renew(self, sign: Renew, now_s: float) -> None:
         """Accept a sign of life; raise ValueError if the current run belongs to another client."""
@@ -193,57 +227,47 @@ class Runs:
     def forget(self, run_id: str) -> None:
         """Discard a planned run that the loop has refused or has not answered."""
         if self._planned is not None and self._planned.run_id == run_id:
+            recording = self._planned.recording
+            recording.discard()
+            self._dropped.append(recording)
             self._planned = None
             self._early_notes = []
 
     def begin(
         self, started: RunStarted, state: State, host: dict[str, Any], clock_offset_ns: int
     ) -> Path:
-        """Open the recording of the run that starts; return the path of the unfinished file.
+        """Begin the recording of the run that starts; return the path of the unfinished file.
 
-        Raises RecordingError if the file cannot be created. Raises LookupError if no client has
-        requested this run.
+        Raises LookupError if no client has requested this run.
         """
-        planned, self._planned = self._planned, None
-        early_notes, self._early_notes = self._early_notes, []
+        planned = self._planned
         if planned is None or planned.run_id != started.run_id:
+            self.forget(planned.run_id if planned else "")
             raise LookupError(f"run {started.run_id} was not requested")
+        early_notes, self._early_notes = self._early_notes, []
+        self._planned = None
         manifest = self._manifest(planned, started, state, host, clock_offset_ns)
         attachments = {
             CONFIG: msgspec.json.encode(self._config),
             CALIBRATION: msgspec.json.encode(self._config.calibration),
-            DESCRIPTION: self._description.text,
-            INPUT: planned.text,
+            DESCRIPTION: self.description.text,
+            INPUT: planned.plan.text,
         }
         if self._calibration_raw:
             attachments[CALIBRATION_RAW] = self._calibration_raw
         self._last = _begun(planned)
         self._first, self._end = started.k_first, started.k_first + started.count
-        try:
-            self._recording = Recording(
-                planned.path,
-                manifest,
-                attachments,
-                t_first_ns=started.t_host_ns,
-                changed=self._changed,
-                part_samples=part_samples(
-                    self._config.recording.part_minutes, manifest.samples, manifest.Ts
-                ),
-            )
-        except RecordingError as err:
-            self._last = msgspec.structs.replace(
-                self._last, finished=True, outcome=str(err), code=OutcomeCode.RECORDING
-            )
-            raise
+        self._recording = planned.recording
+        self._recording.begin(manifest, attachments, t_first_ns=started.t_host_ns)
         self._recording.add(early_notes)
-        self._presence = begun(planned.request, time.monotonic())
+        self._presence = begun(planned.plan.options, time.monotonic())
         return self._recording.active
 
     @property
     def takes_notes(self) -> bool:
         """True from the request of a run until its recording ends."""
         if self._recording is None:
-            return self._planned is not None
+            return self._planned is not None or self._is_expected
         return not self._recording.error
 
     def includes_sample(self, k: int) -> bool:
@@ -263,15 +287,16 @@ class Runs:
 
     def add_note(self, note: Outgoing) -> None:
         """Record a note; the recording of a requested run gets the note when it begins."""
-        if self._recording is None and self._planned is not None:
+        if self._recording is None and self.takes_notes:
             self._early_notes.append(note)
         else:
             self.add([note])
 
     def end(self, ended: Ending) -> None:
         """End the recording; its writer finishes the file."""
-        self._planned = self._presence = None
-        self._early_notes = []
+        if self._planned is not None:
+            self.forget(self._planned.run_id)
+        self._presence = None
         recording, self._recording = self._recording, None
         if recording is None or self._last is None:
             return
@@ -316,8 +341,14 @@ class Runs:
         if recording.error:
             self.has_lost = self.has_lost or recording.synced < recording.samples
             return "error", recording.error
-        text = f"recorded {recording.kept}: {outcome}, {recording.synced} samples, "
+        text = f"recorded {recording.kept}: {outcome}, {plural(recording.synced, 'sample')}, "
         return "info", f"{text}{recording.missing} missing"
+
+    def wait_for_dropped(self, timeout: float) -> None:
+        """Wait for the removal of files of runs that never began, for at most `timeout` s."""
+        until_s = time.monotonic() + timeout
+        for recording in self._dropped:
+            recording.join(max(0.0, until_s - time.monotonic()))
 
     def _manifest(
         self,
@@ -327,21 +358,21 @@ class Runs:
         host: dict[str, Any],
         clock_offset_ns: int,
     ) -> Manifest:
-        config = self._config
+        config, options, raw = self._config, planned.plan.options, self._calibration_raw
         return Manifest(
             rig=config.rig.id,
             run_id=planned.run_id,
-            experiment=planned.request.experiment,
-            details=planned.request.details,
+            experiment=options.experiment,
+            details=options.details,
             owner=state.owner,
             owner_checked=state.owner_checked,
             Ts=state.ts_us / 1e6,
-            samples=len(planned.request.u),
+            samples=planned.plan.samples,
             k_first=started.k_first,
-            pacing=planned.request.pacing,
-            started=self._circumstances.now().isoformat(timespec="milliseconds"),
+            pacing=options.pacing,
+            started=self._circumstances.now(planned.plan.zone).isoformat(timespec="milliseconds"),
             clock_offset_ns=clock_offset_ns,
-            armrig=version("armrig"),
+            armrig=_VERSION,
             protocol=f"{VERSION} {SCHEMA_HASH:08x}",
             device=state.device,
             host={
@@ -352,38 +383,16 @@ class Runs:
             },
             config_sha256=hashlib.sha256(msgspec.json.encode(config)).hexdigest(),
             calibration_sha256=config.calibration_sha256,
-            description_sha256=self._description.sha256,
-            rehearsal=planned.rehearsal,
+            description_sha256=self.description.sha256,
+            calibration_raw_sha256=hashlib.sha256(raw).hexdigest() if raw else "",
+            input_sha256=planned.plan.text_sha256,
+            rehearsal=planned.plan.rehearsal,
         )
 
 
-def one_a_line(volts: NDArray[np.float64]) -> bytes:
-    """Return the input (N,) as text for the recording: a heading, then a voltage per line."""
-    # msgspec takes a tenth of the time of repr. For millions of samples, repr would take so long
-    # that the loop would consider the service frozen.
-    text = msgspec.json.encode(volts.tolist())
-    return b"u_v\n" + text[1:-1].replace(b",", b"\n") + b"\n"
-
-
-def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
-    """Return the voltages of an experiment, (N,) in V.
-
-    Raises ValueError if a voltage is outside the limits, or a step is too large; the message names
-    the first index.
-    """
-    volts = np.asarray(u, dtype=np.float64)
-    low, high, slew = limits.u_min_v, limits.u_max_v, limits.slew_v
-    outside = ~((volts >= low) & (volts <= high))
-    if outside.any():
-        i = int(np.argmax(outside))
-        raise InputError(f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V")
-    steps = np.abs(np.diff(volts, prepend=0.0))
-    # The tolerance allows for the rounding error in the difference of two decimal numbers.
-    far = steps > slew * (1 + 1e-9)
-    if slew and far.any():
-        i = int(np.argmax(far))
-        raise InputError(f"u[{i}] steps by {steps[i]:.4g} V: at most {slew:.4g} V in a sample")
-    return volts
+def _no_room(directory: Path, needed: int) -> str:
+    objection = check_directory(directory, needed)
+    return objection.error if objection else ""
 
 
 def _most_bytes(samples: int, Ts: float) -> int:
@@ -402,7 +411,7 @@ def part_samples(minutes: float, samples: int, Ts: float) -> int:
 def _begun(planned: Planned) -> LastRun:
     return LastRun(
         run_id=planned.run_id,
-        recording=f"{planned.path}.active",
+        recording=str(planned.recording.active),
         finished=False,
         samples=0,
         outcome="",

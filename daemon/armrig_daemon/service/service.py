@@ -1,8 +1,8 @@
 """The service starts the loop, publishes and records the loop's reports, and passes on commands.
 
-The process also has the thread that writes the recording and the thread that maintains the folder.
-zenoh's threads put commands into queues, or refuse them by `admission`. The service may wait for
-disk and network, because the loop never waits for the service.
+The main thread makes no call that may wait, so that it serves each stop at once. Threads write the
+log and the recording, maintain the folder, and make the other calls of the file system; a process
+plans the runs. zenoh's threads put commands into queues, or refuse them by `admission`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import zenoh
 from armrig_core.access.daemon_lock import DaemonFacts, absolute
@@ -22,9 +24,9 @@ from armrig_core.commands import commands
 from armrig_core.commands.codes import Ending, OutcomeCode
 from armrig_core.errors import InputError
 from armrig_core.process import open_files, realtime
+from armrig_core.process.line_writer import LineWriter
 from armrig_core.process.signal_pipe import SignalPipe
 from armrig_core.process.standstill import Standstill
-from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.emulated import held_up
 from armrig_core.telemetry.telemetry import Outgoing, decode_sample
@@ -51,8 +53,11 @@ from armrig_daemon.pipe import (
 from armrig_daemon.service.access import Network, networks_of
 from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.host import child, pressure
+from armrig_daemon.service.host.planner import Planner
 from armrig_daemon.service.host.startup_recovery import StartupRecovery
 from armrig_daemon.service.host.systemd import Notifier
+from armrig_daemon.service.host.worker import Worker
+from armrig_daemon.service.preparation import Preparation
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import NetworkError, Session
 from armrig_daemon.service.rig_view import RigView
@@ -74,12 +79,23 @@ EX_TEMPFAIL = 75
 SILENCE_NS = 3_000_000_000
 """Silence of the service after which the loop stops the motor, in ns."""
 _FINISH_S = 60.0  # the full chunks of a long recording take time to write
+_DROP_S = 0.5  # an empty file that a silent disk leaves is named by `armrig recover`
 _QUIT_S = 2.0  # longest time for a frozen loop to end
 _LOAD_S = 30.0  # a loop that still loads has not reached the device yet
 _AT_FIFO = "not granted: the ordinary policy for the service, whose threads may delay the loop"
 _READ = 1 << 16
 _BREATH_S = 0.005  # pause between two checks while too many orders are unanswered
 _SWITCH_S = 0.0005  # longest time for which a thread of zenoh holds the interpreter
+
+
+class _Look(NamedTuple):
+    """Results of a look at the file system."""
+
+    lines: list[tuple[str, str]]
+    """Levels and texts of lines for the log."""
+    cpu_pressure: float
+    run_queue: int
+    load: str
 
 
 class Service:
@@ -95,6 +111,7 @@ class Service:
         check_configuration: Callable[[], Config] | None = None,
         *,
         description: Description | None = None,
+        log: LineWriter | None = None,
     ) -> None:
         """Catch the signals; start nothing yet.
 
@@ -102,7 +119,8 @@ class Service:
         emulator's clock stood still. `notifier` is the connection to systemd; default: no
         connection. `check_configuration` is called at SIGHUP: it reads the configuration again, and
         raises ValueError if the configuration is refused. Without this function, SIGHUP ends the
-        service. `description` describes the rig; default: the arm.
+        service. `description` describes the rig; default: the arm. `log` writes the lines of the
+        service and of its loop, for which neither waits; default: to standard error.
         """
         self._description = description or shipped("arm")
         self._notifier = Notifier({}) if notifier is None else notifier
@@ -110,6 +128,7 @@ class Service:
         self._restarts = False
         self._config = config
         self._stalls_fd = stalls_fd
+        self._log = log or LineWriter()
         self._endpoint = endpoint
         self._rig = RigView(config, endpoint, directory, self._description)
         self._signals = SignalPipe()
@@ -128,7 +147,7 @@ class Service:
         try:
             network, router = networks_of(config)
         except InputError as err:
-            print_line("error", str(err))
+            self._print("error", str(err))
             return EX_CONFIG
         loop = child.start(
             Settings(
@@ -138,7 +157,8 @@ class Service:
                 priority=config.timing.priority,
                 cpu=config.timing.cpu,
                 spin_ns=round(config.timing.spin_us * 1000),
-            )
+            ),
+            self._log.relay(),
         )
         try:
             # The loop has its real-time priority; later threads must not inherit this priority.
@@ -161,11 +181,12 @@ class Service:
                 self._notifier.stopping()  # the writer may need time, and the watchdog is not fed
                 self._runs.end(Ending(OutcomeCode.DAEMON_ENDED, "the loop ended"))
                 self._say_finished(_FINISH_S)
+                self._runs.wait_for_dropped(_DROP_S)
         except zenoh.ZError as err:
-            print_line("error", endpoint_error(self._endpoint, config.rig.id, err))
+            self._print("error", endpoint_error(self._endpoint, config.rig.id, err))
             return EX_CONFIG
         except NetworkError as err:
-            print_line("error", str(err))
+            self._print("error", str(err))
             return EX_CONFIG
         finally:
             code = loop.end()
@@ -173,7 +194,7 @@ class Service:
         if not self._quitting and code == NO_PORT:
             return EX_CONFIG
         if not self._quitting:
-            print_line(
+            self._print(
                 "error",
                 f"the loop died with code {code}: the device stops the motor by itself; "
                 "restart armrigd",
@@ -194,8 +215,20 @@ class Service:
         path = Path(self._endpoint.partition("/")[2])
         self._socket_file = SocketFile(path, facts, session.open_socket)
         self._sleep, self._slept = Standstill(), ""
+        self._pressure = pressure.Pressure()
+        wake = self._signals.wake
+        self._planner = Planner(self._description, wake, self._log.relay())
+        self._disk, self._housekeeping = Worker("disk", wake), Worker("housekeeping", wake)
         self._commands = Commands(
-            self._config, self._rig, self._runs, session, loop, self._say, self._note
+            self._config,
+            self._rig,
+            self._runs,
+            session,
+            loop,
+            Preparation(self._runs, self._planner),
+            self._disk,
+            self._say,
+            self._note,
         )
 
     def _announce(self, ways: Iterable[Network], *, has_left_fifo: bool) -> None:
@@ -214,6 +247,7 @@ class Service:
 
     def _serve(self) -> None:
         """Publish records and pass on commands until the loop's pipe ends."""
+        self._planner.start()
         state_due = time.monotonic() + 1
         while True:
             due = min(state_due, self._kill_at, self._runs.client_gone_s)
@@ -228,6 +262,7 @@ class Service:
                 records = self._loop.records()
                 if records is None:
                     self._woken()  # a signal may have ended the loop before `select` returned
+                    self._planner.close()
                     return
                 self._handle(records)
             if writable:
@@ -236,19 +271,20 @@ class Service:
                 self._hear_of_stalls(self._stalls_fd)
             if self._signals.fd in ready:
                 self._woken()
+            if time.monotonic() >= state_due:  # before what is looked at only after a wake-up
+                state_due = time.monotonic() + 1
+                self._each_second()
             # First handle the signs of life, so that a sign that had to wait is not too late.
             self._commands.serve_signs()
             if time.monotonic() >= self._runs.client_gone_s:
                 gone = self._runs.client_gone()
                 self._loop.order(Stop(reason=gone.text, outcome_code=gone.code))
             self._commands.serve()
+            self._housekeeping.hand_back()
             if time.monotonic() >= self._kill_at:
                 self._say("error", "the loop does not end: killed; the device stops the motor")
                 self._kill_at = float("inf")
                 self._loop.kill()
-            if time.monotonic() >= state_due:
-                state_due = time.monotonic() + 1
-                self._each_second()
 
     # -- from the loop ---------------------------------------------------------------------
 
@@ -272,7 +308,7 @@ class Service:
                     self._runs.add(batch)
                     batch = []
                     ended = Ending(record.outcome_code, record.outcome)
-                    load = self._standstill() or pressure.load()
+                    load = self._standstill() or self._rig.load
                     self._runs.end(pressure.with_load(ended, self._rig.state, load))
                 case Answer():
                     self._commands.answer(record)
@@ -307,10 +343,13 @@ class Service:
             self._rig.state = record
             self._notifier.status(state_sentence(record, self._rig.line))
         if isinstance(record, Log) and record.level != "debug":
-            print_line(record.level, log_line(record), self._about(record))
+            self._print(record.level, log_line(record), self._about(record))
         message = outgoing(record, self._offset_ns)
         self._session.put(message.stream, message.data)
         return message
+
+    def _print(self, level: str, message: str, fields: dict[str, str] | None = None) -> None:
+        self._log.call(partial(print_line, level, message, fields))
 
     def _about(self, log: Log) -> dict[str, str]:
         """Return the fields of a log line: rig, holder, current run, and the fields of `log`."""
@@ -358,7 +397,7 @@ class Service:
         self._left_over.rest()
         try:
             path = self._runs.begin(started, self._rig.state, self._rig.host, self._offset_ns)
-        except (RecordingError, LookupError) as err:
+        except LookupError as err:
             self._say("error", str(err))
             self._loop.order(Stop())
             return
@@ -387,18 +426,25 @@ class Service:
 
     def _restart(self, check_configuration: Callable[[], Config]) -> None:
         """End the unused service, as only a new process can give its loop a real-time priority."""
+
+        def then(found: object) -> None:
+            if isinstance(found, Exception):
+                text = "configuration not reloaded, the old configuration stays"
+                self._say("error", f"{text}: {found}")
+            elif not self._is_in_use():
+                self._restarts = True
+                self._quit("the configuration is reloaded")
+
+        if not self._is_in_use():
+            self._disk.call(lambda: networks_of(check_configuration()), then)
+
+    def _is_in_use(self) -> bool:
+        """Return whether the rig is in use; if so, say that nothing is reloaded."""
         owner = self._rig.state.owner
         if self._is_busy:
             who = f"{owner} has the rig" if owner else "a run or a command is in progress"
             self._say("warning", f"configuration not reloaded: {who}; reload when the rig is free")
-            return
-        try:
-            networks_of(check_configuration())
-        except ValueError as err:  # such as InputError
-            self._say("error", f"configuration not reloaded, the old configuration stays: {err}")
-            return
-        self._restarts = True
-        self._quit("the configuration is reloaded")
+        return self._is_busy
 
     def _quit(self, reason: str) -> None:
         self._quitting = True
@@ -406,27 +452,40 @@ class Service:
         within_s = _QUIT_S if self._rig.host else _LOAD_S
         self._kill_at = min(self._kill_at, time.monotonic() + within_s)
         self._loop.order(Quit(reason=reason))
+        self._commands.cancel("the daemon is ending")
 
     def _each_second(self) -> None:
         self._loop.order(Alive())
         self._standstill()
         self._woken()  # a disk that does not answer wakes nobody
         self._commands.refuse_overdue(time.monotonic())
-        if line := self._files.look():
-            self._say(*line)
-        if self._guard is not None:
-            line = self._guard.look(time.monotonic(), is_busy=self._is_busy)
-            if line is not None:
-                self._say(*line)
-        if changed := self._socket_file.look():
-            self._say("error", changed)
-        if self._session.uplink is not None and (line := self._session.uplink.look()):
-            self._say(*line)
+        self._planner.look()
+        if not self._housekeeping.waiting:
+            self._housekeeping.call(self._looked, self._note_look)
         if self._runs.is_idle:
             self._left_over.go_on()
         self._runs.add(self._published(self._thinning.due(realtime.now_ns())))
         if self._rig.is_known:
             self._publish(replace(self._rig.state, t_host_ns=realtime.now_ns()))
+
+    def _looked(self) -> _Look:
+        """Look at what needs the file system; this is done in a thread."""
+        lines = [self._files.look()]
+        if self._guard is not None:
+            lines.append(self._guard.look(time.monotonic(), is_busy=self._is_busy))
+        changed = self._socket_file.look()
+        lines.append(("error", changed) if changed else None)
+        if self._session.uplink is not None:
+            lines.append(self._session.uplink.look())
+        return _Look([line for line in lines if line], *self._pressure.read(), pressure.load())
+
+    def _note_look(self, found: _Look | Exception) -> None:
+        if isinstance(found, Exception):
+            self._say("error", f"the daemon could not look after its files: {found!r}")
+            return
+        for line in found.lines:
+            self._say(*line)
+        self._rig.note_load(*found[1:])
 
     @property
     def _is_busy(self) -> bool:

@@ -17,7 +17,7 @@ import msgspec
 from armrig_core.commands.codes import Ending
 from armrig_core.commands.commands import Run
 from armrig_core.errors import InputError, OperationError
-from armrig_core.rig.description import Description
+from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.emulated import VIRTUAL_PORT
 from armrig_core.telemetry.telemetry import Outgoing, decode_sample
 from msgspec import UNSET
@@ -40,6 +40,7 @@ from armrig_daemon.pipe import (
     Trace,
 )
 from armrig_daemon.service.host.host_facts import HostFacts
+from armrig_daemon.service.plan import make_plan, options_of
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.thinning import Thinning
@@ -83,9 +84,10 @@ class VirtualService:
         self._rig = VirtualRig(self._config.rules(description), emulator, switch_on=switch_on)
         circumstances = HostFacts(
             run_id=lambda codes: _name(seed, codes),
-            now=lambda: self._began + timedelta(microseconds=self._rig.ports.now // 1000),
+            now=lambda _: self._began + timedelta(microseconds=self._rig.ports.now // 1000),
             host={"time": "virtual", "seed": seed},
         )
+        self._description = description or shipped("arm")
         self._runs = Runs(self._config, directory, lambda: None, circumstances, description)
         self._thinning = Thinning()
         self._n = 0
@@ -105,7 +107,9 @@ class VirtualService:
         granted = self._ask(pipe.Arm(owner="virtual time", lease=LEASE, ts_us=0))
         self._n += 1
         request = replace(request, lease=LEASE, n=self._n)
-        order, _ = self._runs.plan(request, granted.body["Ts"])
+        u, Ts = request.u, granted.body["Ts"]
+        plan = make_plan(options_of(request), u, Ts, self._config, self._description)
+        order, _ = self._runs.open(plan, Ts, waits=True)
         self._has_ended = False
         self._ask(order)
         seconds = len(request.u) * granted.body["Ts"]

@@ -91,9 +91,11 @@ class Starter(threading.Thread):
     starter ends at once. A thread of ordinary priority would end only when a processor is free.
     """
 
-    def __init__(self, program: Sequence[str], fds: Sequence[int]) -> None:
+    def __init__(
+        self, program: Sequence[str], fds: Sequence[int], stderr_fd: int | None = None
+    ) -> None:
         super().__init__(name="starter", daemon=True)
-        self._program, self._fds = program, fds
+        self._program, self._fds, self._stderr_fd = program, fds, stderr_fd
         self._process: Future[subprocess.Popen[bytes]] = Future()
         self._over = threading.Event()
 
@@ -101,7 +103,10 @@ class Starter(threading.Thread):
         """Start the process; wait until it has ended."""
         try:
             with held_back():
-                self._process.set_result(subprocess.Popen(self._program, pass_fds=self._fds))
+                process = subprocess.Popen(
+                    self._program, pass_fds=self._fds, stderr=self._stderr_fd
+                )
+            self._process.set_result(process)
         except OSError as err:
             self._process.set_exception(err)
             return
@@ -125,8 +130,12 @@ class Starter(threading.Thread):
         self.join()
 
 
-def start(settings: Settings) -> LoopChild:
-    """Start the loop. The caller must not have opened a session, which the loop would inherit."""
+def start(settings: Settings, stderr_fd: int) -> LoopChild:
+    """Start the loop. The caller must not have opened a session, which the loop would inherit.
+
+    `stderr_fd` is the loop's standard error. It must not be a terminal, for which a loop that fails
+    would have to wait. The descriptor is closed here.
+    """
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):
@@ -134,10 +143,10 @@ def start(settings: Settings) -> LoopChild:
             fcntl.fcntl(fd, _F_SETPIPE_SZ, _PIPE_BYTES)
     arguments = [str(orders_out), str(records_in), msgspec.json.encode(settings).decode()]
     program = [sys.executable, "-m", "armrig_daemon.loop.process", *arguments]
-    starter = Starter(program, (orders_out, records_in))
+    starter = Starter(program, (orders_out, records_in), stderr_fd)
     starter.start()
     try:
         return LoopChild(starter, orders_in, records_out)
     finally:
-        os.close(orders_out)
-        os.close(records_in)
+        for fd in (orders_out, records_in, stderr_fd):
+            os.close(fd)

@@ -21,13 +21,16 @@ _START_S = 30.0  # on a busy machine a program takes seconds to load
 
 
 @contextmanager
-def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
+def emulated(
+    config: Config, directory: Path, stderr_fd: int | None = None
+) -> Iterator[tuple[Config, int]]:
     """Start an emulator on a socket; yield the configuration for its port, and a descriptor.
 
     The emulator writes lines that can be read from the descriptor. Each line is a time, in ns, for
     which the device's clock stood still.
 
     `config` is a configuration with the table [emulator]. The emulator's socket is in `directory`.
+    `stderr_fd` is its standard error, by default that of this process; it is closed here.
 
     Raises OperationError if the emulator ended, or took too long to start.
     """
@@ -44,10 +47,12 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     try:
         with held_back():
             child = subprocess.Popen(
-                [*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,)
+                [*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,), stderr=stderr_fd
             )
     finally:
         os.close(stalls_in)
+        if stderr_fd is not None:
+            os.close(stderr_fd)
     try:
         until = time.monotonic() + _START_S
         while not path.exists():

@@ -8,7 +8,7 @@ import pwd
 import secrets
 import shutil
 from collections.abc import Callable
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +21,8 @@ class HostFacts(NamedTuple):
 
     run_id: Callable[[bytes], str]
     """Returns the name of a run, 8 hexadecimal digits; it may depend on the run's codes."""
-    now: Callable[[], datetime]
-    """Returns the time of day, with its offset from UTC."""
+    now: Callable[[timezone], datetime]
+    """Returns the time of day in a time zone, which may be ignored."""
     host: dict[str, Any]
     """Description of the host in a recording, in addition to the loop's description."""
 
@@ -32,7 +32,7 @@ def of_this_host() -> HostFacts:
     uname = platform.uname()
     return HostFacts(
         run_id=lambda _: secrets.token_hex(4),
-        now=lambda: datetime.now(UTC).astimezone(),
+        now=datetime.now,
         host={
             "kernel": f"{uname.system} {uname.release} {uname.version}",
             "python": platform.python_version(),

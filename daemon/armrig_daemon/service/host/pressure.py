@@ -14,6 +14,7 @@ from time import monotonic_ns
 
 from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands.commands import Refused, refused
+from armrig_core.process.printable import plural
 from armrig_protocol.messages import Cause
 
 from armrig_daemon.decisions.faults import Id
@@ -71,7 +72,7 @@ def load(path: Path = CPU) -> str:
         mean, cpus = os.getloadavg()[0], len(os.sched_getaffinity(0))
     except OSError:
         return "load not reported by this kernel"
-    processors = "1 processor" if cpus == 1 else f"{cpus} processors"
+    processors = plural(cpus, "processor")
     text = f"load {mean:.1f} on {processors}"
     with contextlib.suppress(OSError, ValueError, IndexError):
         share = float(path.read_text(encoding="ascii").split()[1].removeprefix("avg10="))
