@@ -13,6 +13,7 @@ from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.polynomial import roots
+from armrig.numerics.quantities import digits, plural
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -52,7 +53,8 @@ def continuous(fit: Fit) -> Fit:
     _require_logarithms(fit, roots(F))
     if nk < 1 or b.size > n:
         raise InputError(
-            f"{fit.label} has {b.size} numerator coefficients from lag {nk} and {n} poles; a held "
+            f"{fit.label} has {b.size} numerator coefficients from lag {nk} and "
+            f"{plural(n, 'pole')}; a held "
             f"input gives at most {n}, from lag 1 on. Estimate with nk=1 and nb={n}, or in s"
         )
     z = roots(F).astype(np.complex128)
@@ -126,8 +128,8 @@ def _require_logarithms(fit: Fit, z: Complex) -> None:
     bad = z[(z.real <= 0) & (np.abs(z.imag) <= _REAL_TOLERANCE)]
     if bad.size:
         raise InputError(
-            f"{fit.label} has a pole at z = {bad[0].real:.3g}: no model in s of the same order has "
-            "this pole when sampled; lower the order, or estimate in s with armrig.tf"
+            f"{fit.label} has a pole at z = {digits(bad[0].real, 3)}: no model in s of the same "
+            "order has this pole when sampled; lower the order, or estimate in s with armrig.tf"
         )
 
 
@@ -163,7 +165,7 @@ class Quantities(dict[str, Quantity]):
         """Return a table with a line for each number."""
         width = max(map(len, self), default=0)
         return "\n".join(
-            f"{name:{width}}  {q.value:.5g} ± {q.std:.2g} {q.unit}".rstrip()
+            f"{name:{width}}  {q.value:.5g} ± {digits(q.std, 2)} {q.unit}".rstrip()
             if np.isfinite(q.value)
             else f"{name:{width}}  not determined: a pole may be 0; estimate with an integrator"
             for name, q in self.items()
@@ -197,7 +199,8 @@ def quantities(fit: Fit) -> Quantities:
 def _gain(fit: Fit, form: TransferFunction) -> _Row:
     """Return B(0)/F(0), or that of the rate of an integrating output.
 
-    The gain is NaN if F(0) is smaller than its standard deviation: the pole may be 0.
+    The gain is NaN if F(0) and the gain are smaller than their standard deviations: a pole may be
+    0. If a pole is far away instead, B(0) follows F(0), and their ratio is known.
     """
     theta, f = form.theta, form.slice_of("f")
     at_b, at_f = form.slice_of("b").stop - 1, f.stop - 1 - int(form.integrators[0])
@@ -208,7 +211,8 @@ def _gain(fit: Fit, form: TransferFunction) -> _Row:
         gradient[at_b] = 1 / below
         if at_f >= f.start:
             gradient[at_f] = -value / below
-            if abs(below) < np.sqrt(fit.trusted_covariance[at_f, at_f]):
+            P = fit.trusted_covariance
+            if below**2 < P[at_f, at_f] and value**2 < gradient @ P @ gradient:
                 value = np.nan
     rate = "/s" if form.integrators[0] else ""
     unit = f"{fit.unit}{rate}/{fit.input_unit}" if fit.unit and fit.input_unit else ""

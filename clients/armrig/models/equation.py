@@ -12,7 +12,7 @@ import numpy as np
 from armrig.models.estimate import Estimate
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.confidence_regions import Band
-from armrig.numerics.quantities import NBSP, listed, near_one, places, plural, with_std
+from armrig.numerics.quantities import NBSP, digits, listed, near_one, places, plural, with_std
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -55,7 +55,7 @@ def outputs_and_poles(fit: Fit) -> Iterator[str]:
     inputs = ", ".join(_with_unit(*x) for x in zip(fit.inputs, fit.input_units, strict=True))
     yield (
         f"{fit.label}: {inputs} to {plural(fit.ny, 'output')}, Ts {fit.Ts:g} s, "
-        f"{fit.theta.size} parameters"
+        f"{plural(fit.theta.size, 'parameter')}"
     )
     outputs = [_with_unit(*x) for x in zip(fit.outputs, fit.units, strict=True)]
     width = max(map(len, outputs))
@@ -86,7 +86,7 @@ def _correlations(fit: Fit) -> str:
 
 def _pole(z: complex, std: float) -> str:
     sign = f" ± {z.imag:.4f}i" if z.imag > 0 else ""
-    return f"{z.real:.4f}{sign} (std {std:.2g})"
+    return f"{z.real:.4f}{sign} (std {digits(std, 2)})"
 
 
 def heading(model: Fit) -> str:
@@ -171,10 +171,9 @@ def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -
         said = f"the residuals{of} are {'coloured' if coloured else 'white'}"
     if all(isnan(white.p_value) for white in whites):
         return said
-    if fit.trusts_robust:
-        return f"{said}: trust {robust}, not {std}"
-    of_what = "" if fit.trusts_coefficients else " of the responses, not of the coefficients"
-    return f"{said}: trust {std}{of_what}"
+    if not fit.trusts_coefficients:
+        return f"{said}: trust neither {std} nor {robust}"
+    return f"{said}: trust {f'{robust}, not {std}' if fit.trusts_robust else std}"
 
 
 def latex(fit: Fit) -> str:
@@ -353,7 +352,7 @@ def _roots(found: Roots) -> str:
             least = min((s for s in (real, imag) if s > 0), default=0.0)
             decimals = min(places(least), _MAX_DECIMALS)
             pair = f"{z.real:.{decimals}f} ± {z.imag:.{decimals}f}i"
-            texts.append(f"{pair} (σ {real:.2g}, {imag:.2g})")
+            texts.append(f"{pair} (σ {digits(real, 2)}, {digits(imag, 2)})")
         else:
             texts.append(near_one(z.real, real) if real else f"{z.real:g} (fixed)")
     return _listed(texts) or "none"
@@ -435,7 +434,8 @@ def root_lines(fit: Fit) -> list[str]:
             pair = f" ± {z.imag:.5f}i" if z.imag > 0 else ""
             std = f"{'fixed':>10}" if real == 0 and not pair else _std(real)
             lines.append(
-                f"  {name:12} {f'{z.real:.5f}{pair}':>22} {std}{f' {imag:24.2g}' if pair else ''}"
+                f"  {name:12} {f'{z.real:.5f}{pair}':>22} "
+                f"{std}{f' {digits(imag, 2):>24}' if pair else ''}"
             )
     return lines
 
@@ -506,7 +506,7 @@ def _form_and_root(fit: Fit) -> str:
 
 
 def _std(std: float) -> str:
-    return f"{std:>10.2g}" if np.isfinite(std) else f"{'not known':>10}"
+    return f"{digits(std, 2):>10}" if np.isfinite(std) else f"{'not known':>10}"
 
 
 def _squared(unit: str) -> str:

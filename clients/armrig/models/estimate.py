@@ -17,15 +17,12 @@ from armrig.models.structure import FreeResponse
 from armrig.models.structure_table import DESCRIBED, named
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics import criteria
+from armrig.numerics.curvature import doubts
 from armrig.numerics.inference import OutputQuality
 from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
-
-MAX_TRUSTED_CURVATURE = 0.5
-"""Largest `Fit.curvature` at which the coefficients' standard deviations are reliable. Up to this
-limit the 95 % intervals contain 95 % of the true values (docs/benchmarks.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,9 +114,9 @@ class Estimate:
     agreed: bool = True
     """True if all starts led to the same minimum."""
     curvature: float = 0.0
-    """Deviation of the loss from the parabola that `std` assumes. The deviation is |ln r|. The
-    ratio r is the rise of the loss divided by the rise of the parabola, both at two standard
-    deviations from the minimum. The deviation is 0 for a linear regression and in older files."""
+    """Deviation of the loss from the parabola that `std` assumes: the standard deviation of the
+    logarithm of the likelihood divided by that of the normal distribution. It is 0 for a linear
+    regression and in older files."""
     free: tuple[FreeResponse, ...] = ()
     """Initial state and input offset of each experiment, estimated with theta."""
     weights: str = ""
@@ -188,11 +185,15 @@ class Estimate:
 
     @property
     def trusts_coefficients(self) -> bool:
-        """True if the standard deviations of the coefficients are valid.
+        """True if the standard deviations of the coefficients are valid."""
+        return not self.doubts
 
-        If False, only the standard deviations of the responses are valid.
-        """
-        return self.curvature <= MAX_TRUSTED_CURVATURE
+    @property
+    def doubts(self) -> list[tuple[str, str]]:
+        """Reasons to distrust the standard deviations of the coefficients, each with a name."""
+        N = min((quality.N for quality in self.quality), default=0)
+        both, coloured = (self.covariance, self.covariance_robust), self.trusts_robust
+        return doubts(self.curvature, *both, N=N, coloured=coloured, outputs=self.ny)
 
     @property
     def trusted_covariance(self) -> Matrix:

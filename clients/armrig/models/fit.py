@@ -374,13 +374,11 @@ class Fit(Estimate):
         The initial state is estimated from the data by least squares. With an integrator, or if the
         model has `offset`, the input offset is estimated too.
 
-        One input and one output: ŷ(t) is NaN if past samples that ŷ(t) needs are not known. For a
-        model with A or D, but without C, ŷ is NaN at the beginning of an experiment. For a model
-        with C or D, ŷ is NaN during a gap. If A has an integrator, ŷ of such a model is also NaN
-        for at least the next `horizon` samples.
-
-        Several signals: if a sample of an output is missing, the prediction continues without the
-        sample. ŷ of an output is NaN before the first measured sample of this output.
+        After a missing sample a Kalman filter computes the predictions. Outputs that were estimated
+        one by one are also predicted one by one; the others by the covariance of e of all outputs.
+        If the noise is coloured, ŷ of an output is NaN before its first measured sample. A model
+        without C has a finite memory: its initial state reproduces the first samples whatever their
+        values are. There, and for the next `horizon` - 1 samples, ŷ is NaN, too.
 
         Raises
         ------
@@ -398,7 +396,7 @@ class Fit(Estimate):
         horizon 1: rms error 0.009 rad
         horizon None: rms error 0.075 rad
         """
-        from armrig.models.prediction import predicted
+        from armrig.models.predictor import predicted
 
         return predicted(self, data, horizon)
 

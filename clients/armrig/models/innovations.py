@@ -23,9 +23,9 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
+from armrig.models.noise_filter import NoiseFilter, NoiseProjection, noise_filter, noise_projection
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.noise_filter import NoiseFilter, noise_filter
 from armrig.numerics.polynomial import Array, filtered, lagged, shift_into
 from armrig.numerics.stretches import Mask, stretches
 
@@ -248,7 +248,7 @@ class LinearPart:
     """Signal D/C y, or D/C A y if A is given, (N,); 0 where the prediction error is not known."""
     unknown: Unknown
     """Basis of the unknown past."""
-    noise: NoiseFilter | None = None
+    noise: NoiseFilter | NoiseProjection | None = None
     """Filter of data with gaps."""
 
     @property
@@ -265,14 +265,18 @@ def regression(
     D: Array,
     F: Sequence[Array],
     A: Array | None = None,
+    innovations: bool = False,
 ) -> LinearPart:
     """Return the linear equation of the errors, for given C, D and F of each input.
 
-    A may be given, too; after gaps in y it must be given.
+    A may be given, too; after gaps in y it must be given. The errors of data with gaps are scaled
+    `innovations`, or have the same sum of squares, and are computed much faster.
     """
     n = structure
     if x.gaps and n.nc + n.nd:
-        return _regression_with_gaps(x, n, C=C, D=D if A is None else np.convolve(A, D), F=F, d=D)
+        product = D if A is None else np.convolve(A, D)
+        noise = None if innovations else noise_projection(C, product, x.rows)
+        return _regression_with_gaps(x, n, noise or noise_filter(C, product, x.rows), F=F, d=D)
     inputs = [
         lagged(filtered(D, np.convolve(C, F[j]), x.u[:, j]), n.lags(j)) for j in range(len(n.nb))
     ]
@@ -286,11 +290,15 @@ def regression(
 
 
 def _regression_with_gaps(
-    x: Experiment, n: Structure, *, C: Array, D: Array, F: Sequence[Array], d: Array
+    x: Experiment,
+    n: Structure,
+    noise: NoiseFilter | NoiseProjection,
+    *,
+    F: Sequence[Array],
+    d: Array,
 ) -> LinearPart:
-    """Return the linear equation of the scaled innovations; D is the product of D and A."""
+    """Return the linear equation of the errors of a filter, whose D is the product of d and A."""
     N = x.y.size
-    noise = noise_filter(C, D, x.rows)
     inputs = [lagged(filtered(d, F[j], x.u[:, j]), n.lags(j)) for j in range(len(n.nb))]
     pulse = np.append(1.0, np.zeros(N - 1))
     pulses = n.forgotten(0)

@@ -19,6 +19,7 @@ from armrig.data.step import Step
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
 from armrig.models.model_writing import FORMAT, FORMS, VERSION
+from armrig.numerics.quantities import plural
 
 FORMAT_OF_SEVERAL = "armrig-multivariable-model"
 """Format of models of several signals before version 2; its version is 1."""
@@ -95,7 +96,7 @@ def _fault(fit: Fit) -> str:
     """Return what is wrong with the numbers of a model; "" if nothing is."""
     d, form = fit.theta.size, fit.form
     if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
-        return f"it has {d} parameters, and covariances of another size"
+        return f"it has {plural(d, 'parameter')}, and covariances of another size"
     if not (np.isfinite(fit.theta).all() and 0 <= fit.Ts < np.inf):
         return "a parameter or Ts is no finite number"
     Lambda = fit.noise_covariance

@@ -19,6 +19,7 @@ from armrig.numerics.polynomial import (
     roots,
     without_integrator,
 )
+from armrig.numerics.quantities import digits
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -63,8 +64,8 @@ class Roots:
             parts = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
         for z, (re, im) in zip(self, parts, strict=True):
             lines.append(
-                f"{z.real:10.5f} {re:8.2g}  {z.imag:10.5f} {im:8.2g}  {abs(z):8.5f} "
-                f"{np.angle(z):7.3f}"
+                f"{z.real:10.5f} {digits(re, 2):>8}  {z.imag:10.5f} {digits(im, 2):>8}  "
+                f"{abs(z):8.5f} {np.angle(z):7.3f}"
             )
         return "\n".join(lines)
 

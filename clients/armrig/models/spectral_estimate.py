@@ -13,6 +13,7 @@ from armrig.data.treatment.integrating import rate_name
 from armrig.models.state_space import Complex, Vector
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import summation
+from armrig.numerics.quantities import digits, plural
 from armrig.plots.captions import legend, sign
 from armrig.plots.layout import (
     BLUE,
@@ -120,14 +121,14 @@ class SpectralEstimate(OfDataset):
         lines = [
             f"frequency response to {self.output}: {self.method}",
             f"  {w.size} frequencies, {w[0]:.4g} … {w[-1]:.4g} rad/s (Nyquist "
-            f"{np.pi / self.Ts:.4g}), {self.N} samples at {self.Ts:g} s",
+            f"{np.pi / self.Ts:.4g}), {plural(self.N, 'sample')} at {self.Ts:g} s",
         ]
         if self.integrator:
             lines.append("  y integrates: the response of its rate was estimated, then integrated")
         for i in np.unique(np.linspace(0, w.size - 1, 5).round().astype(int)):
             std, phase = self.std_magnitude[i], np.degrees(self.std_phase[i])
-            known = f" ± {std:.2g}" if np.isfinite(std) else ""
-            degrees = f" ± {phase:.2g}" if np.isfinite(phase) else ""
+            known = f" ± {digits(std, 2)}" if np.isfinite(std) else ""
+            degrees = f" ± {digits(phase, 2)}" if np.isfinite(phase) else ""
             coherence = f", coherence {self.coherence[i]:.3f}" if self.coherence is not None else ""
             lines.append(
                 f"  {w[i]:9.4g} rad/s  |G| {abs(self.G[i]):.4g}{known}, "

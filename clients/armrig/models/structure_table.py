@@ -26,7 +26,7 @@ ARM_POLES = 4
 """Number of poles of the arm, including the integrator. The number of numerator coefficients is
 equal."""
 
-COUNTED = {"na": "a's", "nb": "b's", "nc": "c's", "nd": "d's", "nf": "f's", "order": "states"}
+COUNTED = {f"n{x}": f"coefficients {x}" for x in "abcdf"} | {"order": "states"}
 COUNTED |= {"poles": "poles", "zeros": "zeros"}
 """Name of the items that an order counts, for each order except nk."""
 

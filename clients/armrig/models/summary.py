@@ -15,7 +15,7 @@ from armrig.models.characteristics import (
 )
 from armrig.models.uncertainty import Draws, drawn, pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HALF_WIDTH, Region
-from armrig.numerics.quantities import minus, with_range
+from armrig.numerics.quantities import minus, plural, with_range
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -97,7 +97,7 @@ class Summary:
         if self.draws is not None:
             left_out = f"; rejected: {self.draws.left_out}" if self.draws.left_out else ""
             n = self.draws.theta.shape[0]
-            lines.append(f"  checked by {n} draws of the parameters{left_out}")
+            lines.append(f"  checked by {plural(n, 'draw')} of the parameters{left_out}")
         return "\n".join(lines)
 
     def _figure(self, name: str) -> str:

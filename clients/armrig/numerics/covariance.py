@@ -200,6 +200,18 @@ def whitening(noise_covariance: Array, rows: Array) -> Array:
     return G
 
 
+def coloured(rows: Array, white: Array, noise_covariance: Array) -> Array:
+    """Return white values (N, ny, k) with the covariance of the outputs measured at `rows`.
+
+    This is the inverse of `whitening`. Where an output is missing, the result is 0.
+    """
+    found = np.zeros(white.shape)
+    for o, times in patterns(rows):
+        at = np.ix_(times, o)
+        found[at] = np.linalg.cholesky(noise_covariance[np.ix_(o, o)]) @ white[at]
+    return found
+
+
 def patterns(rows: Array) -> Iterator[tuple[Array, Array]]:
     """Yield the outputs of each set that is measured at some instants, and these instants.
 

@@ -31,6 +31,8 @@ from armrig.numerics.covariance import (
 )
 from armrig.numerics.criteria import fit_percent, mdl
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import plural
+from armrig.numerics.rounding import rounding_std
 from armrig.numerics.whiteness import (
     LJUNG_BOX,
     NOT_TESTED,
@@ -44,7 +46,6 @@ from armrig.numerics.whiteness import (
 
 Score = Literal["exogenous", "correlated"]
 Test = Literal["portmanteau", "ljung-box"]
-_ROUNDING_SHARE = 1e-18  # sse below this share of the sum of y² is due to rounding errors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -160,7 +161,11 @@ def infer(
     )
     # For tests on other data by MDL: in short data AIC often finds an autoregression in white
     # residuals, whose variance is too small.
-    consistent = [autoregression([r.e for r in of], mdl) for of in outputs]
+    sizes = [_rounding(of) for of in outputs]
+    consistent = [
+        autoregression([r.e for r in of], mdl, size)
+        for of, size in zip(outputs, sizes, strict=True)
+    ]
     quality = tuple(
         replace(
             quality_of(of, test=test, rounding=rounding, prewhitening=prewhitening),
@@ -175,7 +180,12 @@ def infer(
     else:
         e = np.vstack([np.column_stack([r.e for r in of]) for of in experiments])
         Lambda = pairwise_covariance(e) * np.sqrt(np.outer(inflation, inflation))
-    M = _score(experiments, score) * float(np.sum(counts) / np.sum(degrees))
+    exact = [q.loss <= size**2 for q, size in zip(quality, sizes, strict=True)]
+    Lambda = Lambda + np.diag(np.where(exact, np.square(sizes), 0.0))
+    if all(exact):
+        M = _white_score(experiments, Lambda)
+    else:
+        M = _score(experiments, score) * float(np.sum(counts) / np.sum(degrees))
     return Inference(
         covariance=W @ _white_score(experiments, Lambda) @ W.T,
         covariance_robust=W @ M @ W.T,
@@ -184,11 +194,18 @@ def infer(
     )
 
 
+def _rounding(parts: Sequence[OutputResiduals]) -> float:
+    """Return the standard deviation of rounding errors of one output; 0 if y is not known."""
+    measured = [r.y for r in parts if r.y is not None]
+    return rounding_std(*measured) if measured else 0.0
+
+
 def _degrees(parts: Sequence[OutputResiduals], N: int, parameters: float) -> float:
     unknown = sum(r.Z.shape[1] for r in parts if r.Z is not None)
     if N - unknown - parameters < 1:
         raise InputError(
-            f"{N} samples are too few to estimate the noise: {parameters:g} parameters and "
+            f"{plural(N, 'sample is', 'samples are')} too few to estimate the noise: "
+            f"{parameters:g} parameters and "
             f"{unknown} initial conditions are fitted to them; lower the orders, or record longer"
         )
     return float(N - unknown - parameters)
@@ -229,7 +246,7 @@ def quality_of(
     measured = [r.y for r in parts if r.y is not None]
     if measured:
         y = np.concatenate(measured)[known]
-        fit, rounding = fit_percent(y, sse), max(rounding, _ROUNDING_SHARE * float(y @ y))
+        fit, rounding = fit_percent(y, sse), max(rounding, N * _rounding(parts) ** 2)
     white = NOT_TESTED
     lags = default_lags(N)
     if test == "ljung-box" and sse > rounding:

@@ -67,6 +67,7 @@ def levenberg_marquardt(
     damping: float = FIRST_DAMPING,
     walls: Walls | None = None,
     error: float = 0.0,
+    tolerance: float = TOLERANCE,
 ) -> Optimum:
     """Return the local minimum of |e(theta)|² that a descent from an admissible `theta` reaches.
 
@@ -74,10 +75,10 @@ def levenberg_marquardt(
     In place of J it may return a function that computes J. A rejected step then costs only e.
 
     The search stops if both the relative change of the cost and the scaled gradient |Q^T e| / |e|
-    are below 1e-10. The columns of Q are an orthonormal basis of the column space of J. The scaled
-    gradient is therefore the cosine of the angle between e and this space. The search also stops if
-    rounding prevents further progress, or after `most` steps. A trial step that ends outside the
-    admissible set is halved until it ends inside.
+    are below `tolerance`. The columns of Q are an orthonormal basis of the column space of J. The
+    scaled gradient is therefore the cosine of the angle between e and this space. The search also
+    stops if rounding prevents further progress, or after `most` steps. A trial step that ends
+    outside the admissible set is halved until it ends inside.
 
     `known` is the cost of a minimum found earlier. If the search is near this cost and the
     predicted decrease is small, the search stops to save time. The search also stops if the
@@ -101,12 +102,14 @@ def levenberg_marquardt(
     if theta.size == 0 or cost == 0:
         return Optimum(theta=theta, cost=cost, iterations=0, converged=True)
     growth = 2.0
-    whole, scale = _compressed(e, J, error)
-    normals = _normals(walls, theta, scale)
-    change = np.inf
+    whole: _Linear | None = None  # J at theta, once a step needs it
+    touches, change = walls, np.inf
     iterations = 0
     while iterations < most:
         iterations += 1
+        if whole is None:
+            whole, scale = _compressed(e, J, error)
+            normals = _normals(touches, theta, scale)
         s, Vt, z = _along(normals, *whole, damping)
         predicted = float(z @ z)
         reach = 1.0 if cost <= target * (1 + _NEAR_TARGET) else _REACH
@@ -114,7 +117,7 @@ def levenberg_marquardt(
             break
         if best is not None and _leads_to(scale * (best - theta), whole, (s, Vt, z)):
             break
-        if change <= TOLERANCE and sqrt(predicted / cost) <= TOLERANCE:
+        if change <= tolerance and sqrt(predicted / cost) <= tolerance:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
         along = s / (s**2 + damping) * z
         step = (Vt.T @ along) / scale
@@ -134,8 +137,7 @@ def levenberg_marquardt(
             theta, cost = theta + step, trial_cost
             if cost == 0:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-            whole, scale = _compressed(trial_e, trial_J, error)
-            normals = _normals(None if inside else walls, theta, scale)
+            e, J, whole, touches = trial_e, trial_J, None, None if inside else walls
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3) if ratio < 1 else 1 / 10
             growth = 2.0
         elif promised <= _MIN_DECREASE * cost:

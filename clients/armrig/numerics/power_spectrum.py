@@ -8,6 +8,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
+from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import stretches
 
 Vector = NDArray[np.float64]
@@ -38,7 +39,7 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     longest = max((x.size for x in whole), default=0)
     if longest < _MIN_SEGMENT_SAMPLES:
         raise InputError(
-            f"the longest stretch without a gap has {longest} samples; a spectrum needs "
+            f"the longest stretch without a gap has {plural(longest, 'sample')}; a spectrum needs "
             f"{_MIN_SEGMENT_SAMPLES}"
         )
     total = sum(x.size for x in whole)

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import floor, isfinite, isnan, log10
 
+from armrig_core.process.printable import plural as plural
+
 _MAX_DECIMALS = 6
+_MAX_WITHOUT_POWER = 1e9
 _MAX_DECIMALS_NEAR_1 = 9
 
 _UNITS_OF_TIME = (
@@ -71,14 +74,14 @@ def minus(text: str) -> str:
     return text.replace("-", "\u2212")
 
 
-def number(x: float) -> str:
-    """Return a number with three significant digits; from 999.5 on, rounded to an integer."""
-    return minus(three_digits(x))
+def number(x: float, n: int = 3) -> str:
+    """Return a number as `digits` does, with a minus sign instead of a hyphen."""
+    return minus(digits(x, n))
 
 
-def three_digits(x: float) -> str:
-    """Return a number as `number` does, but with a hyphen as the minus sign."""
-    return f"{x:.3g}" if abs(x) < 999.5 else f"{x:.0f}"
+def digits(x: float, n: int) -> str:
+    """Return a number with n significant digits: 3.3, 330; from 10⁹ on, as a power of ten."""
+    return f"{x:.0f}" if 10**n - 0.5 <= abs(x) < _MAX_WITHOUT_POWER else f"{x:.{n}g}"
 
 
 def power(x: float) -> str:
@@ -100,8 +103,8 @@ def microseconds(x: float) -> str:
 
 
 def milliseconds(seconds: float) -> str:
-    """Return the text of a time in ms, given in s."""
-    return f"{seconds * 1e3:g}{NBSP}ms"
+    """Return the text of a time given in s, in ms; from 1 s on, in s."""
+    return f"{seconds:g}{NBSP}s" if seconds >= 1 else f"{seconds * 1e3:g}{NBSP}ms"
 
 
 def percent(x: float) -> str:
@@ -132,12 +135,7 @@ def times(*seconds: float) -> str:
     """Return times in a unit that suits the longest time: 20.6 ms, 32.5 … 46.4 ms, 2.78 h."""
     longest = max(map(abs, seconds))
     scale, unit = next((s, name) for least, s, name in _UNITS_OF_TIME if longest >= least)
-    return f"{' … '.join(three_digits(x / scale) for x in seconds)} {unit}"
-
-
-def plural(n: int, noun: str) -> str:
-    """Return a number with its noun: 1 sample, 2 samples."""
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+    return f"{' … '.join(digits(x / scale, 3) for x in seconds)} {unit}"
 
 
 def listed(names: Sequence[str]) -> str:

@@ -130,6 +130,25 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
     return found.reshape(shape).transpose(3, 1, 0, 2).reshape(n, -1, length**2)[:, :, :N]
 
 
+def outputs_from_rest(Phi: Array, C: Array, w: Array) -> Array:
+    """Return C x (N, k, ny) of x(t+1) = Phi x + w from rest, for k right-hand sides w (N, k, n).
+
+    As in `responses`, each mode is a first-order filter, unless the eigenvectors are dependent.
+    """
+    z, V = np.linalg.eig(Phi)
+    if np.linalg.cond(V) > _MAX_CONDITION:
+        return np.asarray(recursion(Phi, w, np.zeros(w.shape[1:]))[:-1] @ C.T)
+    found, to_modes, from_modes = 0.0, np.linalg.inv(V), C @ V
+    for i in np.flatnonzero(z.imag >= 0):
+        pair = z[i].imag > 0
+        along, pole, by = to_modes[i], z[i], from_modes[:, i] * (1 + pair)
+        if not pair:
+            along, pole, by = along.real, pole.real, by.real
+        mode = filtered([0.0, 1.0], [1.0, -pole], np.ascontiguousarray((w @ along).T))
+        found = found + np.real(mode.T[:, :, None] * by)
+    return np.asarray(found)
+
+
 def responses(Phi: Array, C: Array, signals: Array) -> Array:
     """Return C (q - Phi)^-1 e_k s for each signal s and unit vector e_k, (m, n, ny, N).
 

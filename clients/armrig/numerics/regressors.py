@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.numerics.least_squares import Basis, cholesky_factor, orthonormal, triangle
 from armrig.numerics.polynomial import Array, lagged, monic
+from armrig.numerics.rounding import SHARE, rounding_std
 from armrig.numerics.stretches import Mask
 
 _BLOCK_ROWS = 2_000
@@ -162,9 +163,24 @@ class Whitening:
     d: float
     """Slope, per sample; 0 if the slope is not estimated."""
     covariance: Array
-    """Covariance of (a1 … an, b0 … bn of each input, c, d)."""
+    """Covariance of (a1 … an, b0 … bn of each input, c, d); the noise is at least rounding."""
     rows: int
     """Number of equations without a missing sample, from which the model was estimated."""
+    exact: bool
+    """True if the errors are rounding errors, so that y has no noise."""
+    unique: bool
+    """True if the regressors are linearly independent, so that each coefficient is unique."""
+
+    @property
+    def ambiguous(self) -> bool:
+        """True if y has no noise, and other coefficients describe it as well."""
+        return self.exact and not self.unique
+
+    @property
+    def at_1(self) -> float:
+        """A(1); 0.0 if it is a rounding error, as for an integrator without noise."""
+        total = float(np.sum(self.A))
+        return total if abs(total) > SHARE * float(np.sum(np.abs(self.A))) else 0.0
 
     def residuals(self, u: Array, y: Array) -> Array:
         """Return e (N,), NaN where y(t) or one of the n outputs before it is missing."""
@@ -189,7 +205,8 @@ def whitening(parts: Sequence[tuple[Array, Array]], n: int, *, slope: bool = Fal
         R = triangle(blocks, width + 1)
     basis = orthonormal(R[:, :-1])
     theta = basis.coefficients(R[:, -1])
-    sse = float(np.sum(basis.without(R[:, -1]) ** 2))
+    floor = rows * rounding_std(*(y for _, y in parts)) ** 2
+    sse = max(float(np.sum(basis.without(R[:, -1]) ** 2)), floor)
     covariance = np.zeros((n + m + 2,) * 2)
     covariance[:width, :width] = sse / max(rows - basis.rank, 1) * (basis.W @ basis.W.T)
     return Whitening(
@@ -199,7 +216,24 @@ def whitening(parts: Sequence[tuple[Array, Array]], n: int, *, slope: bool = Fal
         d=float(theta[n + m + 1]) if slope else 0.0,
         covariance=covariance,
         rows=rows,
+        exact=rows > basis.rank and sse <= floor,
+        unique=basis.rank == width,
     )
+
+
+def unique_whitening(
+    parts: Sequence[tuple[Array, Array]], n: int, *, slope: bool = False
+) -> Whitening:
+    """Return the model of the highest order, from n down to 1, that is not ambiguous.
+
+    In data without noise the regressors of a high order are dependent. The constant of such a model
+    depends on the regressors that are left out, and so on rounding errors.
+    """
+    model = whitening(parts, n, slope=slope)
+    while n > 1 and model.ambiguous:
+        n -= 1
+        model = whitening(parts, n, slope=slope)
+    return model
 
 
 def _all_blocks(parts: Sequence[tuple[Array, Array]], n: int, slope: bool) -> Iterator[Array]:

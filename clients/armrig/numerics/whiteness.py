@@ -113,11 +113,14 @@ def ljung_box(e: Vector, lags: int, parameters: int = 0) -> float:
 
 
 def autoregression(
-    residuals: Sequence[Vector], criterion: Callable[[float, int, int], Array] = aic
+    residuals: Sequence[Vector],
+    criterion: Callable[[float, int, int], Array] = aic,
+    least: float = 0.0,
 ) -> tuple[Vector, float]:
     """Return C and s² of the autoregression C e = white noise of variance s², for all experiments.
 
-    The order has the least value of the criterion, by default AIC.
+    The order has the least value of the criterion, by default AIC. Residuals whose rms is at most
+    `least` are rounding errors: they have the order 0 and the variance least².
 
     Burg's recursion minimises the forward and backward errors of each order. C is therefore
     stable, and nearly unbiased for a resonance in short data, unlike that of Yule and Walker [2]_.
@@ -132,15 +135,24 @@ def autoregression(
        modelling", Ann. Nucl. Energy 23 (1996) 1219-1228.
     """
     N = sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals)
+    if sum(float(np.nansum(e**2)) for e in residuals) <= N * least**2:
+        return np.ones(1), least**2
     highest = min(int(10 * log10(max(N, 10))), N // 10)
     e = joined(residuals, 1)[:-1]
     known = np.isfinite(e)  # a value that depends on a missing sample is 0
     ahead = behind = np.where(known, e, 0.0)
     whole = np.convolve(known, np.ones(highest + 1, dtype=int), "valid") > highest
     burg = N <= _MAX_BURG and 2 * np.count_nonzero(whole) >= N
-    R, _ = autocovariance(joined(residuals, highest), 0 if burg else highest)
+    R, pairs = autocovariance(joined(residuals, highest), 0 if burg else highest)
+    # A correlation of few pairs varies more, so that N counts less in the criterion.
+    each = np.array([int(np.count_nonzero(np.isfinite(e))) for e in residuals])
+    lags = np.array([highest]) if burg else np.arange(1, highest + 1)
+    pairs = np.array([np.count_nonzero(whole)]) if burg else pairs[1:]
+    possible = np.maximum(each - lags[:, None], 0).sum(axis=1)
+    n = int(N * min(np.min(pairs / np.maximum(possible, 1), initial=1.0), 1.0))
+    highest = min(highest, n // 10)
     s2, order = float(R[0]), 0
-    least, best = float(criterion(s2, 0, N)), (np.ones(1), s2)
+    lowest, best = float(criterion(s2, 0, n)), (np.ones(1), s2)
     C = np.eye(1, highest + 1)[0]
     while order < highest and s2 > 0:
         order += 1
@@ -158,9 +170,13 @@ def autoregression(
             break
         C[: order + 1] += reflection * C[order::-1]
         s2 *= 1 - reflection**2
-        value = float(criterion(s2, order, N))
-        if value < least:
-            least, best = value, (C[: order + 1].copy(), s2)
+        value = float(criterion(s2, order, n))
+        if value < lowest:
+            lowest, best = value, (C[: order + 1].copy(), s2)
+    w = np.convolve(e, best[0], "valid")
+    w = w[np.isfinite(w)]
+    if not burg and w @ w > w.size * R[0]:  # correlations of few pairs need not be those of a noise
+        return np.ones(1), float(R[0])
     return best
 
 
