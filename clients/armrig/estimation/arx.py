@@ -14,6 +14,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative, undetermined
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
+from armrig.estimation.fit_warnings import with_doubts
 from armrig.estimation.orders import Integers, as_text, by_channel, by_pair, require_samples
 from armrig.estimation.stability import (
     instability,
@@ -133,11 +134,12 @@ def arx(data: Dataset | Signals, *, na: Any, nb: Any, nk: Any = 1, stable: bool 
     fit = fit_of_outputs(
         data, estimates, found.basis.W, structure="arx", score="correlated", specification=name
     )
+    fit = with_doubts(fit)
     if isinstance(data, Signals):
-        return replace(fit, findings=(*notes, *instability(fit.form)))
+        return replace(fit, findings=(*notes, *instability(fit.form), *fit.findings))
     residuals = [r.e for r in estimates[0].residuals]
     faults = data_faults(data, residuals, way_out=NO_OPTION)
-    return with_stability_warning(replace(fit, findings=(*notes, *faults)))
+    return with_stability_warning(replace(fit, findings=(*notes, *fit.findings, *faults)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

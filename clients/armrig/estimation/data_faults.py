@@ -9,18 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import sqrt
+from math import exp, sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
+from numpy.typing import NDArray
 
-from armrig.data.columns import Vector
+from armrig.data.columns import Vector, constancy
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.files.column_faults import rows_of_each_value
 from armrig.data.finding import Finding, warning
 from armrig.data.treatment import hampel, integrating, known_to_integrate
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.quantities import percent, plural
-from armrig.numerics.regressors import whitening
+from armrig.numerics.quantities import digits, percent, plural
+from armrig.numerics.regressors import unique_whitening, whitening
 from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
 
 NO_OPTION = "remove the means (detrend), or take a structure with the option offset, such as OE"
@@ -40,13 +42,17 @@ _MAD_TO_STD = 1.4826  # ratio of the standard deviation to median |x| for a norm
 _OUTLIER_SIGMAS = 10.0  # Gaussian residuals never exceed this many robust std
 _MIN_OUTLIER_SHARE = 0.2  # share of the sum of squares above which outliers dominate the estimate
 _TWO_LEVELS = 2
+_FEW_OUTLIERS, _INSTRUMENT_VALUES = 5, 3  # outliers, or values of outliers, that no state explains
+_BEYOND = 0.5  # least distance of the values of an instrument from the others, in their range
+_CLUSTERED, _FAR = 4.0, 1_000_000  # excess of outliers near others, in σ; distance beyond all data
+_SINGLE_ORDER, _SINGLE_REST, _USUAL = 10, 0.1, 2.0  # largest rest: of the residuals, of the noise
+_STATE_LEVEL = 0.01  # of the tests whether outliers depend on the state
 _MIN_RESIDUALS = 50  # least number of residuals for the check of outliers
 _MAX_LISTED = 5
 _COLOUR_LAGS = 10  # lags of the test of whiteness
 _MAX_OFFSET_ORDER = 12  # order of the model that estimates an offset
 _MAX_OFFSET_SAMPLES = 10_000  # enough samples to detect an offset that matters
 _MAX_SHOWN_SIGMAS = 1000.0
-_MIN_LEVEL_SHARE = 1e-9  # a level below this share of the largest |y| is a rounding error
 _MIN_LEVEL_SIGMAS = 4.0  # if there is no offset, 6 of 100 000 estimates exceed this limit
 
 
@@ -79,14 +85,39 @@ def swapped(data: Dataset) -> Iterator[Finding]:
     ):
         yield warning(
             "swapped",
-            f"{data.output} has two levels and u has many, so the columns may be swapped: the "
-            "input is the played signal, and the output is the measured signal",
+            f"{data.output} has two levels and {data.input} has many, so the columns may be "
+            "swapped: the input is the played signal, and the output is the measured signal",
         )
 
 
 def constant_input(data: Dataset) -> bool:
     """Return whether u is constant in each experiment."""
     return all(np.ptp(part.u) == 0 for part in data.experiments())
+
+
+def require_moving_output(data: Dataset | Signals) -> None:
+    """Refuse an output that is constant, because nothing can be tested or estimated in it."""
+    signals = data.signals()
+    for name, y in zip(signals.outputs, signals.y.T, strict=True):
+        if text := constancy(name, y):
+            raise InputError(text)
+
+
+def require_no_copies(data: Dataset) -> None:
+    """Refuse data that contain each row, or the whole record, several times."""
+    u, y = data.u, data.y
+    if (rows := rows_of_each_value(y)) > 1:
+        raise InputError(
+            f"each value of {data.output} is in {plural(rows, 'row')}: if it was read less often "
+            f"than the rows were written, keep one row of {rows}"
+        )
+    same = np.flatnonzero((y[2:] == y[0]) & (u[2:] == u[0])) + 2
+    for k in same[same <= y.size // 2].tolist():
+        if np.array_equal(u[k:], u[:-k]) and np.array_equal(y[k:], y[:-k], equal_nan=True):
+            raise InputError(
+                f"the data are the same again after {plural(k, 'row')}, so the repetition adds "
+                "nothing: keep the rows before"
+            )
 
 
 def undetermined(data: Dataset | Signals) -> str:
@@ -96,8 +127,8 @@ def undetermined(data: Dataset | Signals) -> str:
     if data.trends and constant_input(data):
         return CONSTANT_INPUT
     for name, x in (("u", data.u), (data.output, data.y[data.valid])):
-        if x.size and np.ptp(x) == 0:
-            return f"{name} is always {x[0]:.4g}: give the column that varies, or record again"
+        if text := constancy(name, x):
+            return text
     if np.array_equal(data.u, data.y):
         return f"{data.output} equals u: give the column of the output"
     return "lower the orders or excite with a richer input"
@@ -120,11 +151,86 @@ def _wrong_samples(data: Dataset, e: Vector) -> Iterator[Finding]:
         yield warning("outliers", text, "outliers", count=count, share=share)
 
 
-def looking_wrong(data: Signals) -> tuple[int, str]:
-    """Return the number of outliers of an output, and a text; raise the errors of `hampel`."""
+def looking_wrong(data: Signals, *, instrument: bool = False) -> tuple[int, str]:
+    """Return the number of outliers of an output, and a text; raise the errors of `hampel`.
+
+    The number is 0 if the outliers depend on the state of the rig. A nonlinear rig, or a
+    disturbance, then differs from a linear model there, and the samples are right. With
+    `instrument`, only values that an instrument gives count.
+    """
     wrong = np.flatnonzero(data.valid & ~hampel(data).valid)
+    if wrong.size and not _are_of_an_instrument(data, wrong):
+        if instrument:
+            return 0, ""
+        if wrong.size < _FEW_OUTLIERS:
+            wrong = wrong[_are_single(data, wrong)]
+        elif _depend_on_the_state(data, wrong):
+            return 0, ""
     where = ", ".join([*map(str, wrong[:_MAX_LISTED]), *["…"] * (wrong.size > _MAX_LISTED)])
     return wrong.size, f"{plural(wrong.size, 'sample')} of {data.outputs[0]} look wrong ({where})"
+
+
+def _are_of_an_instrument(data: Signals, wrong: NDArray[np.intp]) -> bool:
+    """Return whether a few values recur, such as -127, or are far beyond the other values."""
+    values, rest = data.y[wrong, 0], np.delete(data.y[:, 0], wrong)
+    low, high = float(np.nanmin(rest)), float(np.nanmax(rest))
+    beyond = np.maximum(values - high, low - values) > _BEYOND * (high - low)
+    few = np.unique(values).size <= min(_INSTRUMENT_VALUES, wrong.size - 1)
+    return bool(few or beyond.all())
+
+
+def _depend_on_the_state(data: Signals, wrong: NDArray[np.intp]) -> bool:
+    """Return whether outliers cluster, or are found at special values of the input or the output.
+
+    A wrong sample is found at any time and in any state. Kolmogorov and Smirnov's test compares the
+    values at the outliers with the other values.
+    """
+    from scipy.ndimage import maximum_filter1d
+    from scipy.stats import ks_2samp
+
+    y, rest = data.y[:, 0], np.setdiff1d(np.flatnonzero(data.valid), wrong)
+    clustered = np.count_nonzero(_distances(wrong) <= _COLOUR_LAGS) / wrong.size
+    by_chance = 1 - exp(-2 * _COLOUR_LAGS * wrong.size / data.N)
+    if clustered > by_chance + _CLUSTERED * sqrt(by_chance * (1 - by_chance) / wrong.size):
+        return True
+    right = np.interp(np.arange(data.N), rest, y[rest])
+    signals = [right, *data.u.T]
+    moves = [np.abs(np.diff(x, prepend=x[0])) for x in signals]
+    recent = [maximum_filter1d(x, _COLOUR_LAGS, origin=_COLOUR_LAGS // 2 - 1) for x in moves]
+    states = [*signals, *(np.abs(x - np.median(x)) for x in signals), *recent]
+    level = _STATE_LEVEL / len(states)
+    return any(ks_2samp(x[wrong], x[rest]).pvalue < level for x in states)
+
+
+def _are_single(data: Signals, wrong: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return whether each outlier is an error of its own sample, and no motion of the rig.
+
+    An error b of y(t) makes b a_k of the residual k samples later. A motion makes other residuals.
+    """
+    y = np.where(data.valid[:, 0], data.y[:, 0], np.nan)
+    right = y.copy()
+    right[wrong] = np.nan
+    n = max(min(_SINGLE_ORDER, data.N // 20), 1)
+    model = whitening([(data.u, right)], n)
+    all_errors = model.residuals(data.u, right)
+    usual = (_MAD_TO_STD * float(np.nanmedian(np.abs(all_errors)))) ** 2
+    single = np.zeros(wrong.size, np.bool_)
+    for i, t in enumerate(wrong.tolist()):
+        right[t] = y[t]
+        e = model.residuals(data.u, right)[t : t + n + 1]
+        right[t] = np.nan
+        known = np.isfinite(e)
+        a, e = model.A[: e.size][known], e[known]
+        whole = float(e @ e)
+        rest = whole - float(a @ e) ** 2 / max(float(a @ a), 1e-300)
+        single[i] = rest < max(_SINGLE_REST * whole, _USUAL * e.size * usual)
+    return single & (_distances(wrong) > _COLOUR_LAGS)
+
+
+def _distances(wrong: NDArray[np.intp]) -> NDArray[np.int_]:
+    """Return the distance of each outlier to the nearest other one, in samples."""
+    apart = np.diff(wrong, prepend=wrong[0] - _FAR, append=wrong[-1] + _FAR)
+    return np.minimum(apart[:-1], apart[1:])
 
 
 def _doubtful(residuals: Sequence[Vector]) -> bool:
@@ -150,18 +256,18 @@ def level_without_input(
     moves = [np.ptp(u[n:], axis=0) for u, _ in parts if len(u) > n]
     if n < 1 or not moves or not np.max(moves, axis=0).all():
         return None
-    model = whitening(parts, n)
+    model = unique_whitening(parts, n)
     std = float(np.sqrt(model.covariance[-2, -2]))
-    gain = float(np.sum(model.A))
-    largest = float(np.max(np.abs(data.y[data.valid])))
-    if not (std > 0 and gain > 0 and abs(model.c) > max(least * std, _MIN_LEVEL_SHARE * largest)):
+    gain = model.at_1
+    least = max(least, _MIN_LEVEL_SIGMAS) if model.exact else least
+    if not (std > 0 and gain > 0 and not model.ambiguous and abs(model.c) > least * std):
         return None
     unit = f" {data.units[0]}" if data.units[0] else ""
     sigmas = min(abs(model.c) / std, _MAX_SHOWN_SIGMAS)
     return warning(
         "level",
-        f"{data.outputs[0]} is about {model.c / gain:.3g}{unit} at u = 0 ({sigmas:.0f} standard "
-        f"deviations {'or more ' if sigmas == _MAX_SHOWN_SIGMAS else ''}from 0)",
+        f"{data.outputs[0]} is about {digits(model.c / gain, 3)}{unit} at u = 0 ({sigmas:.0f} "
+        f"standard deviations {'or more ' if sigmas == _MAX_SHOWN_SIGMAS else ''}from 0)",
         "level",
         level=model.c / gain,
         sigmas=sigmas,
@@ -170,13 +276,7 @@ def level_without_input(
 
 def require_informative(data: Signals) -> None:
     """Refuse constant signals, and inputs that are linear combinations of other inputs."""
-    for i, name in enumerate(data.outputs):
-        y = data.y[data.valid[:, i], i]
-        if np.ptp(y) == 0:
-            raise InputError(
-                f"{name} is always {y[0]:.4g}, so that it has no model; leave this output out, or "
-                "record it again"
-            )
+    require_moving_output(data)
     for j, name in enumerate(data.inputs):
         if np.ptp(data.u[:, j]) == 0:
             raise InputError(
@@ -186,7 +286,7 @@ def require_informative(data: Signals) -> None:
     rank = orthonormal(data.u - data.u.mean(axis=0)).rank
     if rank < data.nu:
         raise InputError(
-            f"the {data.nu} inputs have rank {rank}: some are copies or sums of others, so that "
-            "their effects cannot be separated; leave inputs out, or record with independent "
-            "inputs"
+            f"the {plural(data.nu, 'input has', 'inputs have')} rank {rank}: some are copies or "
+            "sums of others, so that their effects cannot be separated; leave inputs out, or "
+            "record with independent inputs"
         )

@@ -9,6 +9,7 @@ import numpy as np
 from armrig.data.columns import Vector
 from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.criteria import Criterion
+from armrig.numerics.quantities import digits
 from armrig.plots.captions import labelled, legend, sign
 from armrig.plots.layout import (
     BLUE,
@@ -99,7 +100,9 @@ def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
     t, y, std = (np.append(0.0, x) for x in (result.smooth_t, result.smooth, result.smooth_std))
     ax.fill_between(t, y - 2 * std, y + 2 * std, color=SKY, alpha=0.4, lw=0, label="smoothed, 95 %")
     ax.plot(t, y, color=BLUE, lw=1.1, label="smoothed from the step on")
-    ax.axhline(result.gain, color=INK, lw=0.8, ls=":", label=f"final value {result.gain:.3g}")
+    ax.axhline(
+        result.gain, color=INK, lw=0.8, ls=":", label=f"final value {digits(result.gain, 3)}"
+    )
     at = result.dead_time + result.tau
     level = (1 - np.exp(-1)) * result.gain
     if result.dead_time > 0:
@@ -107,7 +110,12 @@ def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
     ax.plot([at, at], [0, level], color=VERMILION, lw=1.0, ls="--")
     ax.plot([0, at], [level, level], color=VERMILION, lw=1.0, ls="--")
     ax.plot(
-        at, level, "o", color=VERMILION, ms=4, label=rf"63 %: $\tau$ = {1e3 * result.tau:.3g} ms"
+        at,
+        level,
+        "o",
+        color=VERMILION,
+        ms=4,
+        label=rf"63 %: $\tau$ = {digits(1e3 * result.tau, 3)} ms",
     )
     ax.set_xlabel("$t$ from the step [s]")
     ax.set_ylabel(f"{labelled(result.output)} [{gain_unit(result)}]")

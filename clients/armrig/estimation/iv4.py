@@ -10,7 +10,8 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.data_faults import NO_OPTION, data_faults
+from armrig.estimation.data_faults import NO_OPTION, data_faults, require_moving_output
+from armrig.estimation.fit_warnings import with_doubts
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
@@ -19,6 +20,7 @@ from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import OutputResiduals, infer
 from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import arx_rows, complete
 from armrig.numerics.whiteness import autoregression
 
@@ -72,6 +74,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     array([ 1.  , -1.66,  0.46,  0.24])
     """
     require_integers(MAX_ORDER, na=(na, 0), nb=(nb, 1), nk=(nk, 0))
+    require_moving_output(data)
     orders = f"na={na}, nb={nb}, nk={nk}"
     lags = range(nk, nk + nb)
     parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
@@ -112,9 +115,10 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         quality=(replace(found.quality[0], loss=sse / N, N=N, fit_percent=fit_percent(y, sse)),),
         Ts=data.Ts,
         findings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
+        input=data.input,
         **data.origin(),
     )
-    return with_stability_warning(fit)
+    return with_stability_warning(with_doubts(fit))
 
 
 def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:
@@ -162,7 +166,7 @@ def _solved(
     scale = np.maximum(column_norms(projected[:, :-1]), np.finfo(float).tiny)
     if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1] / scale) < d:
         raise InputError(
-            f"{orders}: the data determine fewer than {d} parameters; "
+            f"{orders}: the data determine fewer than {plural(d, 'parameter')}; "
             "lower the orders or excite with a richer input"
         )
     inverse = np.linalg.inv(projected[:, :-1])

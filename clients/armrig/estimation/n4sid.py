@@ -48,6 +48,7 @@ from armrig.models.structure_table import Focus, Weights
 from armrig.numerics.checks import require_integers, require_known
 from armrig.numerics.inference import Inference, OutputQuality
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import digits
 
 _REPLICATES = 100  # by default, for several outputs
 _STEP = 1e-6  # change of a parameter for a numerical derivative
@@ -328,14 +329,14 @@ def _warnings(data: Dataset, A: Array, covariance: Array, *, integrator: bool) -
         then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
         yield warning(
             "integrator",
-            f"a pole is 1 within its accuracy (distance {off:.1g}, standard deviation {std:.1g}): "
-            f"{then} set the option integrator, or simulations drift",
+            f"a pole is 1 within its accuracy (distance {digits(off, 1)}, standard deviation "
+            f"{digits(std, 1)}): {then} set the option integrator, or simulations drift",
             "integrator",
             off=off,
             std=std,
         )
     elif not integrator and _may_integrate(data, z[nearest]) and (found := integrating(data)):
-        text = f"{found.text}, and a pole is {off:.1g} from 1: try the option integrator"
+        text = f"{found.text}, and a pole is {digits(off, 1)} from 1: try the option integrator"
         yield warning("integrator", text, "integrator", off=off)
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
@@ -349,7 +350,7 @@ def _poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[Find
             yield warning(
                 "poor_fit",
                 f"the model predicts {name} worse than the mean of {name} does "
-                f"(fit {found.fit_percent:.2g} %): use another order, or ss",
+                f"(fit {digits(found.fit_percent, 2)} %): use another order, or ss",
                 fit_percent=found.fit_percent,
             )
 

@@ -25,7 +25,9 @@ from armrig.numerics.criteria import (
 )
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import digits, plural
 from armrig.numerics.regressors import complete, in_blocks, past
+from armrig.numerics.rounding import rounding_std
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -198,8 +200,9 @@ class OrderTable:
             yield "chosen: this structure, as no simpler structure is within one standard error"
         else:
             yield (
-                f"chosen: {_named(self.orders(i))}, {d[i]} parameters instead of {d[lowest]}; its "
-                f"loss is higher by {excess[i]:.2g} ± {std[i]:.2g}, within the effect of chance"
+                f"chosen: {_named(self.orders(i))}, {plural(d[i], 'parameter')} instead of "
+                f"{d[lowest]}; its loss is higher by {digits(excess[i], 2)} ± {digits(std[i], 2)}, "
+                "within the effect of chance"
             )
         fewer = np.flatnonzero((d < d[i]) & np.isfinite(loss))
         if fewer.size:
@@ -237,7 +240,7 @@ class OrderTable:
     def __repr__(self) -> str:
         """Return the choices and a table of the best structure for each number of parameters."""
         undetermined = int(np.count_nonzero(np.isnan(self.loss)))
-        first = f"{len(self)} ARX structures on the same {self.N} samples"
+        first = f"{plural(len(self), 'ARX structure')} on the same {plural(self.N, 'sample')}"
         first += f", {undetermined} not determined by the data" if undetermined else ""
         lines = [first]
         for c in self.criteria:
@@ -282,12 +285,16 @@ def order_table(
             losses += [found[m - 1][0] for m in nbs]
             errors += [found[m - 1][1] for m in nbs]
     table, squared = np.array(orders, dtype=np.int_), np.array(errors)
+    # Among structures without errors, rounding errors would choose.
+    least = rounding_std(*(y for _, y in data)) ** 2
     return OrderTable(
         na=table[:, 0],
         nb=table[:, 1],
         nk=table[:, 2],
-        loss=np.array(losses) / N,
-        validation_loss=None if validation is None else squared.sum(axis=1) / counts.sum(),
+        loss=np.maximum(np.array(losses) / N, least),
+        validation_loss=None
+        if validation is None
+        else np.maximum(squared.sum(axis=1) / counts.sum(), least),
         batch_losses=None if validation is None else squared / counts,
         output_variance=variance,
         N=N,

@@ -17,6 +17,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.models.structure import Structure
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.checks import MAX_ORDER, require_integers
+from armrig.numerics.quantities import plural
 
 Integers = NDArray[np.int_]
 Shared = Literal["", "denominator"]
@@ -28,7 +29,7 @@ _OF_OUTPUTS = ("na", "nc", "nd")
 def require_samples(orders: str, *, needed: int, got: int) -> None:
     """Refuse orders that need more samples than the data have."""
     if got < needed:
-        raise InputError(f"{orders} needs at least {needed} samples, got {got}")
+        raise InputError(f"{orders} needs at least {plural(needed, 'sample')}, got {got}")
 
 
 def by_channel(name: str, value: Any, data: Signals | Dataset, *, least: int) -> Integers:
@@ -52,7 +53,7 @@ def by_output(name: str, value: Any, data: Signals | Dataset, *, least: int) -> 
         return _named(name, value, list(outputs), least)
     given, ny = np.asarray(value, dtype=object), len(outputs)
     if given.shape not in ((), (ny,)):
-        raise InputError(f"{name} needs {ny} orders, one for each output, got {value!r}")
+        raise InputError(f"{name} needs {plural(ny, 'order')}, one for each output, got {value!r}")
     return _checked(name, np.broadcast_to(given, (ny,)), least)
 
 

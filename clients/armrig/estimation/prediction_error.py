@@ -19,13 +19,14 @@ from armrig.estimation.data_faults import (
     constant_input,
     data_faults,
     require_informative,
+    require_moving_output,
 )
 from armrig.estimation.estimated_outputs import EstimatedOutput, fit_of_outputs
 from armrig.estimation.fit_warnings import (
-    curvature,
     not_converged,
     parameter_warnings,
     search_warnings,
+    with_doubts,
 )
 from armrig.estimation.orders import (
     Shared,
@@ -52,6 +53,7 @@ from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.checks import require_known
 from armrig.numerics.covariance import unspread
+from armrig.numerics.curvature import curvature
 from armrig.numerics.inference import OutputResiduals
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
@@ -154,7 +156,9 @@ def estimated(
     rows = structures(given, name, integrators, offset=offset, shared=bool(shared))
     if isinstance(data, Signals):
         require_informative(data)
-    elif constant_input(data) and (rows[0].trend or not data.u.any()):
+    else:
+        require_moving_output(data)
+    if isinstance(data, Dataset) and constant_input(data) and (rows[0].trend or not data.u.any()):
         raise InputError(CONSTANT_INPUT)
     text, thorough = as_text(**given), starts == "many"
     task = _Task(data=data, orders=text, initial=initial, stable=stable, thorough=thorough)
@@ -176,7 +180,8 @@ def estimated(
         starts_ += one.starts(f"{of}: ")
         notes += [] if best.converged else [not_converged(best.iterations, f" of {of}")]
     fit = fit_of_outputs(data, estimates, W, starts=tuple(starts_), **fields)
-    return replace(fit, findings=(*notes, *instability(fit.form)))
+    fit = with_curvature(fit, found, estimates, W)
+    return replace(fit, findings=(*notes, *instability(fit.form), *fit.findings))
 
 
 def _chosen(task: _Task, rows: Sequence[Structure], outputs: tuple[int, ...]) -> Estimated:
@@ -304,12 +309,6 @@ def fit_of_one(
     problem, solution = one.problem, one.solution
     floor, n, best = rounding_floor(problem), problem.rows[0], one.ends[0][1]
     p, starts = problem.named(solution.ab, one.theta), tuple(one.starts())
-    curved = 0.0
-    if best.cost > floor:
-        variance = float(solution.e @ solution.e) / max(_degrees(one), 1)
-        own = W[problem.linear_size :]
-        at = one.theta if in_s is None else best.theta
-        curved = curvature(in_s or problem, at, variance * own @ own.T, variance)
     agreed = same_minimum(problem, best.cost, one.ends[-1][1].cost)
     free = [
         free_response(n, p, part, s)
@@ -324,18 +323,56 @@ def fit_of_one(
         starts=starts if len(starts) > 1 else (),
         agreed=agreed,
         free=tuple(free),
-        curvature=curved,
         **fields,
     )
+    fit = with_curvature(fit, [one], [estimate], W, in_s)
     residuals = [r.e for r in estimate.residuals]
     way_out = "" if n.trend else "estimate it, too (option offset)"
     findings = (
         *search_warnings(best, starts, agreed=agreed),
-        *parameter_warnings(W, fit.white, p["C"], curved),
+        *parameter_warnings(W, p["C"]),
+        *fit.findings,
         *data_faults(data, residuals, way_out=way_out),
         *one.findings,
     )
     return replace(fit, findings=findings)
+
+
+def with_curvature(
+    fit: Fit,
+    found: Sequence[Estimated],
+    estimates: Sequence[EstimatedOutput],
+    W: Array,
+    in_s: ContinuousProblem | None = None,
+) -> Fit:
+    """Return the fit with the largest curvature of a loss, and a warning if it is large."""
+    back = np.linalg.pinv(np.vstack([one.J for one in estimates]))
+    robust = back @ fit.covariance_robust @ back.T
+    worst, begin = 0.0, 0
+    for one in found:
+        problem, best, e = in_s or one.problem, one.ends[0][1], one.solution.e
+        own = np.arange(begin + one.problem.linear_size, begin + one.parameters)
+        begin += one.parameters
+        if best.cost <= rounding_floor(one.problem):
+            continue
+        at, degrees = one.theta if in_s is None else best.theta, max(_degrees(one), 1)
+        # In data with gaps the search is over A, too, which is linear.
+        followers = slice(0, one.problem.slice_of("a", 0).stop if in_s is None else 0)
+        kept = np.delete(own, followers)
+
+        def cost(theta: Array, problem: Any = problem) -> float:
+            return float(problem.cost(theta)) if problem.circle.admits(theta) else np.inf
+
+        curved = curvature(
+            cost,
+            at,
+            float(e @ e) / degrees * W[own] @ W[own].T,
+            cost(at) / degrees,
+            used=robust[np.ix_(kept, kept)] if fit.trusts_robust else None,
+            followers=followers,
+        )
+        worst = max(worst, curved)
+    return with_doubts(replace(fit, curvature=worst))
 
 
 def with_integrator(n: Structure) -> Array:
@@ -392,7 +429,7 @@ def outputs_of(
     for one, basis in zip(found, bases, strict=True):
         problem, solution, k = one.problem, one.solution, len(one.outputs)
         ends = np.cumsum([k * of[0].y.size for of in problem.experiments])[:-1]
-        shares = np.split(basis.Q, ends)
+        shares, own = np.split(basis.Q, ends), np.split(solution.Psi, ends)
         whitened = [unspread(problem.weights[e], Q) if k > 1 else [Q] for e, Q in enumerate(shares)]
         for r, (i, n) in enumerate(zip(one.outputs, problem.rows, strict=True)):
             residuals = []
@@ -402,7 +439,9 @@ def outputs_of(
                 if not alone:
                     H = np.zeros((part.N, W.shape[1]))
                     H[:, column : column + basis.rank] = solution.scales[r] * whitened[e][r]
-                    Psi = given.unknown.without(np.hstack([given.X, errors.Psi]))
+                    Psi = own[e]
+                    if k > 1:
+                        Psi = given.unknown.without(np.hstack([given.X, errors.Psi]))
                 residuals.append(
                     OutputResiduals(
                         e=np.where(problem.experiments[e][r].rows, errors.e, np.nan),

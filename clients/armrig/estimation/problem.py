@@ -23,7 +23,12 @@ from armrig.models.innovations import (
 from armrig.models.structure import Structure
 from armrig.numerics.covariance import spread, spread_apart
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.levenberg_marquardt import Jacobian, Optimum, levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import (
+    TOLERANCE,
+    Jacobian,
+    Optimum,
+    levenberg_marquardt,
+)
 from armrig.numerics.polynomial import (
     INSIDE_MODULUS,
     Array,
@@ -32,6 +37,8 @@ from armrig.numerics.polynomial import (
     outward_normals,
     stable,
 )
+
+_TOLERANCE_WITH_GAPS = 3e-5  # of a search: theta is off by 3e-5 sqrt(N) deviations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,8 +116,9 @@ class Solution:
     """Derivatives of the prediction with respect to `linear`, (M, n). Their projection on the
     effects of the unknown past is subtracted."""
     by_theta: Array
-    """Derivatives of the prediction with respect to theta, (M, n). Their projection on the effects
-    of the unknown past is subtracted."""
+    """Derivatives of the prediction with respect to theta, (M, n), minus e times the derivatives of
+    the logarithm of its scale in the cost. Their projection on the effects of the unknown past is
+    subtracted."""
     J: Array
     """Derivatives `by_theta` minus their projection on `by_ab`."""
     rank: int
@@ -165,14 +173,18 @@ class PolynomialProblem:
 
     def __post_init__(self) -> None:
         """Find the places of the coefficients."""
-        gaps = any(x.gaps for of in self.experiments for x in of)
-        layout = _layout(self.rows, gaps and any(n.na for n in self.rows))
+        layout = _layout(self.rows, self.gaps and any(n.na for n in self.rows))
         n = self.rows[0]
         single = len(self.rows) == len(self.experiments) == len(n.nb) == 1
         projects = single and self.experiments[0][0].whole
         object.__setattr__(self, "layout", layout)  # a field of a frozen dataclass
         free = self.combination is None
         object.__setattr__(self, "projects", projects and free)
+
+    @property
+    def gaps(self) -> bool:
+        """True if an output of a noise model has gaps."""
+        return any(x.gaps for of in self.experiments for x in of)
 
     @property
     def N(self) -> int:
@@ -244,7 +256,7 @@ class PolynomialProblem:
 
     def solve(self, theta: Array, ab: Array | None = None) -> Solution:
         """Return the least-squares solution for A and B, if not given, and the unknown past."""
-        return self._solved(theta, self._equations(theta), ab=ab)
+        return self._solved(theta, self._equations(theta, innovations=True), ab=ab)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
         """Return e and J, maybe times one orthogonal matrix, scaled so that |e|² is the cost."""
@@ -254,7 +266,7 @@ class PolynomialProblem:
     def solve_scaled(self, theta: Array) -> tuple[Solution, float]:
         """Return the solution at theta, and the scale of its errors and derivatives in the cost."""
         equations = self._equations(theta)
-        return self._solved(theta, equations, scaled=True), equations.scale
+        return self._solved(theta, equations), equations.scale
 
     def cost(self, theta: Array) -> float:
         """Return the sum of squared errors at theta, scaled as the class describes."""
@@ -269,8 +281,10 @@ class PolynomialProblem:
         """Return e and J, or e and a function that computes J."""
         if (found := self._projected(theta)) is not None:
             return found
-        solution, scale = self.solve_scaled(theta)
-        return scale * solution.e, scale * solution.J
+        equations = self._equations(theta)
+        basis, _, y = equations.projected(self.combination)
+        scale = equations.scale
+        return scale * basis.without(y), lambda: scale * self._solved(theta, equations).J
 
     def _projected(self, theta: Array) -> tuple[Array, Jacobian] | None:
         if not self.projects:
@@ -278,10 +292,14 @@ class PolynomialProblem:
         C, D, F = self.polynomials(theta)
         return projected_errors(self.experiments[0][0], self.rows[0], C=C, D=D, F=F)
 
-    def _equations(self, theta: Array) -> _Equations:
+    def _equations(self, theta: Array, *, innovations: bool = False) -> _Equations:
         known = [self._of_row(theta, i) for i in range(len(self.rows))]
+        innovations |= len(self.rows) > 1  # the weights are those of the measured outputs
         given = [
-            [regression(x, n, **p) for x, n, p in zip(of, self.rows, known, strict=True)]
+            [
+                regression(x, n, **p, innovations=innovations)
+                for x, n, p in zip(of, self.rows, known, strict=True)
+            ]
             for of in self.experiments
         ]
         logs, by_theta = self._log_scales(given, [p["C"] for p in known])
@@ -327,16 +345,14 @@ class PolynomialProblem:
         past = Unknown(basis=orthonormal(spread_apart(G, spans)), pulses=0, N=whole.shape[0])
         return LinearPart(X=whole[:, :-1], y=whole[:, -1], unknown=past)
 
-    def _solved(
-        self, theta: Array, equations: _Equations, *, ab: Array | None = None, scaled: bool = False
-    ) -> Solution:
+    def _solved(self, theta: Array, equations: _Equations, *, ab: Array | None = None) -> Solution:
         basis, by_ab, y = equations.projected(self.combination)
         e = basis.without(y) if ab is None else y - by_ab @ ab
         linear = ab = basis.coefficients(y) if ab is None else ab
         if self.combination is not None:
             ab = self.combination @ linear
         parts = self._parts(theta, equations, ab)
-        by_theta = self._by_theta(parts, equations, theta.size, scaled=scaled)
+        by_theta = self._by_theta(parts, equations, theta.size)
         return Solution(
             ab=ab,
             parts=tuple(parts),
@@ -370,11 +386,9 @@ class PolynomialProblem:
             )
         return found
 
-    def _by_theta(
-        self, parts: list[tuple[Errors, ...]], equations: _Equations, size: int, *, scaled: bool
-    ) -> Array:
-        """Return the derivatives of the prediction, or of the scaled prediction, by theta."""
-        changes = self._scale_changes(parts, equations) if scaled and equations.scaled else None
+    def _by_theta(self, parts: list[tuple[Errors, ...]], equations: _Equations, size: int) -> Array:
+        """Return the derivatives by theta of the prediction, scaled as in the cost."""
+        changes = self._scale_changes(parts, equations) if equations.scaled else None
         found = []
         for k, of in enumerate(parts):
             blocks = [p.Psi for p in of]
@@ -407,7 +421,12 @@ class PolynomialProblem:
         """Return the minimum that a search from theta reaches with stable C and F."""
         circle = self.circle
         return levenberg_marquardt(
-            self._linearise_lazily, theta, admissible=circle.admits, walls=circle, **limits
+            self._linearise_lazily,
+            theta,
+            admissible=circle.admits,
+            walls=circle,
+            tolerance=_TOLERANCE_WITH_GAPS if self.gaps else TOLERANCE,
+            **limits,
         )
 
     @property

@@ -18,6 +18,7 @@ import msgspec
 from armrig_core.errors import InputError
 
 from armrig.models.structure_table import STRUCTURES, Focus, OfferedName, Starts, Weights
+from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
@@ -68,9 +69,13 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     """False if a state-space model has no gain K of the innovations."""
     replicates: int | None = None
     """Number of replicates from which the covariance of a subspace model is computed."""
-    delay: Annotated[str | None, Option('Delay from u to y in seconds, or "estimate"', "0")] = None
+    delay: Annotated[str | None, Option('Delay from u to y, in s, or "estimate"', "0")] = None
     form: Annotated[
-        str | None, Option("Process with 0 to 3 time constants and letters D, Z, I, U, such as P1D")
+        str | None,
+        Option(
+            "Form of the process, such as P1D: number of time constants (0 to 3), dead time D, "
+            "zero Z, integrator I, underdamped U"
+        ),
     ] = None
 
     @property
@@ -198,16 +203,16 @@ def require_sensible(*, samples: int, nk: int, integrator: bool = False, **order
     if not most:
         needed = SAMPLES_PER_PARAMETER * max(parameters, nk, 1)
         raise InputError(
-            f"{samples} samples are too few for a model: record longer, at least {needed} samples "
-            f"for {asked or f'nk={nk}'}"
+            f"{plural(samples, 'sample is', 'samples are')} too few for a model: record longer, at "
+            f"least {plural(needed, 'sample')} for {asked or f'nk={nk}'}"
         )
     if parameters > most:
         raise InputError(
-            f"{asked}: {parameters} parameters from {samples} samples; at most {most} parameters, "
-            f"one for each {SAMPLES_PER_PARAMETER} samples: lower {' or '.join(orders)}, or "
-            "record longer"
+            f"{asked}: {plural(parameters, 'parameter')} from {plural(samples, 'sample')}; at most "
+            f"{plural(most, 'parameter')}, one for each {SAMPLES_PER_PARAMETER} samples: lower "
+            f"{' or '.join(orders)}, or record longer"
         )
     if nk > most:
         raise InputError(
-            f"nk={nk}: at most {most} for {samples} samples; lower nk, or record longer"
+            f"nk={nk}: at most {most} for {plural(samples, 'sample')}; lower nk, or record longer"
         )

@@ -8,7 +8,7 @@ may also fit the noise. Therefore the search moves each mode.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 from typing import Any, TypeVar
@@ -22,6 +22,7 @@ from armrig.models.innovations import completed
 from armrig.numerics.covariance import pairwise_covariance, whitening
 from armrig.numerics.levenberg_marquardt import FIRST_DAMPING, MAX_STEPS, Optimum
 from armrig.numerics.polynomial import Array, filtered, monic, of_roots, reduced, roots
+from armrig.numerics.rounding import rounding_std
 
 Ends = list[tuple[str, Optimum]]
 """Name of each start value, and the minimum reached by the search from this start value."""
@@ -29,7 +30,6 @@ End = TypeVar("End")
 Problem = PolynomialProblem | ContinuousProblem
 
 SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
-ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
 _MIN_NOISE_SHARE = 0.2  # if noise is a larger share of the output's variance, a mode may fit noise
 _MAX_ROUNDS = 6
 _MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
@@ -92,7 +92,7 @@ def searched_minimum(
 
 def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, **moves: Any) -> Optimum:
     """Return the minimum from the best moved mode, with predicted values of missing outputs."""
-    if not _gaps(problem):
+    if not problem.gaps:
         return lowest_beside(problem, best, moved_modes(problem, best.theta, **moves))
     whole = _completed(problem, best.theta)
     begin = whole.minimise(_adopted(whole, problem, best.theta))
@@ -103,18 +103,22 @@ def _lowest_without_gaps(problem: PolynomialProblem, best: Optimum, **moves: Any
     return found if found.cost < best.cost else best
 
 
-def _gaps(problem: PolynomialProblem) -> bool:
-    return any(x.gaps for of in problem.experiments for x in of)
-
-
 def _completed(problem: PolynomialProblem, theta: Array) -> PolynomialProblem:
-    """Return the problem with predictions of the missing outputs of a noise model."""
+    """Return the problem with estimates of the missing outputs of a noise model."""
+    return _fill_gaps(problem, [[p.y for p in of] for of in problem.solve_scaled(theta)[0].parts])
+
+
+def _fill_gaps(
+    problem: PolynomialProblem, outputs: Sequence[Sequence[Array]] | None = None
+) -> PolynomialProblem:
+    """Return the problem without gaps, with the given outputs, by default interpolated ones."""
+    given = outputs or [[x.y for x in of] for of in problem.experiments]
     experiments = tuple(
         tuple(
-            completed(x, n, p.y) if x.gaps else x
-            for x, n, p in zip(of, problem.rows, parts, strict=True)
+            completed(x, n, y) if x.gaps else x
+            for x, n, y in zip(of, problem.rows, ys, strict=True)
         )
-        for of, parts in zip(problem.experiments, problem.solve(theta).parts, strict=True)
+        for of, ys in zip(problem.experiments, given, strict=True)
     )
     return replace(problem, experiments=experiments)
 
@@ -146,9 +150,23 @@ def lowest_beside(
 
 
 def from_starts(problem: PolynomialProblem) -> Ends:
-    """Return the minimum reached from each start value of polynomials, best first."""
+    """Return the minimum reached from each start value of polynomials, best first.
+
+    In data with gaps, the first searches have interpolated outputs, then predicted ones. From each
+    of their minima, one search continues with the gaps.
+    """
     other = np.inf if problem.rows[0].white else _OTHER_MINIMUM
-    return from_each(problem, start_values(problem), other)
+    if not problem.gaps:
+        return from_each(problem, start_values(problem), other)
+    whole = _predict_gaps(problem)
+    return _continue_searches(problem, whole, from_each(whole, start_values(whole), other))
+
+
+def _predict_gaps(problem: PolynomialProblem) -> PolynomialProblem:
+    """Return the problem with the predictions of a first model, which has interpolated outputs."""
+    whole = _fill_gaps(problem)
+    first = from_each(whole, start_values(whole))[0][1]
+    return _completed(problem, _adopted(problem, whole, first.theta))
 
 
 def from_each(problem: Problem, starts: Iterable[tuple[str, Array]], other: float = np.inf) -> Ends:
@@ -166,9 +184,16 @@ def from_each(problem: Problem, starts: Iterable[tuple[str, Array]], other: floa
 
 def _through(part: PolynomialProblem, problem: PolynomialProblem) -> Ends:
     """Continue from the minima on a part of the data; return the minima on all data, best first."""
+    return _continue_searches(problem, part, from_starts(part))
+
+
+def _continue_searches(
+    problem: PolynomialProblem, part: PolynomialProblem, known_ends: Ends
+) -> Ends:
+    """Continue from the distinct minima of another problem; return the minima, best first."""
     ends: Ends = []
     previous: tuple[float, Optimum] | None = None
-    for name, on_part in from_starts(part):
+    for name, on_part in known_ends:
         if previous is not None and same_minimum(part, previous[0], on_part.cost):
             end = previous[1]
         else:
@@ -189,9 +214,8 @@ def _adopted(problem: PolynomialProblem, part: PolynomialProblem, theta: Array) 
 
 def rounding_floor(problem: PolynomialProblem) -> float:
     """Return the cost below which the residuals are rounding errors."""
-    return ROUNDING_SHARE * sum(
-        float(np.sum(x.y[x.rows] ** 2)) for of in problem.experiments for x in of
-    )
+    known = [x.y[x.rows] for of in problem.experiments for x in of]
+    return sum(y.size * rounding_std(y) ** 2 for y in known)
 
 
 def same_minimum(problem: PolynomialProblem, lower: float, higher: float) -> bool:
@@ -208,7 +232,7 @@ def _doubtful(problem: PolynomialProblem, ends: Ends, *, strict: bool) -> bool:
         return ends[0][1].cost > rounding_floor(problem)
     if max(problem.rows[0].sizes, default=0) < 2:
         return False
-    parts = problem.solve(ends[0][1].theta).parts
+    parts = problem.solve_scaled(ends[0][1].theta)[0].parts
     noise = variance = 0.0
     for (x,), (p,) in zip(problem.experiments, parts, strict=True):
         y = x.y[x.rows]
@@ -359,7 +383,7 @@ def searched_together(problem: PolynomialProblem) -> tuple[PolynomialProblem, En
     Data with gaps are completed by the predictions of a first model. After the search in these
     data, one search continues in the data with gaps.
     """
-    if not _gaps(problem):
+    if not problem.gaps:
         return _reweighted(problem, from_starts(problem))
     _, start = min(start_values(problem), key=lambda start: problem.cost(start[1]))
     whole = _completed(problem, problem.minimise(start, most=_FIRST_STEPS).theta)
@@ -409,7 +433,7 @@ def _iterated(
 ) -> tuple[float, PolynomialProblem, Optimum]:
     """Return log det Lambda, the problem and its minimum after Lambda hardly changes."""
     Lambda = noise_covariance(problem, end.theta)
-    most = _MAX_STEPS_WITH_GAPS if _gaps(problem) else MAX_STEPS
+    most = _MAX_STEPS_WITH_GAPS if problem.gaps else MAX_STEPS
     steps = end.iterations
     for _ in range(_MAX_REWEIGHTINGS):
         problem = weighted_by(problem, Lambda)

@@ -15,6 +15,7 @@ from armrig.models.fit import Fit
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, monic, reflected, roots, without_integrator
+from armrig.numerics.quantities import digits
 
 CIRCLE_ROUNDING = 1e-9  # error of the computed modulus of a root on the circle
 _MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
@@ -134,7 +135,10 @@ def _way_out(fit: Fit, farthest: float) -> tuple[str, Remedy]:
         if z.imag != 0 or fit.integrator or abs(z) < farthest - CIRCLE_ROUNDING:
             continue
         if std > _MAX_POLE_STD:
-            text = f"its standard deviation is {std:.2g}, so the data do not determine the model"
+            text = (
+                f"its standard deviation is {digits(std, 2)}, so the data do not determine "
+                "the model"
+            )
             return text, ""
         at_1 = abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING
         known = abs(z - 1) < _MAX_DISTANCE_FROM_1 and known_to_integrate(fit.output)

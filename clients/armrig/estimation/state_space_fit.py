@@ -66,12 +66,10 @@ class Derivatives:
         return Derivatives(**{x: np.tensordot(N.T, getattr(self, x), axes=1) for x in names})
 
 
-def derivatives(
-    problem: StateSpaceProblem, at: Predictor, V: Array, *, fixed_predictor: bool = False
-) -> Derivatives:
+def derivatives(problem: StateSpaceProblem, at: Predictor, V: Array) -> Derivatives:
     """Return the derivatives of the matrices for the directions V of Abar and C.
 
-    A and B do not change with the entries of K, or with `fixed_predictor` Abar and Bbar.
+    A and B do not change with the entries of K.
     """
     (n, ny), nu, m = at.K.shape, at.Bbar.shape[1], V.shape[1]
     of_K = n * ny * problem.noise
@@ -83,8 +81,7 @@ def derivatives(
     K[m + n * nu :][:of_K] = np.eye(of_K).reshape(-1, ny, n).swapaxes(1, 2)
     if problem.direct:
         D[m + n * nu + of_K :] = np.eye(ny * nu).reshape(-1, ny, nu)
-    if not fixed_predictor:
-        Abar, Bbar = Abar - K @ at.C, Bbar - K @ at.D
+    Abar, Bbar = Abar - K @ at.C, Bbar - K @ at.D
     return Derivatives(
         Abar=Abar, A=Abar + K @ at.C + at.K @ C, B=Bbar + K @ at.D + at.K @ D, C=C, D=D, K=K
     )

@@ -1,16 +1,10 @@
 """Prediction-error problem of a state-space model with a gain K, for data with missing outputs.
 
-The predictor of complete data has the constant gain K. After a missing output the state is not
-known exactly, and the predictor is a Kalman filter. P(t) is the covariance of the state, given the
-outputs measured before t. The index o marks the outputs measured at t ::
-
-    nu(t) = y_o(t) - C_o x(t) - D_o u(t),    S(t) = C_o P(t) C_o^T + Lambda_oo
-    G(t) = (A P(t) C_o^T + K Lambda_o) inv(S(t))
-    x(t+1) = A x(t) + B u(t) + G(t) nu(t)
-    P(t+1) = A P(t) A^T + K Lambda K^T - G(t) S(t) G(t)^T
-
-P is 0 as long as no output is missing, because the initial state is estimated. The criterion is the
-likelihood of the measured outputs: the sum of nu^T inv(S) nu, times the geometric mean of det S.
+After a missing output the predictor is a Kalman filter, with the variances S(t) of the errors nu
+(`armrig.numerics.kalman_gains`). The criterion is the likelihood of the measured outputs: the sum
+of nu^T inv(S) nu, times the geometric mean of det S. A search computes the same criterion from the
+errors of the constant gain, in which the missing outputs are estimated
+(`armrig.numerics.missing_samples`). The residuals and their derivatives are those of the filter.
 
 References
 ----------
@@ -19,205 +13,268 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armrig.estimation.state_space_problem import by_part, parts_of, stable_matrix, tangent
+from armrig.estimation.state_space_fit import Derivatives, derivatives
+from armrig.estimation.state_space_problem import (
+    StateSpaceProblem,
+    by_part,
+    parts_of,
+    stable_matrix,
+    tangent,
+)
 from armrig.estimation.state_space_responses import Part, Predictor
 from armrig.estimation.subspace import Parts
-from armrig.numerics.covariance import pairwise_covariance, patterns
+from armrig.models.innovations_filter import InnovationsFilter, innovations_filter
+from armrig.models.state_space import StateSpace
+from armrig.numerics.covariance import coloured, pairwise_covariance, whitening
+from armrig.numerics.kalman_gains import kalman_gains
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import FIRST_DAMPING, Optimum, levenberg_marquardt
+from armrig.numerics.missing_samples import MissingSamples, missing_samples
 from armrig.numerics.polynomial import Array
+from armrig.numerics.recursion import free_responses, outputs_from_rest, recursion
 
-_NEGLIGIBLE = 1e-9  # a smaller variance of C x, relative to the variance of e, counts as 0
-_SETTLED_VARIANCE = 1e-4  # likewise, for gains that are not searched
-_STEP = 1e-6  # step of a numerical derivative; the coordinates are scaled
-_STEPS = 3  # steps of the search between two estimates of Lambda
-_MAX_ROUNDS = 30
-_LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search ends
-
-
-def kalman_steps(
-    rows: Array, A: Array, C: Array, K: Array, Lambda: Array, settled: float
-) -> Iterator[tuple[int, Array, Array, Array]]:
-    """Yield t, o, the root of S(t) and G(t) root(S(t)) of m filters while P is not 0.
-
-    A (m, n, n), C (m, ny, n) and K (m, n, ny) are the matrices of each filter. P is taken as 0 as
-    soon as it increases the variances of e by less than the share `settled`.
-    """
-    noise = K @ Lambda
-    Q, P = noise @ K.swapaxes(1, 2), np.zeros(A.shape)
-    known = True
-    for t, measured in enumerate(rows):
-        if known and measured.all():
-            continue
-        o = np.flatnonzero(measured)
-        PC = P @ C[:, o].swapaxes(1, 2)
-        root = np.linalg.cholesky(C[:, o] @ PC + Lambda[np.ix_(o, o)])
-        G = (A @ PC + noise[:, :, o]) @ np.linalg.inv(root).swapaxes(1, 2)
-        P = A @ P @ A.swapaxes(1, 2) + Q - G @ G.swapaxes(1, 2)
-        spread = np.einsum("mij,mjk,mik->i", C, P, C)
-        known = bool((np.abs(spread) <= settled * np.diag(Lambda)).all())
-        P = np.zeros(A.shape) if known else P
-        yield t, o, root, G
+_MAX_STEPS = 60
+_LIKELIHOOD_TOLERANCE = 1e-2  # change of -2 log likelihood at which the search ends
 
 
 def filtered_parts(signals: Parts, A: Array, C: Array, K: Array, Lambda: Array) -> list[Part]:
     """Return the parts with the gains G(t) of the Kalman filter, and the roots of inv(S(t))."""
     parts = []
     for part in parts_of(signals, Lambda):
-        gains, roots = K * part.rows[:, None, :], part.weights.copy()
-        steps = kalman_steps(part.rows, A[None], C[None], K[None], Lambda, _SETTLED_VARIANCE)
-        for t, o, root, G in steps:
-            inverse = np.linalg.inv(root[0])
-            roots[t][np.ix_(o, o)] = inverse
-            gains[t][:, o] = G[0] @ inverse
-        parts.append(replace(part, weights=roots, gains=gains))
+        of = kalman_gains(A, C, K, Lambda, part.rows)
+        parts.append(replace(part, weights=of.white, gains=of.gain))
     return parts
 
 
 def scaled_errors(part: Part, e: Array, Lambda: Array) -> Array:
     """Return the errors (N, ny) of a filtered part, scaled to the covariance Lambda of e."""
-    white = part.weights @ np.where(part.rows, e, 0.0)[:, :, None]
-    return rescaled(part.rows, white[:, :, 0], Lambda)
+    return _scale_errors(part.rows, part.weights @ np.where(part.rows, e, 0.0)[:, :, None], Lambda)
 
 
-def rescaled(rows: Array, white: Array, Lambda: Array) -> Array:
-    """Return whitened errors (N, ny) with the covariance Lambda; NaN where y is missing."""
-    e = np.full(white.shape, np.nan)
-    for o, times in patterns(rows):
-        at = np.ix_(times, o)
-        e[at] = white[at] @ np.linalg.cholesky(Lambda[np.ix_(o, o)]).T
-    return e
+def _scale_errors(rows: Array, white: Array, Lambda: Array) -> Array:
+    """Return whitened errors (N, ny, 1) with the covariance Lambda; NaN where y is missing."""
+    return np.where(rows, coloured(rows, white, Lambda)[:, :, 0], np.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Errors:
+    """Whitened errors of one experiment."""
+
+    filter: InnovationsFilter
+    missing: MissingSamples | None
+    """Projection on the effects of missing samples; None for the Kalman filter."""
+    y: Array
+    """Outputs (N, 1, ny), with estimates of the missing samples that were projected out."""
+    x: Array
+    """States (N, 1, n)."""
+    z: Array
+    """Whitened errors (N, ny)."""
+    log: float
+    """Sum of log det(S inv(Lambda_oo)) over the samples."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapProblem:
     """Minimisation over all parameters of a predictor, for data with missing outputs."""
 
-    parts: tuple[Part, ...]
-    """Signals of each experiment, whitened by `Lambda`."""
+    problem: StateSpaceProblem
+    """Problem of complete data, with the signals of each experiment whitened by `Lambda`."""
     Lambda: Array
     """Covariance of e (ny, ny)."""
-    direct: bool
-    """True if D is estimated."""
 
-    def errors(self, predictors: Sequence[Predictor]) -> tuple[Array, Array]:
-        """Return the whitened errors and the mean of the log determinants of each predictor.
+    def errors(
+        self, at: Predictor, *, innovations: bool = False
+    ) -> tuple[Array, float, list[_Errors]]:
+        """Return the whitened errors, the mean of the log determinants, and both by experiment.
 
-        The errors (m, N ny) are ordered by experiment and then by output; the error of a missing
-        output is 0. The mean (m,) is the sum of log det(S inv(Lambda_oo)) over the samples after
-        gaps, divided by the number of measured values.
+        The errors (N ny,) are ordered by experiment and then by output. As `innovations` of the
+        Kalman filter they are 0 where an output is missing; other errors with the same sum of
+        squares are computed much faster. The mean is the sum of log det(S inv(Lambda_oo)) over the
+        samples, divided by the number of measured values.
         """
-        found, logs, count = [], np.zeros(len(predictors)), 0
-        for i, part in enumerate(self.parts):
-            z, log = self._filtered(part, predictors, np.array([p.x0[i] for p in predictors]))
-            found.append(z.transpose(1, 2, 0).reshape(len(predictors), -1))
-            logs += log
-            count += int(part.rows.sum())
-        return np.hstack(found), logs / count
+        system = StateSpace(A=at.A, B=at.B, C=at.C, D=at.D, K=at.K)
+        parts = self.problem.parts
+        found = [
+            (not innovations and self._project_part(system, part, x0))
+            or self._filter_part(system, part, x0)
+            for part, x0 in zip(parts, at.x0, strict=True)
+        ]
+        z = np.concatenate([of.z.T.ravel() for of in found])
+        return z, sum(of.log for of in found) / self._count, found
 
-    def _filtered(
-        self, part: Part, predictors: Sequence[Predictor], x: Array
-    ) -> tuple[Array, Array]:
-        """Return the whitened errors (N, m, ny), and the sums (m,) of log det(S inv(Lambda_oo))."""
-        A, B, C, D, K = (np.array([getattr(p, x) for p in predictors]) for x in "ABCDK")
-        driven = np.einsum("mij,tj->tmi", B, part.u)
-        direct = np.einsum("mij,tj->tmi", D, part.u)
-        steps = kalman_steps(part.rows, A, C, K, self.Lambda, _NEGLIGIBLE)
-        step = next(steps, None)
-        z = np.zeros((part.y.shape[0], *x.shape[:1], part.y.shape[1]))
-        logs = np.zeros(len(predictors))
-        for t, own in enumerate(part.weights):
-            nu = part.y[t] - (C @ x[:, :, None])[:, :, 0] - direct[t]
-            x = (A @ x[:, :, None])[:, :, 0] + driven[t]
-            if step is None or step[0] > t:
-                z[t] = nu @ own.T
-                x = x + (K @ nu[:, :, None])[:, :, 0]
-                continue
-            _, o, root, G = step
-            z[t][:, o] = np.linalg.solve(root, nu[:, o, None])[:, :, 0]
-            diagonal = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-            logs += 2 * (diagonal + np.log(np.diag(own)[o]).sum())
-            x = x + (G @ z[t][:, o, None])[:, :, 0]
-            step = next(steps, None)
-        return z, logs
+    @property
+    def _count(self) -> int:
+        """Number of measured values."""
+        return sum(int(part.rows.sum()) for part in self.problem.parts)
 
-    def moved(self, at: Predictor, V: Array, t: Array) -> Predictor:
-        """Return the predictor after a step t from the predictor `at`.
+    def _filter_part(self, system: StateSpace, part: Part, x0: Array) -> _Errors:
+        own = innovations_filter(system, self.Lambda, part.rows)
+        u, y = part.u[:, None], part.y[:, None]
+        x = own.states(u, y, x0[None])
+        z = own.whitened(own.innovations(x, u, y))[:, 0]
+        return _Errors(filter=own, missing=None, y=y, x=x, z=z, log=own.log_det)
 
-        The first entries of t move (Abar, C) along the tangent space V. The other entries change
-        Bbar and K signal by signal, D row by row, and the initial states.
+    def _project_part(self, system: StateSpace, part: Part, x0: Array) -> _Errors | None:
+        """Return errors in which the missing samples are projected out; None if that takes long."""
+        if part.rows.all() or not system.K.any():
+            return None
+        whole, y = replace(part, rows=np.ones_like(part.rows)), part.y.copy()
+        U = whitening(self.Lambda, whole.rows)[0]
+        missing = _missing_samples(system, part.rows, U)
+        if missing is None:
+            return None
+        y[missing.at] -= missing.values(self._filter_part(system, whole, x0).z[:, None])[:, 0]
+        found = self._filter_part(system, replace(whole, y=y), x0)
+        at_once = np.diagonal(part.weights, axis1=1, axis2=2)[part.rows]
+        log = missing.log_det + 2 * (np.log(at_once).sum() - len(y) * np.log(np.diag(U)).sum())
+        return replace(found, missing=missing, log=log)
+
+    def slopes(self, at: Predictor, errors: Sequence[_Errors]) -> tuple[Array, Array]:
+        """Return the derivatives of the whitened predictions, and of the mean log determinant.
+
+        The derivatives are those with respect to the parameters of `directions`, then to the
+        initial state of each experiment. If missing samples were projected out of the errors, the
+        derivatives are those for fixed values of these samples, and projected.
         """
-        (n, ny), nu = at.K.shape, at.Bbar.shape[1]
-        along, signals, direct, states = np.split(t, self._ends(at, V)[:-1])
-        change = V @ along
-        columns = signals.reshape(nu + ny, n).T
-        return Predictor(
-            Abar=at.Abar + change[: n * n].reshape(n, n),
-            C=at.C + change[n * n :].reshape(ny, n),
-            Bbar=at.Bbar + columns[:, :nu],
-            K=at.K + columns[:, nu:],
-            D=at.D + direct.reshape(ny, nu) if self.direct else at.D,
-            x0=tuple(x + d for x, d in zip(at.x0, states.reshape(-1, n), strict=True)),
-        )
+        by, blocks = self.directions(at), []
+        p, n = len(by.A), by.A.shape[1]
+        logs = np.zeros(p + n * len(errors))
+        for k, of in enumerate(errors):
+            if of.missing is None:
+                J, log = self._differentiate_filter(k, of, by)
+            else:
+                J = of.missing.without(self._differentiate_gain(at, k, of)).transpose(1, 2, 0)
+                log = _log_det_slopes(of.missing, of.filter, by)
+            whole = np.zeros((*J.shape[1:], logs.size))
+            whole[:, :, np.r_[:p, p + n * k : p + n * (k + 1)]] = J.transpose(1, 2, 0)
+            blocks.append(whole.reshape(-1, logs.size))
+            logs[:p] += log
+        return np.vstack(blocks), logs / self._count
 
-    def _ends(self, at: Predictor, V: Array) -> list[int]:
-        """Return the end in t of the changes of (Abar, C), (Bbar, K), D and the initial states."""
-        sizes = V.shape[1], at.Bbar.size + at.K.size, self.direct * at.D.size
-        return [*map(int, np.cumsum([*sizes, len(at.Abar) * len(at.x0)]))]
+    def _differentiate_filter(self, k: int, of: _Errors, by: Derivatives) -> tuple[Array, Array]:
+        """Return the slopes (p + n, ny, N) of experiment k, and of the sum of log determinants."""
+        own, u, n = of.filter, self.problem.parts[k].u, of.x.shape[2]
+        nu = own.innovations(of.x, u[:, None], of.y)[:, 0]
+        named = {name: getattr(by, name) for name in "ABCDK"}
+        slope, log = own.derivatives(named, of.x[:, 0], u, nu)
+        still_u, still_y = (np.zeros((len(u), n, x.shape[-1])) for x in (u, of.y))
+        free = own.states(still_u, still_y, np.eye(n))
+        J = np.concatenate([-slope, own.whitened(free @ own.system.C.T)], axis=1)
+        return J.transpose(1, 2, 0), log
 
-    def linearise(self, at: Predictor, V: Array, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return e, its negative numerical derivatives, the mean log det, and its derivatives."""
-        steps = [t, *(t + _STEP * unit for unit in np.eye(t.size))]
-        z, logs = self.errors([self.moved(at, V, step) for step in steps])
-        return z[0], -(z[1:] - z[0]).T / _STEP, logs[0], (logs[1:] - logs[0]) / _STEP
+    def _differentiate_gain(self, at: Predictor, k: int, of: _Errors) -> Array:
+        """Return the slopes (N, p + n, ny) of experiment k, complete and with a constant gain."""
+        part = self.problem.parts[k]
+        filled = replace(part, y=of.y[:, 0], rows=np.ones_like(part.rows))
+        whole, V = replace(self.problem, parts=(filled,)), tangent(at.Abar, at.C)
+        by = whole.sensitivities(0, replace(at, x0=at.x0[k : k + 1]), V)
+        return np.asarray((of.filter.white[0] @ np.concatenate(by)).transpose(2, 0, 1))
 
-    def minimise(self, at: Predictor, *, most: int) -> tuple[Predictor, Optimum]:
-        """Return the predictor after at most `most` steps, and the result of the search."""
+    def minimise(self, at: Predictor, *, damping: float) -> tuple[Predictor, Optimum]:
+        """Return the predictor after one step of a search, and the result of the step."""
         at = at.balanced()
-        V = tangent(at.Abar, at.C)
+        by = self.directions(at)
+        p, n = len(by.A), len(at.Abar)
 
-        def linearise(t: Array) -> tuple[Array, Array]:
-            z, J, log, by_log = self.linearise(at, V, t)
+        def moved(t: Array) -> Predictor:
+            after = by.moved(at, t[:p])
+            states = zip(at.x0, t[p:].reshape(-1, n), strict=True)
+            return replace(after, x0=tuple(x + change for x, change in states))
+
+        def linearise(t: Array) -> tuple[Array, Callable[[], Array]]:
+            z, log, found = self.errors(moved(t))
             scale = np.exp(log / 2)
-            return scale * z, scale * (J - 0.5 * np.outer(z, by_log))
+
+            def J() -> Array:  # only at t = 0
+                slope, by_log = self.slopes(at, found)
+                return np.asarray(scale * (slope - 0.5 * np.outer(z, by_log)))
+
+            return scale * z, J
 
         found = levenberg_marquardt(
             linearise,
-            np.zeros(self._ends(at, V)[-1]),
-            admissible=lambda t: stable_matrix(self.moved(at, V, t).Abar),
-            most=most,
+            np.zeros(p + n * len(at.x0)),
+            admissible=lambda t: stable_matrix(moved(t).Abar),
+            damping=damping,
+            most=1,
         )
-        return self.moved(at, V, found.theta), found
+        return moved(found.theta), found
 
-    def residuals(self, at: Predictor) -> list[Array]:
-        """Return the errors (N, ny) of each experiment, scaled like e; NaN where y is missing.
+    def directions(self, at: Predictor) -> Derivatives:
+        """Return the derivatives of the matrices with respect to the parameters of a search.
 
-        An error is scaled by the root of Lambda_oo inv(S), so that its covariance is Lambda_oo.
-        """
-        z, _ = self.errors([at])
-        return [
-            rescaled(part.rows, white.reshape(part.y.shape[1], -1).T, self.Lambda)
-            for part, white in zip(self.parts, by_part(self.parts, z[0]), strict=True)
-        ]
-
-    def influence(self, at: Predictor) -> tuple[Array, tuple[Basis, ...]]:
-        """Return the derivatives of the whitened predictions, and the effects of initial states.
-
-        The derivatives (ny N, d) are those by t in `moved`, except the initial states, which are
-        projected out. The covariance S(t) of the errors is held constant.
+        The first parameters move (Abar, C) along the tangent space. The others change Bbar and K
+        signal by signal, and D row by row.
         """
         V = tangent(at.Abar, at.C)
-        *_, d, size = self._ends(at, V)
-        _, J, _, _ = self.linearise(at, V, np.zeros(size))
-        parts = by_part(self.parts, J)
+        return derivatives(self.problem, at, V)
+
+    def residuals(self, z: Array) -> list[Array]:
+        """Return the innovations (N, ny) of each experiment, scaled like e; NaN where y is missing.
+
+        z are whitened innovations. An innovation is scaled by the root of Lambda_oo inv(S), so that
+        its covariance is Lambda_oo.
+        """
+        parts = self.problem.parts
+        return [
+            _scale_errors(part.rows, white.reshape(part.y.shape[1], -1).T[:, :, None], self.Lambda)
+            for part, white in zip(parts, by_part(parts, z), strict=True)
+        ]
+
+    def influence(
+        self, at: Predictor, z: Array, errors: Sequence[_Errors]
+    ) -> tuple[Array, tuple[Basis, ...]]:
+        """Return the derivatives of the whitened predictions, and the effects of initial states.
+
+        The derivatives (ny N, d) are those by the parameters of `directions`, with the derivatives
+        of the scale in the likelihood. The effects of the initial states are projected out.
+        """
+        by = self.directions(at)
+        slope, by_log = self.slopes(at, errors)
+        J, d = slope - 0.5 * np.outer(z, by_log), len(by.A)
+        parts = by_part(self.problem.parts, J)
         bases = tuple(orthonormal(of[:, d:][:, of[:, d:].any(axis=0)]) for of in parts)
         pairs = zip(bases, parts, strict=True)
         return np.vstack([Z.without(of[:, :d]) for Z, of in pairs]), bases
+
+
+def _missing_samples(system: StateSpace, rows: Array, U: Array) -> MissingSamples | None:
+    """Return the projection for the predictor of complete data, with U e white."""
+    Abar = system.A - system.K @ system.C
+
+    def responses(L: int) -> Array:
+        h = free_responses(Abar, system.C, L - 1).transpose(2, 1, 0) @ system.K
+        return np.concatenate([U[None], -(U @ h)])
+
+    def forward(y: Array) -> Array:
+        return np.asarray((y - outputs_from_rest(Abar, system.C, y @ system.K.T)) @ U.T)
+
+    def backward(z: Array) -> Array:
+        e = (z @ U)[::-1]
+        return np.asarray(e - outputs_from_rest(Abar.T, system.K.T, e @ system.C))[::-1]
+
+    return missing_samples(responses, rows, forward, backward)
+
+
+def _log_det_slopes(missing: MissingSamples, own: InnovationsFilter, by: Derivatives) -> Array:
+    """Return the derivatives of `missing.log_det` by the parameters of `by`, (p,).
+
+    The responses are H_k = -U C M_k with M_1 = K and M_(k+1) = Abar M_k.
+    """
+    s, U, L = own.system, own.white[0], len(missing.H) - 1
+    p, n, ny = by.K.shape
+    Abar = s.A - s.K @ s.C
+    M = recursion(Abar, np.zeros((L, ny, n)), s.K.T)[:L]
+    of_Abar = by.A - by.K @ s.C - s.K @ by.C
+    forced = np.einsum("pij,ktj->kpti", of_Abar, M).reshape(L, p * ny, n)
+    moved = recursion(Abar, forced, by.K.swapaxes(1, 2).reshape(p * ny, n))[:L]
+    h = np.einsum("pij,ktj->kpti", by.C, M) + moved.reshape(L, p, ny, n) @ s.C.T
+    return np.asarray(-np.einsum("kjt,kpti,ji->p", missing.log_det_gradient()[1:], h, U))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,30 +282,51 @@ class GapSearch:
     """Result of a search with missing outputs."""
 
     problem: GapProblem
-    """Problem with the last estimate of Lambda."""
+    """Problem with the estimate of Lambda before the last step."""
     predictor: Predictor
     """Predictor after the last step."""
+    residuals: list[Array]
+    """Residuals (N, ny) of each experiment."""
+    Psi: Array
+    """Derivatives of the whitened predictions, (ny N, d)."""
+    states: tuple[Basis, ...]
+    """Effects of the initial state of each experiment."""
     iterations: int
     """Number of steps of the search."""
     converged: bool
     """True if the likelihood no longer changed at the end of the search."""
 
 
-def searched(
-    signals: Sequence[tuple[Array, Array]], at: Predictor, Lambda: Array, *, direct: bool
-) -> GapSearch:
-    """Search from the predictor `at`, and estimate Lambda again after every few steps."""
-    problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)
-    value, iterations = np.inf, 0
-    for _ in range(_MAX_ROUNDS):
-        at, found = problem.minimise(at, most=_STEPS)
-        iterations += found.iterations
-        e, (_, logs) = np.vstack(problem.residuals(at)), problem.errors([at])
+def searched(problem: StateSpaceProblem, signals: Parts, at: Predictor, Lambda: Array) -> GapSearch:
+    """Search from the predictor `at`, and estimate Lambda again after every step."""
+
+    def weighted(Lambda: Array) -> GapProblem:
+        return GapProblem(problem=replace(problem, parts=parts_of(signals, Lambda)), Lambda=Lambda)
+
+    own, damping, iterations = weighted(Lambda), FIRST_DAMPING, 0
+    moved, values = True, [np.inf]
+    while True:
+        z, log, errors = own.errors(at, innovations=True)
+        residuals = own.residuals(z)
+        e = np.vstack(residuals)
         Lambda = pairwise_covariance(e)
-        problem = replace(problem, parts=parts_of(signals, Lambda), Lambda=Lambda)
-        logdet = np.linalg.slogdet(Lambda)[1] / len(Lambda)
-        before, value = value, float((logdet + logs[0]) * np.isfinite(e).sum())
-        converged = abs(before - value) <= _LIKELIHOOD_TOLERANCE
-        if converged:
+        log_det = np.linalg.slogdet(Lambda)[1] / len(Lambda)
+        values.append(float((log_det + log) * np.isfinite(e).sum()))
+        converged = moved and abs(values[-2] - values[-1]) <= _LIKELIHOOD_TOLERANCE
+        if converged or iterations == _MAX_STEPS:
             break
-    return GapSearch(problem=problem, predictor=at, iterations=iterations, converged=converged)
+        own = weighted(Lambda)
+        at, found = own.minimise(at, damping=damping)
+        # A rejected step does not move; the next one is shorter.
+        iterations, damping = iterations + 1, found.damping
+        moved = bool(found.converged or found.theta.any())
+    Psi, states = own.influence(at, z, errors)
+    return GapSearch(
+        problem=own,
+        predictor=at,
+        residuals=residuals,
+        Psi=Psi,
+        states=states,
+        iterations=iterations,
+        converged=converged,
+    )

@@ -35,6 +35,7 @@ from armrig.numerics.polynomial import (
     reflected,
     without_integrator,
 )
+from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import stretches
 
 _MAX_SUGGESTED_ORDER = 10
@@ -171,7 +172,7 @@ def _from_windows(signals: Parts, known: Parts, options: SubspaceOptions) -> Sub
     suggested = suggested_order(w, canonical, most)
     n = suggested if options.order is None else options.order
     if n > states:
-        raise InputError(f"order={n}: the data show {states} states; lower the order")
+        raise InputError(f"order={n}: the data show {plural(states, 'state')}; lower the order")
     integrator, direct = options.integrator, options.direct
     if options.horizon is None:
         model = best_innovations(

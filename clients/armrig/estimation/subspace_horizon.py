@@ -25,6 +25,7 @@ from armrig.estimation.subspace import (
 from armrig.models.structure_table import Weights
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import Array, with_roots_inside, without_integrator
+from armrig.numerics.quantities import plural
 from armrig.numerics.recursion import in_observer_form, outputs
 
 MIN_HORIZON, MAX_HORIZON = 10, 30
@@ -57,7 +58,7 @@ def require_windows(horizon: int, signals: int, got: int) -> None:
     """Refuse data whose complete windows have fewer samples than a projection needs."""
     length = 2 * horizon
     require_samples(
-        f"horizon={horizon}, with windows of {length} samples without a gap of more than "
+        f"horizon={horizon}, with windows of {plural(length, 'sample')} without a gap of more than "
         f"{horizon},",
         needed=(length + 1) * signals + length,
         got=got,

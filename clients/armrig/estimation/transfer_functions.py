@@ -15,7 +15,7 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import Finding, warning
 from armrig.estimation.continuous_problem import MAX_RATE, ContinuousProblem
 from armrig.estimation.continuous_starts import continuous_starts, moved_modes
-from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input
+from armrig.estimation.data_faults import CONSTANT_INPUT, constant_input, require_moving_output
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import Estimated, fit_of_one, nuisance, outputs_of
 from armrig.estimation.problem import PolynomialProblem, Solution
@@ -33,6 +33,7 @@ from armrig.models.structure import Structure
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import Array, monic, roots
+from armrig.numerics.quantities import digits
 
 Delay = float | str | None  # seconds, or "estimate"
 
@@ -98,7 +99,7 @@ def tf(
     ------
     ValueError
         An order is out of range, or the delay is longer than the record. There are too few samples,
-        or u is constant. A pole is too fast for the sampling time.
+        or u is constant.
 
     References
     ----------
@@ -136,6 +137,7 @@ def tf(
             "armrig.oe, and convert each channel: fit[output, input].to_continuous()"
         )
     data = signals.dataset()
+    require_moving_output(data)
     if constant_input(data) and (integrator or offset or not data.u.any()):
         raise InputError(CONSTANT_INPUT)
     row = Structure(
@@ -295,7 +297,7 @@ def searched(problem: ContinuousProblem) -> tuple[ContinuousProblem, Ends]:
         if same_minimum(problem.sampled_problem, lower.cost, best.cost):
             break
         ends.insert(0, ("mode at another rate", lower))
-    # A pole at the limit is a direct path, which the refusal names. A higher minimum comes first.
+    # A pole at the limit is a direct path. A higher minimum comes first.
     ends.sort(key=lambda end: _at_limit(problem, end[1].theta))
     if problem.delay is not None:
         return problem, ends
@@ -327,18 +329,17 @@ def _at_limit(problem: ContinuousProblem, theta: Array) -> bool:
 
 
 def _fast_poles(problem: ContinuousProblem, theta: Array, Ts: float) -> tuple[Finding, ...]:
-    """Return a warning about poles that are too fast for Ts; refuse poles at the limit."""
+    """Return a warning about poles that are too fast for Ts."""
     fast, nyquist = _fastest(problem, theta) / Ts, np.pi / Ts
-    if _at_limit(problem, theta):
-        raise InputError(
-            f"the fastest pole, at {fast:.3g} rad/s, is too fast for Ts {Ts:g} s (Nyquist "
-            f"frequency {nyquist:.3g} rad/s): sample faster or lower poles"
-        )
+    if fast <= nyquist:
+        return ()
+    is_limit = _at_limit(problem, theta)
     said = (
-        f"a pole at {fast:.3g} rad/s is above the Nyquist frequency, {nyquist:.3g} rad/s: the "
-        "data hardly determine it; sample faster or lower poles"
+        f"a pole at {digits(fast, 3)} rad/s is above the Nyquist frequency, {digits(nyquist, 3)} "
+        f"rad/s: the data {'do not' if is_limit else 'hardly'} determine it; sample faster or "
+        "lower poles"
     )
-    return (warning("fast_pole", said, "order", rate=fast),) if fast > nyquist else ()
+    return (warning("fast_pole", said, "order", rate=fast),)
 
 
 def _fit(data: Dataset, problem: ContinuousProblem, ends: Ends, solution: Solution) -> Fit:

@@ -17,12 +17,14 @@ from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import with_integrator
 from armrig.estimation.request import estimator
 from armrig.models.fit import Fit
-from armrig.models.prediction import prediction_errors, structure_of
+from armrig.models.prediction import structure_of
+from armrig.models.predictor import prediction_errors
 from armrig.numerics.checks import column, require_known
 from armrig.numerics.covariance import joint_score
 from armrig.numerics.criteria import mdl
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
+from armrig.numerics.quantities import plural
 
 StageTwo = Literal["oe", "tf", "process"]
 
@@ -115,7 +117,9 @@ def _references(r: ArrayLike, data: Dataset) -> list[Array]:
     """Return r of each experiment."""
     known = column("r", r)
     if known.size != data.N:
-        raise InputError(f"r has {known.size} samples and the data have {data.N}; give each sample")
+        raise InputError(
+            f"r has {plural(known.size, 'sample')} and the data have {data.N}; give each sample"
+        )
     if (at := np.flatnonzero(~np.isfinite(known))).size:
         raise InputError(f"r[{at[0]}] is {known[at[0]]}: r must be known at each sample")
     return np.split(known, data.starts[1:])
@@ -153,21 +157,21 @@ def _covariance(
 
         theta - theta_0 = (Psi^T Psi)^-1 Psi^T (e_y - g (Phi^T Phi)^-1 Phi^T e_u)
     """
-    found = [prediction_errors(fit, part) for part in data.experiments()]
-    second = orthonormal(np.vstack([x.Psi for x in found]))
+    found = prediction_errors(fit, data)
+    second = orthonormal(np.vstack([x.Psi[:, 0] for x in found]))
     of_y = second.Q @ (_by_free(fit) @ second.W).T
     sampled = fit if fit.Ts else fit.to_discrete(data.Ts)
     # The effect of r before the first sample is a free response, to which Psi is orthogonal.
     B, F = sampled.B, sampled.denominator
     pairs = zip(references, found, strict=True)
-    g = np.vstack([_lags(filtered(B, F, r), r.size - x.e.size + 1) for r, x in pairs])
+    g = np.vstack([_lags(filtered(B, F, r), r.size - len(x.e) + 1) for r, x in pairs])
     # A level of u is a level of y, or a ramp, which is a free response of an integrator.
     g[:, -1] = 0.0 if fit.integrator else np.sum(B) / np.sum(F)
     of_u = -first.Q @ (first.W.T @ (g.T @ of_y))
-    ends = np.cumsum([x.e.size for x in found])[:-1]
+    ends = np.cumsum([len(x.e) for x in found])[:-1]
     return joint_score(
         [*zip(np.split(of_y, ends), np.split(of_u, ends), strict=True)],
-        [(x.e, e) for x, e in zip(found, rest, strict=True)],
+        [(x.e[:, 0], e) for x, e in zip(found, rest, strict=True)],
         parameters=second.rank + first.rank,
     )
 

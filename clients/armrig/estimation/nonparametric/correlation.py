@@ -16,6 +16,7 @@ from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.quantities import digits, plural
 from armrig.numerics.whiteness import autoregression, joined, two_sided
 
 if TYPE_CHECKING:
@@ -65,12 +66,13 @@ class Correlation(OfDataset):
         k = int(np.argmax(np.where(positive, np.abs(self.g), -1.0)))
         before = int(np.count_nonzero(outside < 0))
         lines = [
-            f"correlation analysis of {self.output}, {self.N} samples at {self.Ts:g} s, input "
-            f"whitened by order {self.whitener.size - 1}",
+            f"correlation analysis of {self.output}, {plural(self.N, 'sample')} at {self.Ts:g} s, "
+            f"input whitened by order {self.whitener.size - 1}",
             f"  largest g {self.g[k]:.4g} at lag {self.lags[k]}; 99 % band of no relation "
-            f"±{band:.3g}",
-            f"  first lag >= 0 outside: {first}; {before} of {np.count_nonzero(~positive)} "
-            "negative lags outside (feedback, if more than chance)",
+            f"±{digits(band, 3)}",
+            f"  first lag >= 0 outside: {first}; {before} of "
+            f"{plural(np.count_nonzero(~positive), 'negative lag')}"
+            " outside (feedback, if more than chance)",
         ]
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
@@ -135,8 +137,8 @@ def correlation(data: Dataset, lags: int = 20, *, integrator: bool | None = None
     R_yy, _ = _crossed(y, y, gap)
     if pairs.min() < 10:
         raise InputError(
-            f"lags={lags} leaves {int(pairs.min())} pairs of samples at a lag, 10 are needed: "
-            "lower lags"
+            f"lags={lags} leaves {plural(int(pairs.min()), 'pair')} of samples at a lag, 10 are "
+            "needed: lower lags"
         )
     N = int(np.count_nonzero(np.isfinite(y)))
     # Bartlett's window keeps the sum from being negative.

@@ -20,7 +20,7 @@ from armrig.data.treatment.integrating import integration
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import digits, plural
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -100,7 +100,8 @@ def etfe(
     P = period(data.u) if period_length is None else period_length
     if P is not None and not 2 <= P <= data.N // 2:
         raise InputError(
-            f"period_length={P} must be 2 to {data.N // 2}, two whole periods of {data.N} samples"
+            f"period_length={P} must be 2 to {data.N // 2}, two whole periods of "
+            f"{plural(data.N, 'sample')}"
         )
     integrates = decided.integrates
     lines = _periodic(data, P, integrates) if P else _aperiodic(data, integrates)
@@ -164,7 +165,10 @@ def _periodic(data: Dataset, P: int, integrates: bool) -> Lines:
     U, Y, known = _whole_periods(data, P, 1, integrates=integrates)
     at = _lines(excited(U))
     variance = _noise_variance([(U, Y, known)], at)
-    words = f"{len(Y)} periods of {P} samples, after a transient period: exact except for noise"
+    words = (
+        f"{plural(len(Y), 'period')} of {plural(P, 'sample')}, after a transient period: "
+        "exact except for noise"
+    )
     return at, np.mean(Y[:, at], axis=0) / U[at], variance, P, words
 
 
@@ -292,7 +296,7 @@ def bla(
         if R > 1
         else np.full(at.size, np.nan),
         method=f"best linear approximation, {R} realisations of {min(counts)} … {max(counts)} "
-        f"periods of {P} samples",
+        f"periods of {plural(P, 'sample')}",
         N=sum(int(n_k.sum()) for _, _, n_k in pairs),
         notes=(*decided.notes, *_notes(R, counts, noise, total)),
     )
@@ -322,14 +326,14 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
     before = plural(transient, "transient period")
     if y.shape[0] == 0:
         raise InputError(
-            f"after {before}, a realisation of {part.N} samples has no period of {P} samples of "
-            "which at least half are known: record more periods"
+            f"after {before}, a realisation of {plural(part.N, 'sample')} has no period of "
+            f"{plural(P, 'sample')} of which at least half are known: record more periods"
         )
     n_k = np.count_nonzero(seen, axis=0)
     if never := int(np.count_nonzero(n_k == 0)):
         raise InputError(
-            f"after {before}, a realisation of {part.N} samples has no value at {never} of the "
-            f"{P} instants of its period: record more periods"
+            f"after {before}, a realisation of {plural(part.N, 'sample')} has no value at {never} "
+            f"of the {P} instants of its period: record more periods"
         )
     bridged = np.where(seen, y, np.nanmean(y, axis=0))
     U = np.fft.rfft(part.u[cut][:P])
@@ -357,5 +361,5 @@ def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[
         return [f"one period in each realisation: {why}"]
     ratio = float(np.mean(total) / np.mean(noise))
     verdict = "nonlinear distortion" if ratio > 2 else "hardly any nonlinear distortion"
-    said = f"variance between realisations is {ratio:.2g} times the variance of the noise"
+    said = f"variance between realisations is {digits(ratio, 2)} times the variance of the noise"
     return [f"{said}: {verdict}"]

@@ -27,6 +27,8 @@ from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score_in_blocks
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import summation
+from armrig.numerics.quantities import digits, plural
+from armrig.numerics.rounding import without_rounding
 from armrig.numerics.whiteness import (
     LJUNG_BOX,
     Whiteness,
@@ -166,7 +168,7 @@ class ImpulseResponse(OfDataset):
         """Return the result as a few lines of text."""
         how = "plain least squares" if self.kernel is None else f"regularised, {self.kernel}"
         what = f"impulse response of {self.output}, lags 0 … {self.lags[-1]}, Ts {self.Ts:g} s"
-        lines = [f"{what} ({how}; {self.N} samples)"]
+        lines = [f"{what} ({how}; {plural(self.N, 'sample')})"]
         if self.hyperparameters:
             values = ", ".join(f"{k} {v:.4g}" for k, v in self.hyperparameters.items())
             lines.append(f"  prior: {values}")
@@ -176,8 +178,8 @@ class ImpulseResponse(OfDataset):
         k = int(np.argmax(np.abs(g)))
         name = "rate's largest" if self.integrator else "largest"
         lines.append(
-            f"  {name} coefficient {g[k]:.4g} ± {std[k]:.2g} at lag {self.lags[k]}; the first "
-            f"outside its 99 % {self.band_name} band is at lag {self.first_lag()}"
+            f"  {name} coefficient {g[k]:.4g} ± {digits(std[k], 2)} at lag {self.lags[k]}; the "
+            f"first outside its 99 % {self.band_name} band is at lag {self.first_lag()}"
         )
         lines.append(f"  residuals: variance {self.noise_variance:.4g}, {self.white}")
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
@@ -266,8 +268,8 @@ def impulse_response(
     needed = max((asked if kernel is None else 0) + rows.nuisance + 2, 3)
     if needed > rows.N:
         raise InputError(
-            f"n={n} needs at least {needed} rows with all inputs known, got {rows.N} of "
-            f"{data.N} samples; lower the number of lags"
+            f"n={n} needs at least {plural(needed, 'row')} with all inputs known, got {rows.N} of "
+            f"{plural(data.N, 'sample')}; lower the number of lags"
         )
     estimate = _plain(rows) if kernel is None else _regularised(rows, kernel)
     found = _response(data, rows, n, estimate, kernel, integrates=integrates)
@@ -285,7 +287,8 @@ def _response(
 ) -> ImpulseResponse:
     """Return the response with a whiteness test; a response of the rate is also integrated."""
     g, covariance = estimate.g, estimate.covariance
-    p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
+    e = without_rounding(rows.residuals(g), rows.rounding)
+    p = ljung_box(joined(e, 40), default_lags(rows.N))
     white = Whiteness(p_value=p, test=LJUNG_BOX)
     g, covariance = g[:n], covariance[:n, :n]
     S = data.Ts * np.tri(n)
@@ -356,10 +359,10 @@ def _plain(rows: FirRegression) -> Posterior:
         )
     g = basis.coefficients(R[:, d])
     degrees = rows.N - d - rows.nuisance
-    noise = autoregression(rows.residuals(g))
+    noise = autoregression(rows.residuals(g), least=rows.rounding)
     middle = exogenous_score_in_blocks(rows.backwards(), noise, d) * rows.N / degrees
     bread = basis.W @ basis.W.T
-    variance = float(R[d, d] ** 2) / degrees
+    variance = max(float(R[d, d] ** 2) / degrees, rows.rounding**2)
     covariance = bread @ middle @ bread
     return Posterior(g=g, covariance=covariance, noise_variance=variance, hyperparameters={})
 
@@ -371,7 +374,7 @@ def _regularised(rows: FirRegression, kernel: Kernel) -> Posterior:
         kernel=kernel,
         R=R[:d, :d],
         r=R[:d, d],
-        rest=float(R[d, d] ** 2),
+        rest=max(float(R[d, d] ** 2), rows.N * rows.rounding**2),
         M=rows.N - rows.nuisance,
     ).posterior()
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal, triangle
+from armrig.numerics.rounding import rounding_std
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -214,6 +215,8 @@ class FirRegression:
     """Regression of each experiment."""
     nuisance: int
     """Number of levels and ramps projected out."""
+    rounding: float
+    """Standard deviation of rounding errors, in y's unit."""
 
     @property
     def N(self) -> int:
@@ -253,7 +256,9 @@ def regression(data: Dataset, n: int, *, integrator: bool) -> FirRegression:
         x = data.Ts * np.cumsum(part.u - mean) if integrator else part.u - mean
         experiments.append(_experiment(part, x, n, columns=1 + integrator))
     return FirRegression(
-        experiments=tuple(experiments), nuisance=sum(x.own.shape[1] for x in experiments)
+        experiments=tuple(experiments),
+        nuisance=sum(x.own.shape[1] for x in experiments),
+        rounding=rounding_std(data.y),
     )
 
 

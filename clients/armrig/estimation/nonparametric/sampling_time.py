@@ -18,7 +18,7 @@ from armrig.estimation.nonparametric.spectra import explained, filled
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
-from armrig.numerics.quantities import times, with_std
+from armrig.numerics.quantities import digits, plural, times, with_std
 from armrig.numerics.step_times import linear_crossing, rise_time
 from armrig.numerics.stretches import constant
 from armrig.plots.layout import drawn_by, html
@@ -103,7 +103,9 @@ class SamplingTime:
 
     def __repr__(self) -> str:
         """Return the recommendation with its reasons as text."""
-        beyond = "an unknown share" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"
+        beyond = (
+            "an unknown share" if np.isnan(self.beyond) else f"{digits(100 * self.beyond, 2)} %"
+        )
         how = "steps" if self.from_step else "regularised impulse response"
         lines = [
             f"sampling time: {times(self.Ts)} recommended (from {self.output} at "
@@ -112,8 +114,8 @@ class SamplingTime:
             f"  spectrum:  -3 dB {self._band_text()} rad/s, omega_s = 20 omega_B: Ts "
             f"{times(self.Ts_spectrum)}",
             f"  transient: {self._transient_text()}",
-            f"  aliasing:  {100 * self.near_nyquist:.2g} % of the power is above 0.8 of Nyquist; "
-            f"{beyond} is above Nyquist at the recommended Ts",
+            f"  aliasing:  {digits(100 * self.near_nyquist, 2)} % of the power is above 0.8 of "
+            f"Nyquist; {beyond} is above Nyquist at the recommended Ts",
         ]
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
@@ -121,8 +123,8 @@ class SamplingTime:
         if self.tau < self.recorded_at:
             return f"63 % time tau below a sample, {times(self.recorded_at)}"
         return (
-            f"63 % time tau {times(self.tau)}, omega_B = 1/tau = {self.omega_step:.3g} rad/s, "
-            f"omega_s = 20 omega_B: Ts {times(self.Ts_step)}"
+            f"63 % time tau {times(self.tau)}, omega_B = 1/tau = {digits(self.omega_step, 3)} "
+            f"rad/s, omega_s = 20 omega_B: Ts {times(self.Ts_step)}"
         )
 
     def _transient_text(self) -> str:
@@ -135,7 +137,7 @@ class SamplingTime:
         return f"{length} to within 5 %, 10 to 7 samples in it: Ts {times(*self.Ts_transient)}"
 
     def _band_text(self) -> str:
-        first, last = (f"{omega:.3g}" for omega in (self.omega_first, self.omega_spectrum))
+        first, last = (digits(omega, 3) for omega in (self.omega_first, self.omega_spectrum))
         return f"at {last}" if first == last else f"first at {first}, last (omega_B) at {last}"
 
 
@@ -375,7 +377,9 @@ def _power(data: Dataset, *, integrates: bool) -> tuple[Vector, Vector]:
         )
         power += density[1:257] * ((y.size - length) // (length // 2) + 1)
     if not power.any():
-        raise InputError(f"no {length} samples in a row are of one experiment; record longer")
+        raise InputError(
+            f"no {plural(length, 'sample')} in a row are of one experiment; record longer"
+        )
     return omega, power
 
 
@@ -401,8 +405,8 @@ def _doubts(
         )
     if near > MIN_ALIASING_SHARE and not (of and near < MOST_DIFFERENCED):
         yield (
-            f"{100 * near:.2g} % of the power is near Nyquist: noise or aliasing; compare with a "
-            "faster recording before you trust the spectrum"
+            f"{digits(100 * near, 2)} % of the power is near Nyquist: noise or aliasing; compare "
+            "with a faster recording before you trust the spectrum"
         )
 
 
@@ -418,12 +422,12 @@ def _reasons(
     )
     if rules[most] > 4 * rules[least]:
         yield (
-            f"the rules differ by a factor {rules[most] / rules[least]:.2g}: the response rises "
-            "fast and settles slowly, and the fast part decides"
+            f"the rules differ by a factor {digits(rules[most] / rules[least], 2)}: the response "
+            "rises fast and settles slowly, and the fast part decides"
         )
     if of and MIN_ALIASING_SHARE < near < MOST_DIFFERENCED:
         yield (
-            f"{100 * near:.2g} % of the power is near Nyquist. White noise of {of}, "
+            f"{digits(100 * near, 2)} % of the power is near Nyquist. White noise of {of}, "
             f"differenced for the rate, has {100 * DIFFERENCED:g} % of its power there at any Ts, "
             "so a faster recording does not lower this share"
         )

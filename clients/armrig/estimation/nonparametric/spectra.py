@@ -13,6 +13,7 @@ from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.quantities import digits, plural
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -99,9 +100,9 @@ def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) ->
         return []
     worst = int(np.argmax(np.where(higher, (sharp - blunt) / np.max(sharp), 0.0)))
     return [
-        f"the lag window of {gamma} samples blunts the response near "
-        f"{omega[known][worst]:.3g} rad/s: with {longer} samples |G| is "
-        f"{sharp[worst] / max(blunt[worst], 1e-300):.2g} times as high. For a resonance use "
+        f"the lag window of {plural(gamma, 'sample')} blunts the response near "
+        f"{digits(omega[known][worst], 3)} rad/s: with {plural(longer, 'sample')} |G| is "
+        f"{digits(sharp[worst] / max(blunt[worst], 1e-300), 2)} times as high. For a resonance use "
         f'window={longer} or "log", for a delay give delay='
     ]
 

@@ -24,6 +24,7 @@ from armrig.estimation.nonparametric.spectra import (
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.polynomial import summation
+from armrig.numerics.quantities import plural
 
 Vector = NDArray[np.float64]
 
@@ -127,7 +128,7 @@ def spa(
         notes += blunted(whole, spectra, int(gamma[0]), w, N)
     size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
     words = f"Blackman-Tukey, Hann lag window, gamma {size} samples"
-    words += f", aligned by {delay} samples" if delay else ""
+    words += f", aligned by {plural(delay, 'sample')}" if delay else ""
     turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
     return _estimate(data, w, turned, words, N, integrates=integrates, notes=notes)
 
@@ -137,7 +138,9 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     parts = [part for part in data.experiments() if delay + 1 < part.N]
     if not parts:
         longest = max(part.N for part in data.experiments())
-        raise InputError(f"delay={delay} is too long; the longest experiment has {longest} samples")
+        raise InputError(
+            f"delay={delay} is too long; the longest experiment has {plural(longest, 'sample')}"
+        )
     return merge(
         [
             part.replaced(
@@ -173,7 +176,8 @@ def _gamma(window: int | str | None, omega: Vector, Ts: float, N: int) -> NDArra
     require_integers(window=(gamma, 2))
     if gamma >= N:
         raise InputError(
-            f"window={gamma} must be less than the {N} samples with an output; N/10 is usual"
+            f"window={gamma} must be less than the {plural(N, 'sample')} with an output; N/10 is "
+            "usual"
         )
     return np.full(omega.size, gamma)
 

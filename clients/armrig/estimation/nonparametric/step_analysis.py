@@ -18,8 +18,10 @@ from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
+from armrig.estimation.data_faults import require_moving_output
 from armrig.estimation.nonparametric.step_answer import Answer, step_answer
-from armrig.numerics.quantities import plural, times, with_std
+from armrig.numerics.quantities import digits, plural, times, with_std
+from armrig.numerics.rounding import rounding_std
 from armrig.numerics.step_times import area_above, lag_of_angle
 from armrig.numerics.stretches import Mask, constant, stretches
 from armrig.plots.layout import drawn_by
@@ -112,7 +114,7 @@ class StepAnalysis(OfDataset):
             f"  gain {with_std(self.gain, self.gain_std)} {unit}".rstrip(),
             f"  dead time {dead_time} (95 %: {low:.4g} … {high:.4g} s)",
             f"  63 % time {with_std(self.tau, self.tau_std)} s, so omega_B = 1/tau = "
-            f"{self.bandwidth:.3g} rad/s",
+            f"{digits(self.bandwidth, 3)} rad/s",
             f"  equivalent time {with_std(self.equivalent_time, self.equivalent_time_std)} s "
             "(area above the response)",
             f"  within 5 % after {with_std(self.settling, self.settling_std)} s, "
@@ -125,7 +127,7 @@ class StepAnalysis(OfDataset):
             return "noise hides a possible overshoot"
         # Three standard deviations, not two, because the overshoot is the largest of many values.
         if self.overshoot <= 3 * self.overshoot_std:
-            about = f" (± {100 * self.overshoot_std:.2g} %)" if self.overshoot_std else ""
+            about = f" (± {digits(100 * self.overshoot_std, 2)} %)" if self.overshoot_std else ""
             return f"no visible overshoot{about}"
         return f"overshoot {with_std(100 * self.overshoot, 100 * self.overshoot_std)} %"
 
@@ -185,6 +187,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     integrates = decided.integrates
     treated = difference(data) if integrates else data
     steps = _steps(treated)
+    require_moving_output(data)
     k, y, weight = _averaged(treated, steps, slope=False)
     own = y
     if integrates:
@@ -194,15 +197,20 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     tail = tail[np.isfinite(tail)]
     gain = float(np.mean(tail)) if tail.size else float("nan")
     gain_std = float(np.std(tail) / np.sqrt(max(tail.size, 1)))
-    if not np.isfinite(gain) or abs(gain) <= 4 * gain_std:
+    if not abs(gain) > 4 * max(gain_std, rounding_std(y)):
         raise InputError(
-            f"{treated.output} does not respond to the step: final value {gain:.3g} ± "
-            f"{gain_std:.2g}; use a larger step, or hold u longer"
+            f"{treated.output} does not respond to the step: final value {digits(gain, 3)} ± "
+            f"{digits(gain_std, 2)}; use a larger step, or hold u longer"
             + "; or y settles (--assume settling, integrator=False)"
             * bool(decided.reason)
         )
     answer = _answer(own, k, weight, data, gain, integrates=integrates)
     crossing, L = answer.crossing, answer.dead_time
+    if not crossing > 0:
+        raise InputError(
+            f"{treated.output} is at its final value at the step, which is no response to it: use "
+            "a larger step, or hold u longer"
+        )
     low, high = answer.dead_time_interval
     L_std = (high - low) / 4 if L else 0.0
     lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
@@ -311,13 +319,15 @@ def _averaged(
 
 def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: float) -> float:
     """Return the error of the response due to motion of y before the step; 0 if y was at rest."""
+    rounding = rounding_std(y)
     near = (k < 0) & (k >= -(steps.pre // 2) - 1) & np.isfinite(y)
     if np.count_nonzero(near) <= 2:
         return 0.0
     x, y = k[near] - k[near].mean(), y[near] - y[near].mean()
     spread = float(x @ x)
     slope = float(x @ y) / spread
-    std = float(np.linalg.norm(y - slope * x)) / np.sqrt((x.size - 2) * spread)
+    error = float(np.linalg.norm(y - slope * x)) / np.sqrt(x.size - 2)
+    std = max(error, rounding) / np.sqrt(spread)
     return crossing * slope if abs(slope) > _SLOPE_SIGMAS * std else 0.0
 
 
@@ -402,7 +412,7 @@ def _warnings(
     if abs(unsettled) > _MIN_UNSETTLED_SHARE:
         yield (
             "the output had not settled before the step: the remaining motion was "
-            f"{100 * abs(unsettled):.2g} % of the response; hold u longer before the step"
+            f"{digits(100 * abs(unsettled), 2)} % of the response; hold u longer before the step"
         )
     half = tail.size // 2
     change = float(abs(np.mean(tail[half:]) - np.mean(tail[:half]))) if half else 0.0

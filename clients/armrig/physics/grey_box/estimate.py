@@ -19,6 +19,7 @@ from armrig.data.columns import Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum
+from armrig.numerics.quantities import plural
 from armrig.numerics.whiteness import default_lags, joined, ljung_box
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.inference import MAX_SOLVER_SHARE, grey_fit, require_samples
@@ -210,7 +211,8 @@ def _equations(data: Signals, ode: Ode, fixed: Mapping[str, float], i: int) -> G
         returned = ode.simulate(data.u[:2], Ts=data.Ts, values=fixed, steps=1).shape[1]
         if returned != data.ny:
             raise InputError(
-                f"output returns {returned} values; the data have {data.ny} outputs, "
+                f"output returns {plural(returned, 'value')}; the data have "
+                f"{plural(data.ny, 'output')}, "
                 f"{', '.join(data.outputs)}: choose them with signals.channels(outputs)"
             )
         found = minimised(

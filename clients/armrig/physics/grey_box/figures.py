@@ -10,7 +10,7 @@ from armrig_core.telemetry.channels import ARM_OUTPUTS
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
 from armrig.physics.grey_box.physical_models import UNITS
-from armrig.plots.captions import in_mathtext, legend, sign, symbol
+from armrig.plots.captions import legend, sign, symbol
 from armrig.plots.layout import (
     BLUE,
     GREY,
@@ -87,7 +87,7 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
         ticks.append((float(place.mean()), plural(s.k, "part")))
         x += s.k + 1
     ax.set_xticks([t for t, _ in ticks], [name for _, name in ticks])
-    ax.set_ylabel(in_mathtext(f"{symbol(study.parameter)} [{_of(size, unit)}]"))
+    ax.set_ylabel(f"{symbol(study.parameter)} [{_of(size, unit)}]")
     N = np.concatenate([s.N for s in study.splits])
     reported = np.concatenate([s.std for s in study.splits]) / of_std
     line = np.geomspace(N.min() / 1.2, N.max() * 1.2, 20)
@@ -118,7 +118,7 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
     margin = max(1.0, float(np.sqrt(5 * low / high)))  # a factor of 5 has two of 1, 2, 5, 10
     logarithmic(below.yaxis, low / margin, high * margin)
     below.set_xlabel("samples $N$")
-    below.set_ylabel(in_mathtext(f"σ [{_of(of_std, unit)}]"))
+    below.set_ylabel(f"σ [{_of(of_std, unit)}]")
     finish(ax)
     finish(below)
     legend(below)

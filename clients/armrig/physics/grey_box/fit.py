@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.numerics.inference import OutputQuality
+from armrig.numerics.quantities import digits, plural
 from armrig.physics.grey_box.physical_models import PhysicalModel
 
 if TYPE_CHECKING:
@@ -150,14 +151,14 @@ class GreyFit:
         armrig_core.errors.InputError: J_2 = 0.0039... kg m²: not identifiable from these ...
         """
         lost = [
-            f"{n} = {self.values[n]:.3g} ± {self.std_noise[n]:.2g} "
+            f"{n} = {digits(self.values[n], 3)} ± {digits(self.std_noise[n], 2)} "
             f"{self.physics.parameters[n].unit}".rstrip()
             for n in self.undetermined
         ]
         if lost:
             raise InputError(
-                f"{', '.join(lost)}: not identifiable from these {self.N} samples, 2 standard "
-                f"deviations reach 0; {_WAY_OUT}"
+                f"{', '.join(lost)}: not identifiable from these {plural(self.N, 'sample')}, 2 "
+                f"standard deviations reach 0; {_WAY_OUT}"
             )
         if not self.converged:
             raise InputError(
@@ -258,32 +259,35 @@ class GreyFit:
                 parts.append(f"{name} = {self.values[name]:.5g}{unit}, at its bound.")
                 continue
             parts.append(
-                f"{name} = {self.values[name]:.5g} ± {self.std[name]:.2g}{unit} "
-                f"(one standard deviation{f', {100 * share:.2g} %' if share < 1 else ''})."
+                f"{name} = {self.values[name]:.5g} ± {digits(self.std[name], 2)}{unit} "
+                f"(one standard deviation{f', {digits(100 * share, 2)} %' if share < 1 else ''})."
             )
             moved = {k: v for k, v in self.influence.get(name, {}).items() if abs(v) >= 0.05}
             if moved:
                 shares = ", ".join(f"{k} {v:+.2f} %" for k, v in moved.items())
                 parts.append(f"If a fixed parameter is 1 % larger, {name} changes: {shares}.")
         if any(self.fixed_std.values()):
-            noise = ", ".join(f"{k} {v:.2g}" for k, v in self.std_noise.items())
+            noise = ", ".join(f"{k} {digits(v, 2)}" for k, v in self.std_noise.items())
             parts.append(f"Standard deviations due to the noise only: {noise}.")
         return "\n".join([*parts, *(f"Note: {w}." for w in self.warnings)])
 
     def __repr__(self) -> str:
         """Return a table of the estimates with classic and robust standard deviations."""
         lines = [
-            f"grey box (output error), {self.output}, {self.N} samples at {self.Ts:g} s, "
-            f"fit {self.fit_percent:.2f} %, rms {np.sqrt(self.loss):.3g} {self.unit}".rstrip(),
+            f"grey box (output error), {self.output}, {plural(self.N, 'sample')} at {self.Ts:g} s, "
+            f"fit {self.fit_percent:.2f} %, rms {digits(np.sqrt(self.loss), 3)} "
+            f"{self.unit}".rstrip(),
             f"  {'':6} {'estimate':>12} {'std':>10} {'robust':>10}",
         ]
         lines += [
-            f"  {n:6} {self.values[n]:12.6g} {self.std[n]:10.2g} {self.std_robust[n]:10.2g} "
+            f"  {n:6} {self.values[n]:12.6g} {digits(self.std[n], 2):>10} "
+            f"{digits(self.std_robust[n], 2):>10} "
             f"{self.physics.parameters[n].unit}".rstrip()
             for n in self.names
         ]
         lines += [
-            f"  {name}: fit {q.fit_percent:.2f} %, rms {np.sqrt(q.loss):.3g}, N {q.N}, {q.white}"
+            f"  {name}: fit {q.fit_percent:.2f} %, rms {digits(np.sqrt(q.loss), 3)}, N {q.N}, "
+            f"{q.white}"
             for name, q in self.by_output.items()
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])

@@ -7,19 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 from armrig_core.errors import InputError
+from numpy.typing import NDArray
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.models.state_space import frozen
+from armrig.numerics.curvature import curvature, doubts
 from armrig.numerics.inference import Inference, OutputResiduals, infer
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
+from armrig.numerics.quantities import plural
+from armrig.numerics.rounding import rounding_std
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.physical_models import COULOMB, NAMES, SIGNED, Physics
 from armrig.physics.grey_box.shooting import DERIVATIVE_ERROR, MAX_LOG_FACTOR, Shooting
 
-_ROUNDING_SHARE = 1e-18  # share of |y|²; a smaller |e|² is rounding error
 _MIN_COMPONENT = 0.05  # least component of a parameter in a combination without effect
 _MIN_INFLUENCE = 1e-9
 _BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
@@ -42,9 +45,12 @@ def require_samples(data: Signals, names: Sequence[str], *, unknown: int) -> Non
     count = len(experiments)
     needed = len(names) + unknown * count + 1
     if samples < needed or min(part.N for part in experiments) < 2:
-        where = f" in {count} experiments, and two in each experiment" if count > 1 else ""
+        where = (
+            f" in {plural(count, 'experiment')}, and two in each experiment" if count > 1 else ""
+        )
         raise InputError(
-            f"{samples} samples are too few to estimate {', '.join(names)}, which needs at least "
+            f"{plural(samples, 'sample is', 'samples are')} too few to estimate "
+            f"{', '.join(names)}, which needs at least "
             f"{needed}{where}: record longer, or cut into fewer parts"
         )
 
@@ -101,8 +107,13 @@ def grey_fit(
     std, quality = _named_std(names, covariance), found.quality[i]
     own = [data.dataset(name, data.inputs[0]) for name in data.outputs]
     quanta = [quantum(output) for output in own]
-    rounding = _ROUNDING_SHARE * float(np.nansum((data.y / problem.std) ** 2))
+    rounding = data.y.size * rounding_std(data.y / problem.std) ** 2
     converged = best.converged or best.cost <= rounding
+    curved = 0.0 if best.cost <= rounding else _curvature(problem, z, free, found)
+    coloured = any(q.white.coloured for q in found.quality)
+    measured = int(np.isfinite(e).any(axis=1).sum())
+    covariances = found.covariance, found.covariance_robust
+    reasons = [text for _, text in doubts(curved, *covariances, N=measured, coloured=coloured)]
     noise = np.sqrt(np.nanmean(e**2, axis=0))
     error = problem.solver_error(z, MAX_SOLVER_SHARE * noise)[1][i]
     initial, offsets = problem.initial(z), np.zeros(len(problem.segments.rows))
@@ -149,14 +160,39 @@ def grey_fit(
         physics=physics,
         by_output=dict(zip(data.outputs, found.quality, strict=True)) if data.ny > 1 else {},
         warnings=(
-            *([] if converged else [f"no convergence in {best.iterations} steps"]),
+            *([] if converged else [f"no convergence in {plural(best.iterations, 'step')}"]),
             *(f"the search for {names[j]} {_AT_BOUND}" for j in np.flatnonzero(stopped)),
             *([_NO_MODEL.format(poorest)] if poorest < 0 else []),
+            *reasons,
             *worse,
             *physics.doubts(values, std, float(noise[i])),
             *_noise_warnings(data.outputs, quanta, found, has_friction=has_friction),
         ),
         **own[i].origin() | {"digest": data.digest},
+    )
+
+
+def _curvature(problem: Shooting, z: Vector, kept: NDArray[np.int_], found: Inference) -> float:
+    """Return the curvature of the loss in the `kept` coordinates, which initial states follow."""
+    d = len(problem.names)
+    own = np.append(kept, np.arange(d, z.size))
+    e, J = problem.linearise(z)
+    basis = orthonormal(J[:, own], DERIVATIVE_ERROR)
+    variance = float(e @ e) / max(e.size - basis.rank, 1)
+
+    def cost(at: Vector) -> float:
+        moved = z.copy()
+        moved[own] = at
+        e, _ = problem.linearise(moved)
+        return float(e @ e)
+
+    return curvature(
+        cost,
+        z[own],
+        variance * basis.W @ basis.W.T,
+        variance,
+        used=found.covariance_robust if found.quality[0].white.coloured else None,
+        followers=slice(kept.size, None),
     )
 
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.checks import column
+from armrig.numerics.quantities import digits, plural
 from armrig.numerics.recursion import recursion
 from armrig.physics.systems import SPEED
 
@@ -66,8 +67,13 @@ class Equations:
         return self.model.states
 
     def inputs(self, data: Signals) -> Matrix:
-        """Return the inputs (N, nu) of an experiment."""
-        return data.u
+        """Return the delayed inputs (N, nu) of an experiment: of a rig, the voltage at its pin."""
+        return self.model.delayed(data.volts, data.Ts)
+
+    @property
+    def delay(self) -> float:
+        """Dead time of the inputs, in s."""
+        return self.model.delay
 
     def integrated(
         self, course: Course, x: NDArray[np.float64], values: Mapping[str, Any], steps: int
@@ -86,7 +92,10 @@ class Equations:
     ) -> Iterable[str]:
         """Yield a warning if the integration is not exact enough."""
         if self.solver_error > _SOLVER_DOUBT * noise:
-            yield f"the integration is exact to {self.solver_error:.1g}; the noise is {noise:.1g}"
+            yield (
+                f"the integration is exact to {digits(self.solver_error, 1)}; the noise is "
+                f"{digits(noise, 1)}"
+            )
 
     def to_control(self, parameters: Any) -> control.StateSpace:
         """Refuse: own equations may be nonlinear."""
@@ -121,6 +130,8 @@ class Physics:
     """Values of all parameters that are not free."""
     outputs: tuple[str, ...]
     """Labels of the measured outputs."""
+    delay: float = 0.0
+    """Dead time of the input, in s."""
     friction: bool = False
     """True with Coulomb friction; u0 is then estimated only with a bipolar input."""
 
@@ -149,8 +160,8 @@ class Physics:
         system = self.model(self.fixed)
         if system.dt not in (0, None) or system.ninputs != 1:
             raise InputError(
-                f"the model has dt={system.dt} and {system.ninputs} inputs; it must be in "
-                "continuous time with one input"
+                f"the model has dt={system.dt} and {plural(system.ninputs, 'input')}; it must be "
+                "in continuous time with one input"
             )
         for output in self.outputs:
             if output not in system.output_labels:
@@ -223,8 +234,8 @@ class Physics:
         for n, v in values.items():
             if n in SIGNED | {COULOMB} and v < 0 < std[n] < np.inf:
                 yield (
-                    f"{n} = {v:.2g} is below 0, by {abs(v) / std[n]:.1f} standard deviations: take "
-                    "it as 0"
+                    f"{n} = {digits(v, 2)} is below 0, by {abs(v) / std[n]:.1f} standard "
+                    "deviations: take it as 0"
                 )
 
     def all_values(self, values: Mapping[str, float]) -> ArmParameters:

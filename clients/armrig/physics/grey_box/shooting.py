@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -89,7 +90,7 @@ class Segments:
                 Ts=Ts,
                 linear=tuple(x == "foh" for x in experiments[0].intersample),
             ),
-            y=np.vstack([np.where(data.valid, data.y, np.nan) for data in experiments]),
+            y=np.vstack([_observed(data, ceil(model.delay / Ts)) for data in experiments]),
             place=(interval, segment),
             experiment=np.repeat(np.arange(len(own)), [index.shape[1] for index in own]),
             rows=tuple(slice(a, b) for a, b in pairwise(edges)),
@@ -103,6 +104,13 @@ class Segments:
     def in_order(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (L + 1, ny, …, S) as (N, ny, …), in the order of time."""
         return np.asarray(values[self.place[0], ..., self.place[1]])
+
+
+def _observed(data: Signals, late: int) -> Matrix:
+    """Return the outputs (N, ny), NaN where there is none, and while the input is not known."""
+    y = np.where(data.valid, data.y, np.nan)
+    y[:late] = np.nan
+    return y
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

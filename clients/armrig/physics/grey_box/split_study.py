@@ -14,7 +14,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.columns import Vector
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import require_integers, several
-from armrig.numerics.quantities import p_relation, plural
+from armrig.numerics.quantities import digits, p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.plots.layout import drawn_by
@@ -124,9 +124,9 @@ class SplitStudy:
         if len(self.splits) > 1:
             ratio, expected = self.std_growth, sqrt(float(np.mean(first.N) / np.mean(last.N)))
             lines.append(
-                f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
-                f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}. If the "
-                "variance were proportional to 1/N, the factors would be "
+                f"From {first.k} to {plural(last.k, 'part')} the standard deviation of "
+                f"{self.parameter} changes by a factor of {ratio:.2f}, its variance by "
+                f"{ratio**2:.2f}. If the variance were proportional to 1/N, the factors would be "
                 f"{expected:.2f} and {expected**2:.2f}."
             )
         if lines and full:
@@ -139,15 +139,18 @@ class SplitStudy:
         for s in cut:
             word = "agree" if s.p_value >= _DIFFERENCE_LEVEL else "DIFFER"
             line = (
-                f"The {s.k} parts {word} at a level of {100 * _DIFFERENCE_LEVEL:g} % "
+                f"The {plural(s.k, 'part')} {word} at a level of {100 * _DIFFERENCE_LEVEL:g} % "
                 f"(chi² {s.chi2:.2f} with {plural(s.k - 1, 'degree')} of freedom, "
                 f"p {p_relation(s.p_value)})"
             )
             if full:
                 reported = sqrt(float(np.mean(s.std**2)))
                 low, high = s.scatter_interval
-                line += f"; they scatter by {s.scatter:.2g} (95 % interval {low:.2g} to "
-                line += f"{high:.2g}), and the reported standard deviation is {reported:.2g}"
+                line += (
+                    f"; they scatter by {digits(s.scatter, 2)} (95 % interval {digits(low, 2)} to "
+                    f"{digits(high, 2)}), and the reported standard deviation is "
+                    f"{digits(reported, 2)}"
+                )
             lines.append(f"{line}.")
         if any(s.p_value < _DIFFERENCE_LEVEL for s in cut):
             lines.append(
@@ -164,11 +167,13 @@ class SplitStudy:
         lines = [f"{'parts':>5} {'N':>7} {self.parameter:>12} {'std':>9} {'std sqrt(N)':>12}"]
         for s in self.splits:
             for N, value, std in zip(s.N, s.values, s.std, strict=True):
-                lines.append(f"{s.k:5d} {N:7.0f} {value:12.6g} {std:9.2g} {std * sqrt(N):12.4g}")
+                lines.append(
+                    f"{s.k:5d} {N:7.0f} {value:12.6g} {digits(std, 2):>9} {std * sqrt(N):12.4g}"
+                )
             if s.k > 1:
                 value, std = s.pooled
                 lines.append(
-                    f"{'':5} {'pooled':>7} {value:12.6g} {std:9.2g} {s.scaled_std:12.4g}  "
+                    f"{'':5} {'pooled':>7} {value:12.6g} {digits(std, 2):>9} {s.scaled_std:12.4g}  "
                     f"chi² {s.chi2:.2f}, p {p_relation(s.p_value)}"
                 )
         return "\n".join(lines)

@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.columns import Matrix, Vector
+from armrig.numerics.quantities import digits
 from armrig.physics.integrators.methods import METHODS, method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.integrators.stepping import exact, integrate, require_positive, system
@@ -203,7 +204,7 @@ class Recommendation:
 
     def explain(self) -> str:
         """Return a text with the step of each method and its reason."""
-        head = f"For an error of at most {self.tolerance:g} over {self.span:.3g} s:"
+        head = f"For an error of at most {self.tolerance:g} over {digits(self.span, 3)} s:"
         return "\n".join([head, *(f"- {METHODS[r.method].name}: {r.reason}" for r in self.rows)])
 
     def __repr__(self) -> str:
@@ -213,8 +214,8 @@ class Recommendation:
         for r in self.rows:
             share = f"{r.h / r.limit:8.3f}" if isfinite(r.limit) else f"{'-':>8}"
             lines.append(
-                f"{r.method:14} {r.h:10.3g} {r.limit:10.4g} {share} "
-                f"{r.error:9.2g} {r.steps:8d} {r.work:8d}"
+                f"{r.method:14} {digits(r.h, 3):>10} {r.limit:10.4g} {share} "
+                f"{digits(r.error, 2):>9} {r.steps:8d} {r.work:8d}"
             )
         return "\n".join(lines)
 
@@ -335,16 +336,16 @@ def _reason(method: str, h: float, limit: float, error: float, tolerance: float)
     halved += f"a {'half' if order == 1 else 'quarter'} of the error"
     if limit == inf:
         return (
-            f"h = {h:.3g} s gives an error of {error:.2g}. No step is unstable, so accuracy alone "
-            f"decides; {halved}."
+            f"h = {digits(h, 3)} s gives an error of {digits(error, 2)}. No step is unstable, so "
+            f"accuracy alone decides; {halved}."
         )
     share = h / limit
     if share > 0.9 and error < 0.9 * tolerance:
         return (
-            f"h = {h:.3g} s, {100 * share:.0f} % of the limit {limit:.4g} s. Stability decides: "
-            f"the error of {error:.2g} would allow a larger step."
+            f"h = {digits(h, 3)} s, {100 * share:.0f} % of the limit {limit:.4g} s. Stability "
+            f"decides: the error of {digits(error, 2)} would allow a larger step."
         )
     return (
-        f"h = {h:.3g} s gives an error of {error:.2g}. Accuracy decides: the step is "
-        f"{100 * share:.2g} % of the limit {limit:.4g} s; {halved}."
+        f"h = {digits(h, 3)} s gives an error of {digits(error, 2)}. Accuracy decides: the step is "
+        f"{digits(100 * share, 2)} % of the limit {limit:.4g} s; {halved}."
     )

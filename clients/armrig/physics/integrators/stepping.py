@@ -12,6 +12,7 @@ from scipy.linalg import expm, lu_factor, lu_solve
 
 from armrig.data.columns import Matrix, Vector
 from armrig.numerics.checks import require_integers, require_numbers
+from armrig.numerics.quantities import plural
 from armrig.numerics.recursion import recursion
 from armrig.physics.integrators.methods import Multistep, RungeKutta, method_named
 
@@ -202,7 +203,7 @@ def _input(u: Input, t: Vector, m: int) -> Matrix:
     """Return u at each time, (len(t), m)."""
     values = np.array([np.ravel(u(float(x))) for x in t], dtype=np.float64)
     if values.shape[1] != m:
-        raise InputError(f"u(t) returns {values.shape[1]} numbers, but B takes {m}")
+        raise InputError(f"u(t) returns {plural(values.shape[1], 'number')}, but B takes {m}")
     return values
 
 
