@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.data.argument import HasDataset, takes_recordings
+from armrig.data.columns import constancy
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
-from armrig.data.finding import Finding, good, lines_of, warning
+from armrig.data.finding import Finding, few_samples, good, lines_of, warning
 from armrig.data.step import LINE, codes_of
-from armrig.data.treatment import drift, known_to_integrate
+from armrig.data.treatment import drift, hampel, known_to_integrate
 from armrig.data.treatment.integrating import Integration, integration, may_be_one
 from armrig.estimation.data_faults import (
     CONSTANT_INPUT,
@@ -29,7 +30,7 @@ from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import CHANNEL, DESCRIBED, RegisteredStructure
 from armrig.models.transfer_function import TransferFunction
-from armrig.numerics.quantities import near_one, p_relation, percent
+from armrig.numerics.quantities import digits, near_one, p_relation, percent, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
@@ -129,11 +130,14 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 @each_channel(lambda data, y, u: (data.dataset(y, u), {"whole": data.channels([y])}))
 @takes_recordings
 def _advice_on_data(data: Dataset, whole: Signals | None = None) -> Advice:
+    if text := constancy(data.output, data.y):
+        found = (_about_input(data), warning("output", text))
+        return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=found)
     known = tested(data, None)
     each = in_open_loop(data, known.loop)
     tests = [(good if t.linear else warning)("linearity", t.line) for t in each]
-    found = (*examine_experiment(data, known, whole), *tests)
-    return Advice(of=f"{data.N} samples of {data.output}", findings=found)
+    findings = (*few_samples(data.N), *examine_experiment(data, known, whole), *tests)
+    return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=findings)
 
 
 def _examined_channels(model: Fit) -> Iterator[tuple[Name, Advice]]:
@@ -239,7 +243,10 @@ def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:
     i = fit.slice_of("b").start
     b, std = float(fit.theta[i]), float(fit.std_robust[i])
     if std > 0 and abs(b) < BAND_99_PERCENT * std:
-        text = f"b1 = {b:.2g} ± {std:.2g} does not differ significantly from 0: a delay, or only "
+        text = (
+            f"b1 = {digits(b, 2)} ± {digits(std, 2)} does not differ significantly from 0: a "
+            "delay, or only "
+        )
         text += "noise; a test decides (armrig.delay, `armrig check`)"
         yield warning("delay", text, "check")
 
@@ -282,6 +289,10 @@ def tested(data: Dataset, integrator: bool | None) -> Tested:
 
 
 def _loop(data: Dataset) -> OpenLoop | None:
+    """Return the test for feedback; None for too few samples, or if only one sample moves."""
+    y = data.y[data.valid]
+    if np.count_nonzero(y != np.median(y)) <= 1:
+        return None
     with suppress(ValueError):
         return open_loop(data)
     return None
@@ -329,10 +340,12 @@ def examine_experiment(
 def examine_fit_of(
     data: Dataset | Signals, fit: Fit, integrator: bool | None = None
 ) -> Iterator[Finding]:
-    """Yield the findings on excitation, integrator, feedback and delay that concern the model.
+    """Yield the findings on length, excitation, integrator, feedback and delay for the model.
 
-    The findings of several signals are those on the excitation and feedback of each channel.
+    The findings of several signals are those on the length, and on the excitation and feedback of
+    each channel.
     """
+    yield from few_samples(data.N)
     if (fit.ny, fit.nu) != (1, 1):
         yield from doubts_of_channels(data.signals())
         return
@@ -342,7 +355,8 @@ def examine_fit_of(
     in_s, fit = fit.Ts == 0, fit.to_discrete() if fit.Ts == 0 else fit
     order, needed = excitation_order(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
     if order < needed and not constant_input(data):
-        many = f"{needed} parameters of the model describe the response to u"
+        one, more = "parameter of the model describes", "parameters of the model describe"
+        many = f"{plural(needed, one, more)} the response to u"
         yield warning("excitation", f"{poor_input(order, many)}, or lower the orders")
     yield from _about_rails(data)
     poles = fit.poles()
@@ -364,11 +378,14 @@ def examine_fit_of(
 def _about_input(data: Dataset) -> Finding:
     order = excitation_order(data)
     if order >= 2 * ORDER:
-        text = f"u is exciting of order {order} at least: enough for {order} parameters of B and F "
+        text = (
+            f"u is exciting of order {order} at least: enough for "
+            f"{plural(order, 'parameter')} of B and F "
+        )
         return good("excitation", text + "(or B and A) together")
     if constant_input(data):
         return warning("excitation", CONSTANT_INPUT)
-    many = f"a model of order {ORDER} has {2 * ORDER} parameters of B and F (or B and A)"
+    many = f"a model of order {ORDER} has {plural(2 * ORDER, 'parameter')} of B and F (or B and A)"
     return warning("excitation", poor_input(order, many))
 
 
@@ -402,6 +419,9 @@ def _about_integrator(decided: Integration) -> Finding:
 def _about_outliers(data: Signals) -> Finding:
     try:
         count, text = looking_wrong(data)
+        if count and not all(t.linear for t in in_open_loop(hampel(data))):
+            # A nonlinear rig differs from a linear model in right samples, too.
+            count, text = looking_wrong(data, instrument=True)
     except ValueError as err:
         return good("outliers", f"not looked for: {err}")
     if not count:

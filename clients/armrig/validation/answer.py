@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.data.finding import FEW_SAMPLES
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import listed
@@ -37,7 +38,7 @@ def answer(
     """Return lines on the fit and the residuals of a model.
 
     If `doubts` or the findings of the fit make the data doubtful, the text advises the user to
-    correct the data before the orders.
+    correct the data before the orders. If there are few samples, it advises to record more.
     """
     doubted = bool(doubts) or any(f.about in OF_DATA for f in fit.findings)
     fits = [
@@ -47,7 +48,10 @@ def answer(
         f"{fit.heading} fits {listed(fits)} one step ahead; "
         f"{whiteness_sentence(fit, 'σ', 'σ robust')}"
     )
-    said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
+    remedy = _DATA_FIRST if doubted else COLOURED
+    if any(f.about == "samples" for f in doubts):
+        remedy = f"record {FEW_SAMPLES} samples or more first"
+    said += f"; {remedy}." if fit.trusts_robust else "."
     if any(f.about == "feedback" for f in doubts):
         said += " But the data show feedback, or a direct term: see below."
     if validation is None or tests is None:

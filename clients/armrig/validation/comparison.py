@@ -226,7 +226,8 @@ def compare(
     names = [model.label for model in models] if labels is None else list(labels)
     if len(names) != len(models):
         raise InputError(
-            f"{len(names)} labels for {len(models)} models; give one label for each model"
+            f"{plural(len(names), 'label')} for {plural(len(models), 'model')}; give one label "
+            "for each model"
         )
     several = isinstance(data, Signals) and (data.ny, data.nu) != (1, 1)
     for model, name in zip(models, names, strict=True):

@@ -11,7 +11,7 @@ from armrig_core.telemetry.channels import ARM_OUTPUTS
 from armrig.data.dataset import Signals
 from armrig.data.figures import without_ramp
 from armrig.models.spectral_estimate import gain_unit
-from armrig.numerics.quantities import NBSP, error, minus, p_relation
+from armrig.numerics.quantities import NBSP, error, minus, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
 from armrig.plots.captions import legend, named, sign
 from armrig.plots.layout import (
@@ -348,7 +348,17 @@ def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     ax.set_ylabel(f"rms error, {how} [{found.unit or '–'}]")
     finish(ax)
     off = np.count_nonzero(~shown)
-    legend(ax, *([f"{off} more models have over {_MOST:g} times the least error"] if off else []))
+    legend(
+        ax,
+        *(
+            [
+                f"{plural(off, 'more model has', 'more models have')} over {_MOST:g} times the "
+                "least error"
+            ]
+            if off
+            else []
+        ),
+    )
     return ax
 
 
@@ -356,7 +366,7 @@ def plot_linearity(found: Linearity, *, ax: Axes | None = None) -> Axes:
     """Show the static gain against the level of the input or the output that determines it."""
     ax = axes(ax)
     if not found.levels.size:
-        ax.text(0.5, 0.5, found.reason, transform=ax.transAxes, ha="center")
+        ax.text(0.5, 0.5, drawable(found.reason), transform=ax.transAxes, ha="center")
         return ax
     ax.plot(found.levels, found.gains, "o-", color=COLOURS[0], ms=3.5)
     u, y = (found.units[name] or "–" for name in (found.input, found.output))

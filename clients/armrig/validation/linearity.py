@@ -16,17 +16,20 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
+from armrig.data.treatment import hampel
 from armrig.data.treatment.integrating import pole_test
-from armrig.estimation.data_faults import CONSTANT_INPUT
+from armrig.estimation.data_faults import CONSTANT_INPUT, looking_wrong, require_moving_output
 from armrig.estimation.orders import require_samples
 from armrig.numerics.polynomial import Array, continued, filtered
-from armrig.numerics.quantities import p_relation, percent, three_digits
+from armrig.numerics.quantities import digits, p_relation, percent
 from armrig.numerics.regressors import LongArx, long_arx
+from armrig.numerics.rounding import rounding_std, without_rounding
 from armrig.numerics.whiteness import effects_p_value
 from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, each_channel
 from armrig.validation.feedback_and_delay.open_loop import (
     CHANCE_LEVEL,
+    EXACT,
     OpenLoop,
     open_loop,
     require_level,
@@ -61,7 +64,6 @@ _MAX_INSIDE = 0.35  # gain inside a dead zone, relative to the gain outside
 _MAX_OUTSIDE = -0.5  # coefficient of a saturation: -1 if y stays at the limit
 _ZONES = np.linspace(0.03, 0.75, 24)  # thresholds of a dead zone, as shares of the range of u
 _LEVELS_OF_A_ZONE = 4  # least number of levels of u that distinguish a dead zone
-_ROUNDING = 1e-9  # share of y below which errors are rounding
 _SAME_BIC = 1.0  # difference of BIC that does not distinguish two thresholds
 _LEVELS = np.linspace(0.05, 0.95, 19)  # from the 5 % to the 95 % quantile
 
@@ -113,9 +115,9 @@ class Linearity:
     @property
     def reason(self) -> str:
         """The kind with its numbers, in a few words."""
-        x = {name: three_digits(value) for name, value in self.numbers.items()}
+        x = {name: digits(value, 3) for name, value in self.numbers.items()}
         if self.kind == "saturation":
-            at = " and ".join(map(three_digits, self.rails)) or f"about {x['at']}"
+            at = " and ".join(digits(rail, 3) for rail in self.rails) or f"about {x['at']}"
             x |= {"at": at, "share": percent(100 * self.numbers["share"])}
         unit = self.units.get(self.input if "from" in x else self.gain_of)
         text = _REASONS[self.kind] if x or self.kind != "gain by level" else _NO_STATIC_GAIN
@@ -179,7 +181,8 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
     Raises
     ------
     ValueError
-        level is outside 0 to 1, u is constant, or there are too few samples.
+        level is outside 0 to 1, u or y is constant, u follows from y of the same sample, or there
+        are too few samples.
 
     References
     ----------
@@ -200,15 +203,21 @@ def linearity(data: Dataset | Signals, level: float = 0.05) -> Linearity | ByCha
 
 def _judged(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
     """Test one output; `loop` is the result of the test for feedback, if it is known."""
+    require_moving_output(data)
     (y,), u, together, closed, direct = data.outputs, data.inputs[0], False, False, False
-    one = data.dataset(y, u)
+    exact, one = False, data.dataset(y, u)
     with suppress(InputError):
         loop = loop or open_loop(one)
+        exact = loop.exact
         together, direct = loop.p_value < CHANCE_LEVEL, loop.may_be_direct_term
         closed = together and not loop.few_levels
+    if exact:
+        raise InputError(EXACT)
     # In closed loop, u(t) contains e(t).
     model = _long_model(data, first=int(closed and not direct))
     p, (at, rails) = _p_value(model), rails_of(one.y)
+    if not model.has_errors:  # a linear rig that settles stays at its last value, too
+        rails = []
     found: dict[str, Any] = {}
     if rails or p < level:
         gains = [*_gains(model)]
@@ -244,11 +253,14 @@ def _judged(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
 def in_open_loop(data: Dataset | Signals, loop: OpenLoop | None = None) -> list[Linearity]:
     """Test each channel at a level of 0.1 %; leave out feedback, and channels without a result.
 
-    `loop` is the result of the test for feedback in data of one channel, if it is known.
+    `loop` is the result of the test for feedback in data of one channel, if it is known. A single
+    wrong sample is no nonlinearity: one output is tested again without its wrong samples.
     """
     try:
         judged = _judged(data.signals(), CHANCE_LEVEL, loop) if loop else None
         found = judged or linearity(data, CHANCE_LEVEL)
+        if isinstance(found, Linearity) and not found.linear and looking_wrong(data.signals())[0]:
+            found = linearity(hampel(data), CHANCE_LEVEL)
     except InputError:
         return []
     each = [found] if isinstance(found, Linearity) else found.results.values()
@@ -266,6 +278,12 @@ class _LongModel:
     x: Array  # course of y that u causes
     y: Array  # measured output; 0 where it is missing
     means: Mapping[str, float]  # of u, x and y
+    rounding: float  # standard deviation of rounding errors of y
+
+    @property
+    def has_errors(self) -> bool:
+        """True if the model leaves more than rounding errors."""
+        return bool(without_rounding([self.arx.errors(self.y)], self.rounding)[0].any())
 
     def fitted(self, P: Array, *signals: Array) -> tuple[float, float, float, Array]:
         """Return BIC, A(1) and B(1) of the model with effects P(q) signals, and their factors."""
@@ -295,7 +313,16 @@ def _long_model(data: Signals, first: int) -> _LongModel:
         x = np.nan_to_num(y)
         x[arx.rows] -= arx.errors(y)
     u, means = data.u[:, 0] - mean[0], {"u": float(mean[0]), "x": y_0, "y": y_0}
-    return _LongModel(arx=arx, A=A, B=B[0], u=u, x=x, y=np.nan_to_num(y), means=means)
+    return _LongModel(
+        arx=arx,
+        A=A,
+        B=B[0],
+        u=u,
+        x=x,
+        y=np.nan_to_num(y),
+        means=means,
+        rounding=rounding_std(data.y),
+    )
 
 
 def _p_value(model: _LongModel) -> float:
@@ -306,7 +333,7 @@ def _p_value(model: _LongModel) -> float:
     like_u = np.array([u**2, u**3, np.abs(du), *of_x, x * u, *of_dx])
     effects = np.vstack([filtered(model.B, [1.0], like_u), filtered(model.A, [1.0], of_x)]).T
     own, e = model.arx.errors(effects), model.arx.errors(model.y)
-    if np.linalg.norm(e) <= _ROUNDING * np.linalg.norm(model.y):
+    if not model.has_errors:
         return 1.0
     moving = np.std(effects[model.arx.rows], axis=0) * np.sqrt(e.size)
     used = np.linalg.norm(own, axis=0) > _MIN_OWN_SHARE * moving

@@ -9,7 +9,7 @@ import numpy as np
 from armrig_core.telemetry.channels import ARM_OUTPUTS
 
 from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
-from armrig.numerics.quantities import minus, places, with_range, with_std
+from armrig.numerics.quantities import digits, minus, number, places, with_range, with_std
 from armrig.physics.systems import CAUSES
 
 if TYPE_CHECKING:
@@ -114,8 +114,8 @@ def _best(rows: Sequence[Comparison]) -> str:
     ranked = sorted(rows, key=lambda row: row.rms_error)
     best, next_ = ranked[0], ranked[min(1, len(ranked) - 1)]
     if len(rows) == 1:
-        return f"{best.name} has an error of {best.rms_error:.3g} rms."
-    sizes = [f"{row.rms_error:.3g}" for row in (best, next_)]
+        return f"{best.name} has an error of {digits(best.rms_error, 3)} rms."
+    sizes = [digits(row.rms_error, 3) for row in (best, next_)]
     if sizes[0] == sizes[1]:
         said = f"{best.name} and {next_.name} are equally close to these data, {sizes[0]} rms"
     else:
@@ -130,7 +130,7 @@ def _best(rows: Sequence[Comparison]) -> str:
 
 def _hopeless(row: Comparison, reference: Comparison, *, brief: bool) -> str:
     """Return the reason why the characteristics of a poor model do not describe the rig."""
-    said = f"{row.name} has {row.rms_error / reference.rms_error:.3g} times the error of "
+    said = f"{row.name} has {digits(row.rms_error / reference.rms_error, 3)} times the error of "
     said += f"{reference.name}: its characteristics differ because the model is poor"
     if brief:
         return f"{said}."
@@ -162,7 +162,7 @@ def _apart(
         std = float(np.hypot(a.std[name], b.std[name]))
         if np.isnan(x) or not abs(x - y) > max(SURE * std, 1e-3 * abs(y)):
             continue
-        share = f" ({minus(f'{100 * (x - y) / y:+.2g}')} %)" if y else ""
+        share = f" ({'+' * ((x - y) * y > 0)}{number(100 * (x - y) / y, 2)} %)" if y else ""
         figure = _NAMES[name].partition(" [")[0]
         yield (
             f"{figure}: {row.name} {_figure(x, a.std[name])}, {reference.name} "

@@ -16,10 +16,15 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals, Vector
-from armrig.data.finding import Finding
+from armrig.data.finding import Finding, few_samples
 from armrig.data.treatment import known_to_integrate
 from armrig.data.treatment.integrating import integration
-from armrig.estimation.data_faults import CONSTANT_INPUT, level_without_input
+from armrig.estimation.data_faults import (
+    CONSTANT_INPUT,
+    level_without_input,
+    require_moving_output,
+    require_no_copies,
+)
 from armrig.estimation.orders import integrating_outputs
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
@@ -33,8 +38,11 @@ from armrig.numerics.checks import (
     several_of,
 )
 from armrig.numerics.criteria import batch_means, fpe, simplest_as_good, standard_error
+from armrig.numerics.rounding import rounding_std
 from armrig.validation.advice import doubts_of_channels, examine_experiment, tested
 from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.held_input import may_follow_output
+from armrig.validation.feedback_and_delay.open_loop import EXACT
 from armrig.validation.recommended_structures import MAX_TIME_CONSTANTS, process_forms
 from armrig.validation.residuals import residuals
 from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
@@ -46,7 +54,6 @@ _SEARCHABLE = [name for name, row in OFFERED.items() if not row.continuous]
 _ORDERS = range(1, 9)  # default orders
 _ALWAYS_TRIED = 5  # highest default order that does not depend on the models of lower order
 _NOISE_ORDERS = (1, 2)  # nc and nd that are tried in Box-Jenkins models
-_ROUNDING = 1e-9  # share of y below which errors count as equal
 _SAME_LOSS = 1e-6  # share of a loss by which searches that end in the same minimum may differ
 _UNBOUNDED = 1e3  # multiple of the largest |y| above which an error counts as unbounded
 _MIN_RANGE_SHARE = 0.1  # least range of u in a part, as a share of the range of u in the data
@@ -54,6 +61,10 @@ _MIN_BATCHES = 7  # fewest batches for a standard error
 _MAX_LOST_FIT = 0.02  # greatest excess of the choice's rms error, as a share of the std of y
 _FINALISTS = 3  # candidates that are estimated again with all starts
 _MIN_PART_SHARE = 0.2  # least number of samples in a part, as a share of all samples
+_NO_DIRECT_TERM = (
+    "nk = 0 was not tried, because a controller that computes u(t) from y(t) causes an apparent "
+    "direct term; if u was not computed from y, give open_loop=True (--open-loop)"
+)
 _BOTH_TRIED = "y may integrate, so structures were tried with and without a pole at 1"
 _Data = Dataset | Signals
 _Fold = tuple[_Data, _Data]
@@ -77,6 +88,7 @@ def search(
     integrator: bool | str | Sequence[str] | None = None,
     offset: bool | None = None,
     horizon: int | None = None,
+    open_loop: bool = False,
     executor: Executor | None = None,
     progress: Callable[[int, int, str], object] | None = None,
 ) -> SearchResult:
@@ -122,7 +134,8 @@ def search(
     nk : int or iterable of int, optional
         Numbers of samples before u affects y; each number is tried. The default is the nk that
         `delay` finds, at least 1; for several signals 1. If a direct term is not ruled out, 0 is
-        tried, too, but not in closed loop, because a controller causes an apparent direct term.
+        tried, too, but only for an input that cannot have been computed from y(t): see `open_loop`.
+        A controller causes an apparent direct term.
     integrator : bool, str or sequence of str, optional
         If True, structures with this option have a pole at exactly 1. The default is True for
         theta_1; for any other output a test decides. If the test does not decide, "n4sid" is tried
@@ -138,6 +151,9 @@ def search(
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
         estimated with `focus="simulation"`. In closed loop the default for one input and output is
         1, because a model that is biased by feedback would have the best simulation.
+    open_loop : bool, default False
+        True if u(t) was not computed from y(t). Otherwise this counts as shown only for a u that
+        is held in two of three samples, and whose changes y does not explain.
     executor : concurrent.futures.Executor, optional
         Executor of the estimates, such as ``ProcessPoolExecutor``; by default the caller's thread.
     progress : callable, optional
@@ -153,7 +169,8 @@ def search(
     Raises
     ------
     ValueError
-        No model could be estimated, an argument is out of range, or u is constant.
+        No model could be estimated, an argument is out of range, u or y is constant, rows are
+        copies of others, or u follows from y of the same sample.
 
     Examples
     --------
@@ -170,6 +187,7 @@ def search(
         require_flags(offset=offset)
     if isinstance(data, Signals) and (data.nu, data.ny) == (1, 1):
         data = data.dataset()
+    require_moving_output(data)
     rising = orders is None
     whole, halved, orders = data, False, several("orders", _ORDERS if orders is None else orders)
     if validation is None:
@@ -181,7 +199,16 @@ def search(
     folds = [(data, validation), *([(validation, data)] if halved else [])]
     judged = whole if halved else validation
     candidates, horizon, against, notes = _planned(
-        whole, data, validation, families, orders, nk, integrator, offset, horizon
+        whole,
+        data,
+        validation,
+        families,
+        orders,
+        nk,
+        integrator,
+        offset,
+        horizon,
+        open_loop=open_loop,
     )
     score = partial(_score, folds=folds, horizon=horizon, own=own)
     runner = map if executor is None else executor.map
@@ -234,7 +261,7 @@ def search(
         **columns,
         chosen_index=chosen,
         failed=failed,
-        doubts=tuple(against),
+        doubts=(*few_samples(whole.N), *against),
         notes=(*([_OWN_DATA] if own else []), *notes, *([] if as_good else [_WORSE])),
         halved=halved,
         tests=residuals(best.fit, validation),
@@ -253,17 +280,23 @@ def _planned(
     integrator: bool | str | Sequence[str] | None,
     offset: bool | None,
     horizon: int | None,
+    *,
+    open_loop: bool,
 ) -> tuple[list[Candidate], int | None, list[Finding], list[str]]:
     """Test the data, and return the candidates, the horizon, the doubts, and the notes."""
     notes: list[str] = []
     poles: tuple[bool | tuple[str, ...], ...]
     if isinstance(data, Dataset):
         (mark,) = (None,) if integrator is None else integrating_outputs(integrator, data)
+        require_no_copies(as_dataset(whole))
         known = tested(data, mark)
+        if known.loop is not None and known.loop.exact:
+            raise InputError(EXACT)
         decided, late = known.integration, known.late
         likely = [max(late.nk, 1)] if isinstance(late, Delay) else [1]
-        if isinstance(late, Delay) and late.interval[0] == 0:
-            likely = [0, *likely]
+        direct = isinstance(late, Delay) and late.interval[0] == 0
+        may_be_0 = direct and (open_loop or not may_follow_output(data))
+        likely = [0, *likely] if may_be_0 else likely
         both = integration(as_dataset(whole), mark).undecided
         poles = (False, True) if both else (decided.integrates,)
         if families is None:
@@ -275,7 +308,8 @@ def _planned(
         left_out = {"level": offset, "feedback": not known.together}
         doubted = (f for f in examine_experiment(data, known) if f.level != "good")
         against = [f for f in doubted if not left_out.get(f.about)]
-        notes = [*decided.notes, *notes, *([_BOTH_TRIED] if both else [])]
+        untried = [_NO_DIRECT_TERM] * (direct and not may_be_0 and nk is None)
+        notes = [*decided.notes, *notes, *([_BOTH_TRIED] if both else []), *untried]
         horizon = 1 if horizon is None and known.closed else horizon
     else:
         if integrator is None:
@@ -452,7 +486,7 @@ def _fault(fit: Fit, error: Vector, data: _Data) -> str:
 def _ranked(scored: list[Scored], judged: _Data) -> _Ranking:
     """Return the candidates, best first; their rms, excess and its standard error; the choice."""
     loss, excess, excess_std = _compared([j.error for j in scored], judged)
-    order = np.argsort(loss, kind="stable")
+    order = np.argsort(excess, kind="stable")
     ranked, rms = [scored[i] for i in order], np.sqrt(loss)
     as_good = (excess <= excess_std) & (rms - rms.min() <= _allowed(judged))
     columns = {"rms": rms, "excess": excess, "excess_std": excess_std, "as_good": as_good}
@@ -498,9 +532,11 @@ def _compared(errors: list[Vector], judged: _Data) -> tuple[Vector, Vector, Vect
     while (K := means.shape[1]) >= _MIN_BATCHES * 2:
         means = means[:, : K // 2 * 2].reshape(len(means), -1, 2).mean(axis=2)
         std_of_mean = np.maximum(std_of_mean, standard_error(means))
-    loss, rounding = squared.mean(axis=1), _ROUNDING**2 * float(np.nanmean((y / std) ** 2))
+    loss, rounding = squared.mean(axis=1), rounding_std(y / std) ** 2
     least_std = max(rounding, _SAME_LOSS * float(loss.min()))
-    return loss, difference.mean(axis=1), np.maximum(std_of_mean, least_std)
+    excess = difference.mean(axis=1)
+    excess[excess <= rounding] = 0.0
+    return loss, excess, np.maximum(std_of_mean, least_std)
 
 
 def _estimation_and_validation(data: _Data) -> _Fold:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from armrig.models.predictor import PredictionErrors
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array, lagged
 from armrig.numerics.whiteness import NOT_TESTED, Whiteness, decided, portmanteau
-from armrig.validation.projection import Part, Projection, sum_of_products
+from armrig.validation.projection import Projection, sum_of_products
 
 
 def white_by_output(
@@ -35,7 +36,7 @@ def jointly_white(projected: Projection, theta_covariance: Array | None, L: int)
     return _white(projected, Lambda, T, theta_covariance, L)
 
 
-def _covariance(parts: Sequence[Part]) -> Array:
+def _covariance(parts: Sequence[PredictionErrors]) -> Array:
     return pairwise_covariance(np.vstack([p.e for p in parts]))
 
 
@@ -95,7 +96,7 @@ def _white(
     return decided(sums - mean.ravel(), M, V, N * m)
 
 
-def _vary(parts: Sequence[Part], used: Array) -> bool:
+def _vary(parts: Sequence[PredictionErrors], used: Array) -> bool:
     """Return whether each used output has a residual that is not 0."""
     return bool(np.all(np.sum([np.nansum(part.e[:, used] ** 2, axis=0) for part in parts], axis=0)))
 

@@ -7,140 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armrig.data.argument import as_dataset
-from armrig.data.dataset import Dataset, Signals
-from armrig.models.fit import Fit
-from armrig.models.prediction import prediction_errors
-from armrig.models.state_space import ErrorResponses, error_responses
-from armrig.numerics.covariance import whitening
+from armrig.models.predictor import PredictionErrors
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
-_STEP = 1e-3  # step of a parameter for a difference quotient, in standard deviations
-_LONGEST_STEP = 1e-5  # the same as a share of |theta|; a longer step can make a predictor unstable
-_MIN_VARIANCE_SHARE = 1e-12  # share of the largest variance below which a variance counts as 0
 _COLUMNS = 8  # columns that are projected at once, so that only a part of a matrix is copied
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Part:
-    """Residuals of one experiment."""
-
-    u: Array
-    """Inputs minus their means (N, nu)."""
-    e: Array
-    """Residuals (N, ny), NaN where they are not known."""
-    S: Array
-    """Basis of the responses of e to the unknown past and the ramps, (N, ny, q): S^T W S = 1."""
-    Psi: Array
-    """Derivatives of the prediction or of e with respect to p parameters, (N, ny, p). Their
-    projection on S is subtracted."""
-    G: Array
-    """Weights (N, ny, ny): the estimator minimises the sum of |G(t) e(t)|². W is G^T G."""
-
-    @property
-    def known(self) -> Array:
-        """True where there is a residual, (N, ny)."""
-        return np.isfinite(self.e)
-
-    def weighted(self, X: Array) -> Array:
-        """Return W X (N, ny, k); one output has the weight 1."""
-        if X.shape[1] == 1:
-            return X
-        return np.asarray(self.G.transpose(0, 2, 1) @ (self.G @ X))
-
-
-def parts_of(fit: Fit, data: Dataset | Signals) -> tuple[list[Part], Array]:
-    """Return the residuals of each experiment, and J: the parameters of Psi are J theta."""
-    if isinstance(data, Signals) and (fit.ny, fit.nu) != (1, 1):
-        return _parts_by_differences(fit, data)
-    data = as_dataset(data)
-    mean, parts = np.mean(data.u), []
-    for part in data.experiments():
-        r = prediction_errors(fit, part)
-        known = np.isfinite(r.e)
-        parts.append(
-            Part(
-                u=part.u[:, None] - mean,
-                e=r.e[:, None],
-                S=r.unknown.span[:, None],
-                Psi=r.Psi[:, None],
-                G=known[:, None, None].astype(np.float64),
-            )
-        )
-    return parts, _to_free(fit)
-
-
-def _to_free(fit: Fit) -> Array:
-    """Return J, so that J theta are the free parameters; an integrator is divided out of F or A."""
-    J = np.eye(fit.theta.size)
-    if not fit.integrator:
-        return J
-    part = fit.slice_of(fit.integrating)
-    if fit.Ts == 0:  # the coefficient that is 0
-        return np.delete(J, part.stop - 1, axis=0)
-    # f̃_k = f_1 + … + f_k undoes f_k = f̃_k - f̃_(k-1).
-    J[part, part] = np.tri(part.stop - part.start)
-    return np.delete(J, part.stop - 1, axis=0)
-
-
-def _parts_by_differences(fit: Fit, data: Signals) -> tuple[list[Part], Array]:
-    """Return the residuals; Psi are central differences in independent directions of theta."""
-    std = np.sqrt(np.diag(fit.noise_covariance))
-
-    def responses(theta: Array) -> list[ErrorResponses]:
-        system = fit.form.replaced(theta).realised()
-        return [
-            error_responses(system, part, integrating=fit.form.integrators, offset=fit.offset)
-            for part in data.experiments()
-        ]
-
-    experiments = list(data.experiments())
-    at_theta = responses(fit.theta)
-    # For a derivative the initial states stay fixed, because their effect is projected out. Another
-    # estimate of the initial states would amplify rounding errors.
-    states = [r.combination(part, std) for r, part in zip(at_theta, experiments, strict=True)]
-    by: list[list[Array]] = []
-    directions = _directions(fit)
-    for direction in directions.T:
-        longest = _LONGEST_STEP * np.linalg.norm(fit.theta) / np.linalg.norm(direction)
-        step = min(_STEP, float(longest))
-        ahead, behind = (responses(fit.theta + h * step * direction) for h in (1, -1))
-        by.append(
-            [
-                np.einsum("k,tki->ti", c, a.errors - b.errors) / (2 * step)
-                for c, a, b in zip(states, ahead, behind, strict=True)
-            ]
-        )
-    # Outputs that are estimated together are weighted by the inverse of Lambda.
-    together = fit.shared or fit.form.coupled or fit.structure == "arx"
-    Lambda = fit.noise_covariance if together else np.diag(std**2)
-    if fit.output_weights:
-        Lambda = np.diag(1 / np.asarray(fit.output_weights))
-    if fit.ny == 1:
-        Lambda = np.eye(1)
-    mean = np.mean(data.u, axis=0)
-    found = []
-    for k, (r, c, part) in enumerate(zip(at_theta, states, experiments, strict=True)):
-        e = np.where(part.valid, np.einsum("k,tki->ti", c, r.errors), np.nan)
-        S = (r.errors[:, 1:] * part.valid[:, None]).transpose(0, 2, 1)
-        Psi = np.zeros((*e.shape, len(by)))
-        for m, one in enumerate(by):
-            Psi[:, :, m] = np.where(part.valid, one[k], 0.0)
-        G = whitening(Lambda, np.isfinite(e))
-        basis = orthonormal(_stacked(G @ S))
-        S = S @ basis.W
-        Psi = Psi - S @ (basis.Q.T @ _stacked(G @ Psi))
-        found.append(Part(u=part.u - mean, e=e, S=S, Psi=Psi, G=G))
-    return found, np.linalg.pinv(directions)
-
-
-def _directions(fit: Fit) -> Array:
-    """Return independent directions of theta, (d, p), with std 1; cov theta may be singular."""
-    scale = np.sqrt(np.maximum(np.diag(fit.covariance_robust), 1e-300))
-    values, axes = np.linalg.eigh(fit.covariance_robust / np.outer(scale, scale))
-    kept = values > _MIN_VARIANCE_SHARE * values[-1]
-    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(values[kept]))
 
 
 def _stacked(X: Array) -> Array:
@@ -156,7 +27,7 @@ class Projection:
     columns are S of each experiment, and T, the basis of the effects of the parameters.
     """
 
-    parts: Sequence[Part]
+    parts: Sequence[PredictionErrors]
     """Residuals of each experiment."""
     T: Sequence[Array]
     """T of each experiment (N, ny, r); without columns if the parameters are from other data."""
@@ -230,7 +101,7 @@ def _subtract(z: Array, WB: Array, c: Array) -> None:
             z[:, i, a : a + _COLUMNS] -= WB[:, i] @ c[:, a : a + _COLUMNS]
 
 
-def projection(parts: Sequence[Part], *, own: bool) -> Projection:
+def projection(parts: Sequence[PredictionErrors], *, own: bool) -> Projection:
     """Return the projection on the effects of initial states and ramps (`own`: also parameters)."""
     if not own:
         return Projection(parts=parts, T=[part.S[:, :, :0] for part in parts])

@@ -17,10 +17,12 @@ from armrig.estimation.order_selection import select_orders
 from armrig.estimation.orders import require_samples
 from armrig.estimation.problem import PolynomialProblem
 from armrig.estimation.start_values import start_values
+from armrig.excitation.input_description import excitation_order
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.criteria import mdl
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.rounding import SEARCH_SHARE, rounding_std
 from armrig.numerics.whiteness import autoregression
 
 RECOMMENDED = 3
@@ -28,6 +30,7 @@ BARE = 2.0  # difference of description length that hardly counts (Kass, Raftery
 HIGHEST = 7  # largest number of poles that is tried
 MAX_TIME_CONSTANTS = 3  # of a process model
 _FIRST_ORDERS = (3, 6)  # orders of the models for the first estimate of the noise
+_LEAST_PARAMETERS = 8  # the transient of a step with little noise determines four poles
 _MAX_LAG = 30  # largest nk of the ARX models
 _ARX_ORDERS = range(1, 7)  # na and nb of the ARX models that propose values of nk
 _MAX_LAGS = 6  # values of nk that are tried with each order
@@ -74,7 +77,7 @@ class Fitted:
         noise.
         """
         s, experiments = self.structure, len(self.problem.experiments)
-        loss = max(self.cost / (self.N - self.past), np.finfo(np.float64).tiny)
+        loss = max(self.cost / (self.N - self.past), self.rounding**2)
         d = s.nb + s.nf - s.integrator + self.past / experiments
         return float(mdl(loss, d, self.N))
 
@@ -85,11 +88,17 @@ class Fitted:
         G = z**self.structure.nk * np.polyval(B[::-1], z) / np.polyval(F[::-1], z)
         return np.asarray(G / (1 - z) ** self.structure.integrator)
 
-    def residuals(self) -> list[Vector]:
-        """Return the residuals of each experiment, NaN if unknown."""
+    @property
+    def rounding(self) -> float:
+        """Standard deviation of rounding errors, in the unit of the filtered y."""
+        return _rounding(self.problem)
+
+    def noise(self) -> Vector:
+        """Return C of the autoregression C e = white noise of the residuals e."""
         found = self.problem.solve(self.f)
         pairs = zip(self.problem.experiments, found.parts, strict=True)
-        return [np.where(x.rows, p.e, np.nan) for (x,), (p,) in pairs]
+        residuals = [np.where(x.rows, p.e, np.nan) for (x,), (p,) in pairs]
+        return autoregression(residuals, mdl, self.rounding)[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +112,12 @@ class _Record:
     """Signals u and y of each experiment; a missing y is NaN."""
     latest: int
     """Largest nk of a structure."""
+    parameters: int
+    """Largest number of parameters b and f of a structure."""
+
+    def orders(self, candidates: Iterable[int]) -> list[int]:
+        """Return the candidates nf = nb with few enough parameters."""
+        return [n for n in candidates if 2 * n <= self.parameters]
 
     def require_samples(self, past: int = 0) -> None:
         """Refuse data whose experiments are too short for the lowest order of `_FIRST_ORDERS`."""
@@ -164,18 +179,22 @@ def recommended(
     """
     data = _busiest(data)
     nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_MAX_LAGS]
-    parts = tuple((part.u, part.y) for part in data.experiments())
-    record = _Record(parts=parts, latest=max(*nks, 1) + _EXTRA_COEFFICIENTS)
+    # Each structure has an offset. Far from 0, y would lose digits in products with itself.
+    parts = tuple((part.u, part.y - _level(part.y)) for part in data.experiments())
+    many = max(excitation_order(data), _LEAST_PARAMETERS)
+    record = _Record(parts=parts, latest=max(*nks, 1) + _EXTRA_COEFFICIENTS, parameters=many)
     record.require_samples()
     kinds = (False, True) if decide else (integrates,)
-    first = [m for i in kinds for n in _FIRST_ORDERS for m in _full(record, n, nks, i)]
+    first = [
+        m for i in kinds for n in record.orders(_FIRST_ORDERS) for m in _full(record, n, nks, i)
+    ]
     if not first:
         raise InputError("u excites no model of third order: play a telegraph or a PRBS")
-    D, _ = autoregression(_joined([first])[0].residuals(), mdl)
+    D = _joined([first])[0].noise()
     record.require_samples(past=D.size - 1)
     white = record.filtered(D)
     scans = [_refined(white, s) for i in kinds if (s := _scanned(white, nks, integrates=i))]
-    C, _ = autoregression(_joined(scans)[0].residuals(), mdl)
+    C = _joined(scans)[0].noise()
     if C.size > 1:
         scans = [_refined(record.filtered(np.convolve(D, C)), s) for s in scans]
     ranked = _joined(scans)
@@ -189,6 +208,12 @@ def recommended(
     return chosen, shown, dict(sorted(excess.items()))
 
 
+def _level(y: Vector) -> float:
+    """Return the median of the known values; 0 without one."""
+    known = y[np.isfinite(y)]
+    return float(np.median(known)) if known.size else 0.0
+
+
 def _chosen(scans: list[list[Fitted]], *, shown: bool) -> list[Fitted]:
     """Return at most three structures with the shortest description lengths."""
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
@@ -199,7 +224,13 @@ def _chosen(scans: list[list[Fitted]], *, shown: bool) -> list[Fitted]:
 
 def _joined(scans: Iterable[list[Fitted]]) -> list[Fitted]:
     """Return the structures of all scans, least description length first."""
-    return sorted(chain.from_iterable(scans), key=lambda m: m.bits)
+    return sorted(chain.from_iterable(scans), key=_rank)
+
+
+def _rank(model: Fitted) -> tuple[float, int, int, int]:
+    """Return the description length; among models without errors, the simplest is first."""
+    s = model.structure
+    return model.bits, s.nf, s.nb, s.nk
 
 
 def _busiest(data: Dataset) -> Dataset:
@@ -229,7 +260,7 @@ def _arx_lags(data: Dataset) -> list[int]:
 def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Fitted]:
     """Return structures with nb = nf of all orders, least description length first."""
     scan, least = list[list[Fitted]](), [np.inf]
-    for nf in range(1, HIGHEST + 1):
+    for nf in record.orders(range(1, HIGHEST + 1)):
         models = _full(record, nf, nks, integrates)
         scan.append(models)
         least.append(min((m.bits for m in models), default=np.inf))
@@ -258,7 +289,8 @@ def _refined(record: _Record, ranked: list[Fitted]) -> list[Fitted]:
         if not fitted:
             return ranked
         first = fitted[:RECOMMENDED]
-        coming = [s for m in first for s in _neighbours(m.structure) if s not in found]
+        near = (s for m in first for s in _neighbours(m.structure) if s not in found)
+        coming = [s for s in near if s.nb + s.nf <= record.parameters]
     return fitted
 
 
@@ -278,10 +310,23 @@ def _start(
         return None
     problem = record.problem(s)
     try:
-        priced = [(problem.cost(f), s, problem, f) for _, f in start_values(problem)]
+        starts = [f for _, f in start_values(problem)]
+        costs = [max(problem.cost(f), _least_cost(problem)) for f in starts]
+        priced = [(cost, s, problem, f) for cost, f in zip(costs, starts, strict=True)]
     except (ValueError, np.linalg.LinAlgError):
         return None
     return min(priced, key=itemgetter(0))
+
+
+def _rounding(problem: PolynomialProblem) -> float:
+    """Return the standard deviation of rounding errors, in the unit of the filtered y."""
+    return rounding_std(*(x.y[x.rows] for (x,) in problem.experiments), share=SEARCH_SHARE)
+
+
+def _least_cost(problem: PolynomialProblem) -> float:
+    """Return the cost below which rounding errors decide between two models."""
+    rows = sum(int(np.count_nonzero(x.rows)) for (x,) in problem.experiments)
+    return rows * _rounding(problem) ** 2
 
 
 def _fitted(s: Recommended, problem: PolynomialProblem, f: Vector) -> Fitted | None:

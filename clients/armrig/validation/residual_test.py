@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.polynomial import Array
-from armrig.numerics.quantities import listed, p_relation, plural
+from armrig.numerics.quantities import digits, listed, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
 from armrig.plots.layout import drawn_by, html
 
@@ -160,7 +160,7 @@ class ResidualTest:
         if not self.larger_errors < WHITE_LEVEL:
             return ""
         return (
-            f"its errors one step ahead are {self.error_ratio:.2g} times as large as on the "
+            f"its errors one step ahead are {digits(self.error_ratio, 2)} times as large as on the "
             f"estimation data (p {p_relation(self.larger_errors)}): more noise, or the model does "
             "not hold for these data"
         )

@@ -14,8 +14,10 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
 from armrig.models.prediction import findings_on_own_data, require_same_signals
+from armrig.models.predictor import PredictionErrors, parameters_of, prediction_errors
 from armrig.numerics.covariance import Autoregression, joint_exogenous_score
 from armrig.numerics.polynomial import Array
+from armrig.numerics.rounding import rounding_std, without_rounding
 from armrig.numerics.whiteness import (
     BAND_99_PERCENT,
     WHITE_LEVEL,
@@ -26,13 +28,7 @@ from armrig.numerics.whiteness import (
     ljung_box,
 )
 from armrig.validation.output_whiteness import jointly_white, white_by_output
-from armrig.validation.projection import (
-    Part,
-    Projection,
-    parts_of,
-    projection,
-    sum_of_products,
-)
+from armrig.validation.projection import Projection, projection, sum_of_products
 from armrig.validation.residual_test import MAX_ALLOWANCE, ResidualTest
 
 _MIN_SUM_VARIANCE = 1e-4
@@ -126,14 +122,19 @@ def residuals(
     """
     data = _checked(fit, data)
     own = fit.estimated_from(data)
-    parts, J = parts_of(fit, data)
+    parts, J = prediction_errors(fit, data, own=own), parameters_of(fit)
+    signals = data.signals()
+    inputs = [part.u - np.mean(signals.u, axis=0) for part in signals.experiments()]
     theta_covariance = J @ fit.covariance_robust @ J.T
-    ny, nu = parts[0].e.shape[1], parts[0].u.shape[1]
+    ny, nu = fit.ny, fit.nu
     several = (ny, nu) != (1, 1)
     # For a subspace estimate, which does not minimise the errors, P is not known.
     fitted = own and not (several and fit.structure == "n4sid")
     of_theta = None if fitted else theta_covariance
     e = np.vstack([p.e for p in parts])
+    # Tests of rounding errors would depend on the processor.
+    sizes = [rounding_std(y) for y in signals.y.T]
+    parts = _without_rounding(parts, sizes)
     counts = np.isfinite(e).sum(axis=0)
     L = _possible(lags, int(counts.min()))
     projected = projection(parts, own=fitted)
@@ -141,9 +142,9 @@ def residuals(
     if several:
         # The weights of several outputs are estimated, too.
         projected = projected.applied()
-    noise, degrees = _noise(fit, projected.parts, own=own)
+    noise, degrees = _noise(fit, projected.parts, sizes, own=own)
     known = degrees.size > 0
-    sums = _input_sums(projected, of_theta, L, noise)
+    sums = _input_sums(projected, inputs, of_theta, L, noise)
     pairs = np.arange(sums.values.size).reshape(ny, nu, 2 * L + 1)
     past, future = pairs[:, :, L:], pairs[:, :, :L]
     free = counts * (1 - projected.rank / counts.sum()) if fitted else counts
@@ -177,9 +178,9 @@ def residuals(
     if_white = None if fitted else np.where(usable, J @ fit.covariance @ J.T, 0.0)
     each = white_by_output(projected, if_white, L)
     power = np.outer(*[np.sqrt(np.diag(R[:, :, 0]))] * 2)[:, :, None]
-    signals = [joined([p.e[:, i] for p in parts], L) for i in range(ny)]
+    each_e = [joined([p.e[:, i] for p in parts], L) for i in range(ny)]
     parameters = _noise_parameters(fit) if own else [0] * ny
-    box = np.array([ljung_box(x, L, n) for x, n in zip(signals, parameters, strict=True)])
+    box = np.array([ljung_box(x, L, n) for x, n in zip(each_e, parameters, strict=True)])
     each = [replace(white, ljung_box=float(p)) for white, p in zip(each, box, strict=True)]
     white = each[0]
     if ny > 1:
@@ -234,6 +235,19 @@ def _checked(fit: Fit, data: Dataset | HasDataset | Signals) -> Dataset | Signal
     return data  # type: ignore[return-value]
 
 
+def _without_rounding(
+    parts: Sequence[PredictionErrors], sizes: Sequence[float]
+) -> list[PredictionErrors]:
+    """Return the parts, with errors of 0 in each output whose errors are rounding errors."""
+    each = [
+        without_rounding([part.e[:, i] for part in parts], size) for i, size in enumerate(sizes)
+    ]
+    return [
+        replace(part, e=np.column_stack(e))
+        for part, e in zip(parts, zip(*each, strict=True), strict=True)
+    ]
+
+
 def _possible(lags: int | None, N: int) -> int:
     """Return the number of lags; refuse a number that N residuals do not allow."""
     longest = max(N // 2, 1)
@@ -258,12 +272,16 @@ class _InputSums:
 
 
 def _input_sums(
-    projected: Projection, theta_covariance: Array | None, L: int, noise: Sequence[Autoregression]
+    projected: Projection,
+    inputs: Sequence[Array],
+    theta_covariance: Array | None,
+    L: int,
+    noise: Sequence[Autoregression],
 ) -> _InputSums:
     parts = projected.parts
-    ny, nu = parts[0].e.shape[1], parts[0].u.shape[1]
+    ny, nu = parts[0].e.shape[1], inputs[0].shape[1]
     e = [[*p.e.T] for p in parts]
-    Z = [_lagged_both_ways(part, L) for part in parts]
+    Z = [_lagged_both_ways(u, part.known, L) for u, part in zip(inputs, parts, strict=True)]
     projected.remove_states(Z)
     sums = sum_of_products(Z, [np.nan_to_num(p.e)[:, :, None] for p in parts])[:, 0]
     at_0 = np.arange(L, ny * nu * (2 * L + 1), 2 * L + 1)
@@ -293,12 +311,15 @@ def _input_sums(
     )
 
 
-def _noise(fit: Fit, parts: Sequence[Part], *, own: bool) -> tuple[list[Autoregression], Array]:
+def _noise(
+    fit: Fit, parts: Sequence[PredictionErrors], sizes: Sequence[float], *, own: bool
+) -> tuple[list[Autoregression], Array]:
     """Return the noise of each output as found at the estimation, and its degrees of freedom."""
     # Otherwise, and for a model of an older file, the noise is that of the residuals.
     if own or not all(q.autoregression and q.loss > 0 for q in fit.quality):
-        outputs = range(parts[0].e.shape[1])
-        return [autoregression([p.e[:, i] for p in parts]) for i in outputs], np.zeros(0)
+        each = [[p.e[:, i] for p in parts] for i in range(len(sizes))]
+        noise = [autoregression(e, least=size) for e, size in zip(each, sizes, strict=True)]
+        return noise, np.zeros(0)
     noise, degrees = [], []
     for q, variance in zip(fit.quality, np.diag(fit.noise_covariance), strict=True):
         C = np.array(q.autoregression)
@@ -307,7 +328,7 @@ def _noise(fit: Fit, parts: Sequence[Part], *, own: bool) -> tuple[list[Autoregr
     return noise, np.maximum(degrees, 1.0)
 
 
-def _shares(parts: Sequence[Part], theta_covariance: Array, fit: Fit) -> Array:
+def _shares(parts: Sequence[PredictionErrors], theta_covariance: Array, fit: Fit) -> Array:
     """Return the error of each output by uncertain parameters, as a share of the noise variance."""
     Psi = np.concatenate([p.Psi for p in parts])
     caused = np.sum((Psi @ theta_covariance) * Psi, axis=(0, 2))
@@ -334,6 +355,8 @@ def _larger(
     known = np.isfinite(w)
     slope = np.vstack([lfilter(C, [1.0], Psi, axis=0) for _, Psi in parts])[known]
     w, N = w[known], int(np.count_nonzero(known))
+    if not np.any(w):  # without noise, the errors are set to 0
+        return 0.0, 1.0
     allowed = s2 + max(float(np.sum((slope @ theta_covariance) * slope)), 0.0) / max(N, 1)
     ratio = float(np.mean(w**2)) / allowed
     kappa = float(np.mean(w**4) / np.mean(w**2) ** 2)
@@ -341,17 +364,17 @@ def _larger(
     return float(np.sqrt(ratio)), float(fdtrc(N / c, degrees / c, ratio))
 
 
-def _lagged_both_ways(part: Part, L: int) -> Array:
+def _lagged_both_ways(u: Array, known: Array, L: int) -> Array:
     """Return u_j(t - k), k = -L … L, for pairs i, j, (N, ny, K), 0 without a residual of i."""
-    (N, ny), nu, width = part.e.shape, part.u.shape[1], 2 * L + 1
+    (N, ny), nu, width = known.shape, u.shape[1], 2 * L + 1
     # In Fortran order the columns are contiguous.
     Z = np.zeros((N, ny, ny * nu * width), order="F")
     for i in range(ny):
-        unknown = np.flatnonzero(~part.known[:, i])
+        unknown = np.flatnonzero(~known[:, i])
         for k in range(-L, L + 1):
             late, early, n = max(k, 0), max(-k, 0), max(N - abs(k), 0)
             columns = slice(i * nu * width + L + k, (i + 1) * nu * width, width)
-            Z[late : late + n, i, columns] = part.u[early : early + n]
+            Z[late : late + n, i, columns] = u[early : early + n]
             Z[unknown, i, columns] = 0.0
     return Z
 

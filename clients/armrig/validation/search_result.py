@@ -13,7 +13,7 @@ from armrig.data.dataset import Vector
 from armrig.data.finding import Finding
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import digits, plural
 from armrig.validation.residual_test import ResidualTest, results
 
 if TYPE_CHECKING:
@@ -174,13 +174,15 @@ class SearchResult:
         square = f" [{f'({self.unit})' if '/' in self.unit else self.unit}²]" if self.unit else ""
         over = f"excess mean square ± se{square}"
         lines = [
-            f"{count} models, {what}, ranked by their error on the {where}",
+            f"{plural(count, 'model')}, {what}, ranked by their error on the {where}",
             f"  {'model':{width}} {'parameters':>10} {f'rms{unit}':>11}  {over:>24}",
         ]
         shown = sorted({*range(min(most, len(self.ranked))), self.chosen_index})
         for i in shown:
             j = self.ranked[i]
-            of_best = "" if i == 0 else f"{self.excess[i]:.3g} ± {self.excess_std[i]:.2g}"
+            of_best = (
+                "" if i == 0 else f"{digits(self.excess[i], 3)} ± {digits(self.excess_std[i], 2)}"
+            )
             mark = "  <- chosen" if i == self.chosen_index else ""
             row = f"  {j.candidate.name:{width}} {j.parameters:10} {self.rms[i]:11.5g}  "
             lines.append(f"{row}{of_best:>{max(24, len(over))}}{mark}")
@@ -205,7 +207,10 @@ def _reasons(found: SearchResult) -> Iterator[str]:
         if chosen.parameters < best.parameters:
             why = f"{plural(chosen.parameters, 'parameter')} instead of {best.parameters}"
         text = f"chosen: {chosen.candidate.name}, {why}; its mean squared error is higher by "
-        yield f"{text}{found.excess[i]:.2g} ± {found.excess_std[i]:.2g}, within its standard error"
+        yield (
+            f"{text}{digits(found.excess[i], 2)} ± {digits(found.excess_std[i], 2)}, within "
+            "its standard error"
+        )
     else:
         why = "" if as_good else ", since no simpler model is as good"
         yield f"chosen: the best{why}"

@@ -7,11 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
 from armrig.data.finding import Finding, good, warning
+from armrig.estimation.data_faults import require_moving_output, require_no_copies
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectra import explained
 from armrig.estimation.nonparametric.spectral import spa
@@ -23,11 +25,12 @@ from armrig.models.spectral_estimate import (
     log_slope,
     low_slope,
 )
-from armrig.numerics.quantities import listed, minus, plural
+from armrig.numerics.quantities import digits, listed, minus, plural
 from armrig.plots.layout import drawn_by
 from armrig.validation.advice import about_feedback, poor_input, tested
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
+from armrig.validation.feedback_and_delay.open_loop import EXACT
 from armrig.validation.recommended_structures import (
     BARE,
     Fitted,
@@ -86,10 +89,18 @@ class StructureHints:
     """Estimated frequency response from u to y."""
     response: ImpulseResponse
     """Regularised impulse response."""
+    unstable: bool = False
+    """True if y grows without u: a pole is outside the unit circle."""
 
     @property
     def family(self) -> str:
-        """Name of the first structure: "bj" with feedback, which biases "oe"."""
+        """Name of the first structure.
+
+        It is "bj" with feedback, which biases "oe", and "armax" for a pole outside the unit circle,
+        which neither of them has.
+        """
+        if self.unstable:
+            return "armax"
         return "bj" if self.doubts else "oe"
 
     @property
@@ -171,7 +182,9 @@ def structure_hints(data: Dataset, *, integrator: bool | None = None) -> Structu
     Raises
     ------
     ValueError
-        There are too few samples; or `delay` raises an error and u explains y at few frequencies.
+        There are too few samples, y is constant, rows are copies of others, or u follows from y of
+        the same sample. The error is also raised if `delay` raises one and u explains y at few
+        frequencies.
 
     References
     ----------
@@ -185,7 +198,11 @@ def structure_hints(data: Dataset, *, integrator: bool | None = None) -> Structu
     >>> hints.relative_degree, hints.nk_interval
     (2, (1, 1))
     """
+    require_moving_output(data)
+    require_no_copies(data)
     known = tested(data, integrator)
+    if known.loop is not None and known.loop.exact:
+        raise InputError(EXACT)
     decided, late = known.integration, known.late if isinstance(known.late, Delay) else None
     integrates = decided.integrates and not decided.rejected
     rate = spa(data, "log", integrator=True).rate()
@@ -219,6 +236,7 @@ def structure_hints(data: Dataset, *, integrator: bool | None = None) -> Structu
         trusted=float(np.max(spectrum.omega[believed], initial=0.0)),
         spectrum=spectrum,
         response=response,
+        unstable=decided.unstable,
     )
 
 
@@ -265,7 +283,7 @@ def _extremes(best: Fitted, omega: Vector, Ts: float) -> list[tuple[float, ...]]
 def _extremes_told(omega: tuple[float, ...], name: str, wants: str) -> str:
     """Return the resonances or antiresonances, with the poles or zeros that they need."""
     several, each = ("s", " each") if len(omega) > 1 else ("", "")
-    at = f"{several} at {', '.join(f'{w:.3g}' for w in omega)} rad/s (two {wants}{each})"
+    at = f"{several} at {', '.join(digits(w, 3) for w in omega)} rad/s (two {wants}{each})"
     return f"{name}{at}" if omega else f"no {name}"
 
 
@@ -279,6 +297,8 @@ def _process_told(form: str) -> str:
 
 
 def _named(family: str, s: Recommended) -> str:
+    if family == "armax":
+        return f"armax(data, na={s.nf}, nb={s.nb}, nc={s.nf}, nk={s.nk})"
     noise = "nc=1, nd=1, " * (family == "bj")
     return f"{family}(data, nb={s.nb}, {noise}nf={s.nf}, nk={s.nk}, integrator={s.integrator})"
 
@@ -303,7 +323,7 @@ def call_of_all(found: Mapping[Name, StructureHints]) -> str:
 def _findings(h: StructureHints) -> Iterator[Finding]:
     yield from h.doubts
     if h.excitation < (needed := h.nb + h.nf):
-        many = f"this structure has {needed} parameters"
+        many = f"this structure has {plural(needed, 'parameter')}"
         yield warning("excitation", poor_input(h.excitation, many))
     yield _about_integrator(h)
     if h.resonances or h.antiresonances:
@@ -315,8 +335,8 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
     yield good("order", f"nf = {h.nf} has the shortest description (MDL){more}")
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
-        text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "
-        text += f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to these frequencies"
+        text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {digits(h.high_band[0], 3)} to "
+        text += f"{digits(h.high_band[-1], 3)} rad/s: {excess} than zeros up to these frequencies"
         yield good("roll-off", text)
     why_not = "not shown (armrig.delay, `armrig check` say why)"
     yield good("delay", first_lag(h.nk_interval, h.spectrum.Ts) if h.nk_interval else why_not)
@@ -330,5 +350,5 @@ def _about_integrator(h: StructureHints) -> Finding:
         return good("integrator", verdict)
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
         verdict = f"a slow pole, and {verdict}, since a pole at 1 fits worse"
-    text = f"|G| has a slope of {minus(f'{h.low_slope:.3g}')} dB a decade at low frequency "
+    text = f"|G| has a slope of {minus(digits(h.low_slope, 3))} dB a decade at low frequency "
     return good("integrator", f"{text}(0 without one, −20 with one): {verdict}")

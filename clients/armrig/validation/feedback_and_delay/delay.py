@@ -15,15 +15,16 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector, labels
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
-from armrig.estimation.nonparametric.impulse import impulse_response
+from armrig.estimation.data_faults import require_moving_output
+from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import in_blocks
 from armrig.validation.feedback_and_delay.by_channel import each_channel, without_other_inputs
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.lag_tests import (
-    MOST_COEFFICIENTS,
-    MOST_LAGS,
+    FIRST_LAGS,
+    MOST_PAST,
     SURPRISING,
     LagTests,
     Progress,
@@ -40,6 +41,10 @@ _MAX_FEW_CHANGES = 10  # changes of u; with more changes the error of quantisati
 _MIN_OWN_SHARE = 0.005  # least share of a lag of u that the earlier lags leave unexplained
 _MIN_DETERMINED_LAGS = 28  # a sum of few sines determines fewer lags
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
+_LEAST_RANGE, _MOST_RANGE = 220, 500  # widths of the widest range of lags
+_WIDER = 4  # growth of a range
+_SAMPLES_PER_LAG = 50  # of a wide range; more samples take long
+_END_LAGS = 5  # last lags of a range, which also represent later lags
 
 
 @each_channel(without_other_inputs)
@@ -64,7 +69,8 @@ def delay(
     the slowest onset of a mechanical rig,
     t²/2 under a hold, this ratio is 1/(1 + 2 n). If the response begins more slowly, the bound is
     computed from an onset (t/Ts)^d, and d is estimated from the first lags. The first two
-    coefficients of a plant of relative degree d have the ratio 1 to (2^d - 1). If several lags
+    coefficients of a plant of relative degree d have the ratio 1 to (2^d - 1). Such an onset is
+    also tested in all lags from k to the first significant lag together. If several lags
     remain for an angle, or at most nine lags for an integrating y, the shape of the onset decides
     (`smooth_onsets`).
 
@@ -122,22 +128,9 @@ def delay(
             f"the test for a delay needs at least {_MIN_SAMPLES} samples, got {samples}: record "
             "longer"
         )
+    require_moving_output(data)
     decided = integration(data, integrator)
-    longest = max(part.N for part in data.experiments())
-    determined = determined_lags(data, min(MOST_COEFFICIENTS, samples // 3, longest // 2))
-    # The number of determined lags is divided between A and B in the ratio 20 to 50.
-    n = min(MOST_LAGS, samples // 10, 5 * determined // 7)
-    response = impulse_response(data, n, kernel=None, integrator=decided.integrates)
-    tests = lag_tests(data, response, determined)
-    zero = None if tests.shown else _lag_zero(data)
-    if zero is not None and zero.controller:
-        later = lag_tests(data, response, determined, first=1)
-        tests = tests if zero.rig and later.none_shown else later
-    if tests.none_shown:
-        raise InputError(
-            f"the data do not determine the delay: {data.output} shows no response to u above the "
-            "noise at any lag; record longer, or with more and larger changes of u"
-        )
+    response, tests, zero = _tests(data, samples, integrates=decided.integrates)
     first, shown = tests.first, tests.shown
     low, last, misfit = _onset(data, tests, progress, integrates=decided.integrates)
     step, largest_step = quantum(data), float(np.max(np.abs(np.diff(data.u)), initial=0.0))
@@ -164,6 +157,55 @@ def delay(
         remarks=(*decided.notes, *([zero.remark] if zero and zero.remark else []), *remarks),
         **labels(data),
     )
+
+
+def _tests(
+    data: Dataset, samples: int, *, integrates: bool
+) -> tuple[ImpulseResponse, LagTests, _LagZero | None]:
+    """Return the impulse response, the tests of the lags, and the causes of a coefficient at lag 0.
+
+    The first model has at most `FIRST_LAGS` lags. The range grows while u acts at none of its lags,
+    or first at one of the last. The last lag of a model also represents the later lags, because u
+    is correlated with its past. The widest range has an eighth of the samples, at least 220 and at
+    most 500 lags, but no more than a quarter of the samples.
+    """
+    widest, wanted, n = (
+        min(max(_LEAST_RANGE, samples // 8), _MOST_RANGE, samples // 4),
+        FIRST_LAGS,
+        0,
+    )
+    while True:
+        is_first = n == 0
+        part = data if is_first else data[: _SAMPLES_PER_LAG * wanted]
+        longest = max(one.N for one in part.experiments())
+        most = min(wanted + MOST_PAST, samples // 3, longest // 2)
+        determined = determined_lags(part, most)
+        # The number of determined lags is divided between A and B in the ratio 20 to 50.
+        share = 5 * determined // 7 if is_first else determined - MOST_PAST
+        lags = min(wanted, samples // 10 if is_first else widest, share)
+        if lags <= n:
+            break
+        n = lags
+        response = impulse_response(part, n, kernel=None, integrator=integrates)
+        tests = lag_tests(part, response, determined)
+        zero = None if tests.shown else _lag_zero(part)
+        if zero is not None and zero.controller:
+            later = lag_tests(part, response, determined, first=1)
+            tests = tests if zero.rig and later.none_shown else later
+        if not tests.none_shown and tests.shown < n - _END_LAGS:
+            return response, tests, zero
+        wanted *= _WIDER
+    if tests.none_shown:
+        raise InputError(
+            f"the data do not determine the delay: {data.output} shows no response to u above the "
+            f"noise up to lag {n - 1}. Record longer, or with more and larger changes of u"
+        )
+    if n > FIRST_LAGS:
+        raise InputError(
+            f"the data do not determine the delay: u acts first at lag {tests.shown} or later, and "
+            f"the last lag that the data determine is {n - 1}; record longer"
+        )
+    return response, tests, zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,7 +279,7 @@ def _hidden_by_steps(
     hidden = ceil(t_q / Ts)
     return min(first, max(last - hidden, 1)), [
         f"u changes only {plural(changes, 'time')}, and quantisation may hide the first "
-        f"{hidden} samples of the response: this looks like a delay"
+        f"{plural(hidden, 'sample')} of the response: this looks like a delay"
     ]
 
 
@@ -258,7 +300,7 @@ def determined_lags(data: Dataset, most: int) -> int:
     found = int(np.argmin(np.append(own, False)))
     if found < min(_MIN_DETERMINED_LAGS, most):
         raise InputError(
-            f"u determines {found} lags only: the band of u is too narrow to find a delay; record "
-            "with a telegraph or a PRBS"
+            f"u determines {plural(found, 'lag')} only: the band of u is too narrow to find a "
+            "delay; record with a telegraph or a PRBS"
         )
     return found

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from armrig.data.dataset import OfDataset
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
-from armrig.numerics.quantities import p_relation, plural, times
+from armrig.numerics.quantities import digits, p_relation, plural, times
 from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.lag_tests import LEVEL, SURPRISING, Before
 
@@ -99,11 +99,11 @@ class Delay(OfDataset):
             lines.append(
                 f"Quantisation is no delay: {self.output} is read in steps of "
                 f"{_quantity(self.quantum, self.unit)} (1 LSB). After a step of "
-                f"{self.largest_step:.3g} {self.input_unit} in u, {self.output} changes by one LSB "
-                f"at t_q = sqrt(2 LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, "
-                f"{self.t_q / self.Ts:.2g} samples. Here b is the mean acceleration per unit of "
-                "input until t_q, from the impulse response. On one step response t_q looks like "
-                "dead time; over many steps this effect averages out."
+                f"{digits(self.largest_step, 3)} {self.input_unit} in u, {self.output} changes by "
+                f"one LSB at t_q = sqrt(2 LSB / (b Δu)) = {digits(1e3 * self.t_q, 2)} ms, "
+                f"{plural(float(digits(self.t_q / self.Ts, 2)), 'sample')}. Here b is the mean "
+                "acceleration per unit of input until t_q, from the impulse response. On one step "
+                "response t_q looks like dead time; over many steps this effect averages out."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
@@ -123,7 +123,7 @@ class Delay(OfDataset):
             )
         if self.misfit:
             lags = ", ".join(map(str, self.misfit))
-            values = ", ".join(f"{x:.3g}" for x in self.misfit.values())
+            values = ", ".join(digits(x, 3) for x in self.misfit.values())
             yield (
                 f"near the noise, the shape of the onset decides: a smooth onset at lag {lags} has "
                 f"chi² {values} (limit {SURPRISING:g} at the level 1 %)"
@@ -186,4 +186,4 @@ def first_lag(interval: tuple[int, int], Ts: float) -> str:
 
 
 def _quantity(x: float, unit: str) -> str:
-    return f"{1e3 * x:.3g} mrad" if unit == "rad" else f"{x:.3g} {unit}".rstrip()
+    return f"{digits(1e3 * x, 3)} mrad" if unit == "rad" else f"{digits(x, 3)} {unit}".rstrip()

@@ -11,7 +11,7 @@ from armrig.models.spectral_estimate import gain_unit
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.plots.captions import labelled, legend, sign
-from armrig.plots.layout import BLUE, GREY, VERMILION, axes, finish, panels, stems
+from armrig.plots.layout import BLUE, GREY, VERMILION, axes, drawable, finish, panels, stems
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,7 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
 
     ax = axes(ax)
     if result.sims is None:
-        ax.text(0.5, 0.5, result.verdict, transform=ax.transAxes, ha="center")
+        ax.text(0.5, 0.5, drawable(result.verdict), transform=ax.transAxes, ha="center")
         return sign(ax, result.source)
     shown = result.sims.lags <= _ABOUT
     name = labelled(result.output)

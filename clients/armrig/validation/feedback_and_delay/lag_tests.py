@@ -16,6 +16,7 @@ from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import column_norms, triangle, upper_inverse
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.regressors import arx_rows, in_blocks
+from armrig.numerics.rounding import rounding_std
 
 Progress = Callable[[int, int, str], object]
 """Function of the number of finished estimates, the number of all estimates, and the next lag."""
@@ -25,15 +26,14 @@ _MAX_DISTANCE_RATIO = 3.0  # largest sqrt(chi²) of a possible lag, in units of 
 _HOPELESS = 100 * SURPRISING  # misfit from which on still earlier lags are not fitted
 _POLES = 4  # number of poles of the arm
 _MAX_EXTRA_LAGS = 4  # lags by which the range is extended at each end
-MOST_LAGS = 50  # largest number of lags of u, for the delay and B together
+FIRST_LAGS = 50
+"""Number of lags of u, for the delay and B together, of the first model."""
 _ORDERS = (20, 10, 5)  # largest na; a smaller number if too many rows contain a missing sample
-MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
+MOST_PAST = _ORDERS[0]
+"""Largest order of A."""
 _MIN_WHOLE_SHARE = 0.5  # share of the rows that must have no missing past y
 _ROWS_PER_ORDER = 20  # samples for each a that is tried
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
-# Share of y's norm below which residuals count as rounding errors. Without this limit, data without
-# noise would have F = 0/0.
-_ROUNDING = 1e-10
 _GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later
 _ONSET = 2  # number of lags after the first significant lag that determine the slope of the onset
 _COEFFICIENTS_AFTER_FIRST = 40
@@ -76,10 +76,18 @@ class LagTests:
     """Mean squared error of the model that begins at lag k, (n,)."""
     response: Vector
     """Impulse response, from lag 0 on, of the model that begins at the first significant lag."""
-    na: int
-    """Order of A; 0 if the model is an impulse response."""
+    A: Vector
+    """Polynomial A of that model, (na + 1,); 1 if the model is an impulse response."""
+    effect: Vector
+    """Effect of each coefficient b_j, in columns, on the size of `coefficient` in σ, in rows: lower
+    triangular, (n, n)."""
     N: int
     """Number of rows used."""
+
+    @property
+    def na(self) -> int:
+        """Order of A; 0 if the model is an impulse response."""
+        return self.A.size - 1
 
     @property
     def shown(self) -> int:
@@ -100,7 +108,8 @@ class LagTests:
 
         later = np.arange(self.shown, self.response.size)
         least = float(np.max(np.abs(self.response[later]) / (1 + _GROWTH * (later - k))))
-        least = min(least, self._as_smooth(k))
+        onset = self._smooth_onset(k)
+        least = least if onset is None else min(least, abs(float(onset[0])))
         std = self.std[k - self.first]
         found, predicted = abs(float(self.coefficient[k - self.first])) / std, least / std
         return Before(
@@ -110,25 +119,47 @@ class LagTests:
             p_value=float(ndtr(found - predicted)),
         )
 
-    def _as_smooth(self, k: int) -> float:
-        """Return the coefficient at lag k if the response begins like s(j) = c (j - k + 1)^d.
+    def _smooth_onset(self, k: int) -> Vector | None:
+        """Return the response from lag k to the lag before `shown`, if it begins like n^d.
 
-        s is the step response. d is the steepest slope of log s against log (j - k + 1) over the
-        first significant lags.
+        s(j) = c (j - k + 1)^d is the step response. d is the steepest slope of log s against
+        log (j - k + 1) over the first significant lags. None if no smooth onset begins at k.
         """
-        s = np.abs(np.cumsum(self.response[self.shown :])[: _ONSET + 1])
-        if k == 0 or s.size < 2 or not np.all(s > 0):  # under a hold, no smooth onset begins at 0
-            return float("inf")
-        n = np.log(np.arange(s.size) + self.shown - k + 1)
-        d = float(np.max(np.diff(np.log(s)) / np.diff(n)))
-        return float(s[0] / (self.shown - k + 1) ** max(d, 1.0))
+        s = np.cumsum(self.response[self.shown :])[: _ONSET + 1]
+        if k == 0 or s.size < 2 or not np.all(s):  # under a hold, none begins at 0
+            return None
+        lags = self.shown - k
+        n = np.log(np.arange(s.size) + lags + 1)
+        d = float(np.max(np.diff(np.log(np.abs(s))) / np.diff(n)))
+        rise = (np.arange(lags + 1) / (lags + 1)) ** max(d, 1.0)
+        return np.asarray(s[0] * np.diff(rise))
+
+    def _p_value_of_onset(self, k: int) -> float:
+        """Return the one-sided p value of a smooth onset at lag k, in all lags before `shown`.
+
+        The sizes of the coefficients in σ are independent, with the means μ = `effect` b of the
+        onset b. Therefore μ'z/|μ| is normal with the mean |μ|.
+        """
+        from scipy.special import ndtr
+
+        onset = self._smooth_onset(k)
+        if onset is None or onset.size == 1:  # `before` tests a single lag
+            return 1.0
+        lags = slice(k - self.first, self.shown - self.first)
+        mean = self.effect[lags, lags] @ filtered(self.A, np.ones(1), onset)
+        size = float(np.linalg.norm(mean))
+        z = self.coefficient[lags] / self.std[lags]
+        return float(ndtr(mean @ z / size - size)) if size > 0 else 1.0
 
     def least(self) -> int:
         """Return the least lag that is not ruled out, searched downwards from `shown`."""
         k = self.shown
-        while k > self.first and self.before(k - 1).p_value >= LEVEL:
+        while k > self.first and self._may_begin_at(k - 1):
             k -= 1
         return k
+
+    def _may_begin_at(self, k: int) -> bool:
+        return min(self.before(k).p_value, self._p_value_of_onset(k)) >= LEVEL
 
 
 def lag_tests(
@@ -161,7 +192,7 @@ def lag_tests(
         blocks = _rows(data, na, lags)
         N = sum(block.shape[0] for block in blocks)
         if max(_MIN_WHOLE_SHARE * whole, 2 * (na + len(lags) + len(blocks))) <= N:
-            return _in_arx(blocks, na, lags)
+            return _in_arx(blocks, na, lags, rounding_std(data.y))
     return _in_response(response, first)
 
 
@@ -177,19 +208,20 @@ def _rows(data: Dataset, na: int, lags: range) -> list[Vector]:
     return blocks
 
 
-def _in_arx(blocks: list[Vector], most: int, lags: range) -> LagTests:
+def _in_arx(blocks: list[Vector], most: int, lags: range, rounding: float) -> LagTests:
     N, width = sum(block.shape[0] for block in blocks), most + len(lags) + 1
     R = triangle((piece for block in blocks for piece in in_blocks(block, _BLOCK)), width)
     scale = column_norms(R)
     scale[scale == 0] = 1.0
-    na, nb = _orders(R / scale, most, len(lags), N)
+    least = N * (rounding / scale[-1]) ** 2  # without noise, F would be 0/0
+    na, nb = _orders(R / scale, most, len(lags), N, least)
 
     def tests(nb: int) -> LagTests:
         columns = [*range(na), *range(most + nb - 1, most - 1, -1), width - 1]
         T, d = _triangle_of(R / scale, columns), na + nb
         latest_first = np.arange(d - 1, na - 1, -1)  # of the lags of u in T
         diagonal, t = np.diag(T)[latest_first], T[latest_first, -1]
-        left = max(float(T[d, -1] ** 2), _ROUNDING**2)
+        left = max(float(T[d, -1] ** 2), least)
         degrees = N - d - len(blocks)
         s = np.sqrt(left / degrees)
         unit = scale[-1] / scale[most : most + nb]
@@ -197,6 +229,7 @@ def _in_arx(blocks: list[Vector], most: int, lags: range) -> LagTests:
             piece[:, columns] / scale[columns] for b in blocks for piece in in_blocks(b, _BLOCK)
         )
         p_without_one = _joint(_least_without_one(rows, T, nb) / s**2, degrees)
+        A, response = _model(T, scale[columns], na, _first(p_without_one), lags.start)
         return LagTests(
             first=lags.start,
             p_values=_joint(np.cumsum(t**2) / s**2, degrees),
@@ -204,8 +237,9 @@ def _in_arx(blocks: list[Vector], most: int, lags: range) -> LagTests:
             coefficient=t / diagonal * unit,
             std=s / np.abs(diagonal) * unit,
             loss=(left + np.append(0.0, np.cumsum(t**2)[:-1])) * scale[-1] ** 2 / N,
-            response=_response(T, scale[columns], na, _first(p_without_one), lags.start),
-            na=na,
+            response=response,
+            A=A,
+            effect=np.sign(diagonal)[:, None] * T[np.ix_(latest_first, latest_first)] / (s * unit),
             N=N,
         )
 
@@ -223,12 +257,12 @@ def _first(p_values: Vector) -> int:
     return int(found[0]) if found.size else p_values.size
 
 
-def _response(T: Vector, scale: Vector, na: int, left_out: int, first: int) -> Vector:
-    """Return the impulse response, from lag 0, of the ARX model without the first lags of u."""
+def _model(T: Vector, scale: Vector, na: int, left_out: int, first: int) -> tuple[Vector, Vector]:
+    """Return A and the impulse response, from lag 0, of the model without the first lags of u."""
     d, k = T.shape[1] - 1 - left_out, first + left_out
     theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
     A, B = np.append(1.0, theta[:na]), np.append(np.zeros(k), theta[na:][::-1])
-    return filtered(B, A, np.eye(1, k + _COEFFICIENTS_AFTER_FIRST)[0])
+    return A, filtered(B, A, np.eye(1, k + _COEFFICIENTS_AFTER_FIRST)[0])
 
 
 def _triangle_of(R: Vector, columns: list[int]) -> Vector:
@@ -236,14 +270,17 @@ def _triangle_of(R: Vector, columns: list[int]) -> Vector:
     return np.asarray(np.linalg.qr(R[:, columns], mode="r"))
 
 
-def _orders(R: Vector, most: int, lags: int, N: int) -> tuple[int, int]:
-    """Return na and the number of lags of u (from the least lag on) with the least AIC."""
+def _orders(R: Vector, most: int, lags: int, N: int, least: float) -> tuple[int, int]:
+    """Return na and the number of lags of u (from the least lag on) with the least AIC.
+
+    A sum of squares below `least` is due to rounding errors.
+    """
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
         rest = np.cumsum(T[::-1, -1] ** 2)[::-1]
         d = na + np.arange(1, lags + 1)
-        values[na] = aic(np.maximum(rest[d], _ROUNDING**2) / N, d, N)
+        values[na] = aic(np.maximum(rest[d], least) / N, d, N)
     na, last = divmod(int(np.argmin(values)), lags)
     return na, last + 1
 
@@ -255,9 +292,10 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     estimates g(k) of a response that is 0 before lag k.
     """
     g, covariance = with_covariance(response)
-    rounding = (_ROUNDING * np.linalg.norm(g)) ** 2 + np.finfo(np.float64).tiny
+    rounding = rounding_std(g) ** 2
     L = np.linalg.cholesky(covariance + rounding * np.eye(g.size))
-    score, std = np.linalg.solve(L, g)[first:], np.diag(L)[first:]
+    whitening = np.linalg.inv(L)
+    score, std = (whitening @ g)[first:], np.diag(L)[first:]
     p_values = _joint(np.cumsum(score**2), max(response.N - g.size, 1))
     return LagTests(
         first=first,
@@ -267,7 +305,8 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
         std=std,
         loss=response.noise_variance * (1 + np.append(0.0, np.cumsum(score**2)[:-1]) / response.N),
         response=g,
-        na=0,
+        A=np.ones(1),
+        effect=whitening[first:, first:],
         N=response.N,
     )
 

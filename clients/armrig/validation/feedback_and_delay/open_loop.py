@@ -9,7 +9,8 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
-from armrig.numerics.quantities import p_relation, percent
+from armrig.estimation.data_faults import require_moving_output
+from armrig.numerics.quantities import digits, p_relation, percent
 from armrig.plots.layout import drawn_by
 from armrig.validation.feedback_and_delay.by_channel import each_channel
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
@@ -17,6 +18,11 @@ from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sim
 CHANCE_LEVEL = 1e-3
 """Level of findings without a test by name, and least p value for which another recording is
 recommended: the level 0.05 finds feedback in one of twenty recordings in open loop."""
+EXACT = (
+    "u(t) = a y(t) + b in every sample, as under a P controller with a constant set point: such "
+    "data show the controller, not the rig; change the set point"
+)
+"""Remark on data whose u follows from y of the same sample."""
 _MAX_EXACT_REST = 1e-5  # share of u that y(t) may leave unexplained: rounding in a file
 _MAX_FEW_LEVELS = 20  # a controller that carries the noise of y into u causes more levels of u
 _MAX_SHOWN_F = 1e6
@@ -81,7 +87,7 @@ class OpenLoop(OfDataset):
     def _found(self, s: Sims) -> str:
         if self.exact:
             return f"Finding: u(t) follows from {self.output}(t) exactly, in all samples."
-        F = f"{s.F:.3g}" if s.F < _MAX_SHOWN_F else f"more than {_MAX_SHOWN_F:.0e}"
+        F = digits(s.F, 3) if s.F < _MAX_SHOWN_F else f"more than {_MAX_SHOWN_F:.0e}"
         return (
             f"Finding: it explains {percent(100 * max(s.explained, 0.0))} of the part of "
             f"{self.output} that the past does not explain; F = {F} with {s.q} and {s.degrees} "
@@ -164,13 +170,14 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     (False, True)
     """
     require_level(level)
+    require_moving_output(data)
     found: Sims | None = None
     remarks: tuple[str, ...] = ()
     try:
         found = sims(data)
     except CannotTellError as err:
         remarks = (str(err),)
-    exact = found is not None and _is_exact(data)
+    exact = _is_exact(data)
     if found is not None and found.p_value < level:
         remarks = _remarks(found, level, exact=exact)
     return OpenLoop(
@@ -198,10 +205,7 @@ def _is_exact(data: Dataset) -> bool:
 def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
     """Return a remark if u is computed from y(t), or if only u(t) and no later u depends on it."""
     if exact:
-        return (
-            "u(t) = a y(t) + b in every sample, as under a P controller with a constant set "
-            "point: such data show the controller, not the rig; change the set point",
-        )
+        return (EXACT,)
     if found.p_value < level <= found.p_later:
         return (
             "u(t) depends on y(t), but later u do not: a rig whose y is read after u is applied "

@@ -13,6 +13,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal, triangle
 from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.quantities import plural
+from armrig.numerics.rounding import rounding_std
 from armrig.numerics.stretches import stretches
 
 FUTURE = 5
@@ -23,7 +25,6 @@ _LEAST_LAGS = 4
 _FORGETTING = (0.0, 1 / 3, 1.0)  # p (1 - l_j) for the forgetting factors l_j of the sums w_j
 _ROWS_PER_PARAMETER = 5  # with fewer rows the F distribution does not hold
 _MIN_U_REST = 1e-10  # share of u's power that the past must leave unexplained
-_MIN_Y_REST = 1e-20  # share of y's power that the past must leave unexplained
 _BLOCK = 4096  # rows that are held in memory at a time
 
 
@@ -108,8 +109,14 @@ def sims(data: Dataset) -> Sims:
     R, N = _factor(data, constants, p)
     degrees = N - d - FUTURE
     _require_information(R, constants, d, degrees)
+    floor = N * rounding_std(data.y) ** 2
     rss_0, rss_1 = (float(np.sum(R[k:, -1] ** 2)) for k in (d, d + 1))
-    rss = float(R[-1, -1] ** 2)
+    if rss_0 <= floor:
+        raise CannotTellError(
+            "y follows from the past without noise, but feedback is visible only by noise"
+        )
+    # A rest below the floor is rounding. No later lag explains a part of it.
+    rss, rss_1 = max(float(R[-1, -1] ** 2), floor), max(rss_1, floor)
     F = (rss_0 - rss) / FUTURE / max(rss / degrees, 1e-300)
     F_later = (rss_1 - rss) / (FUTURE - 1) / max(rss / degrees, 1e-300)
     basis = orthonormal(R[:, :-1])
@@ -143,7 +150,7 @@ def _lags(data: Dataset) -> int:
     p = min(round(_LAGS_PER_DECADE * log10(max(there, 1))), _MOST_LAGS, affordable)
     if p < _LEAST_LAGS:
         needed = _ROWS_PER_PARAMETER * (2 * _LEAST_LAGS + fixed)
-        msg = f"the test for feedback needs at least {needed} samples, got {there}: "
+        msg = f"the test for feedback needs at least {plural(needed, 'sample')}, got {there}: "
         raise InputError(msg + "record longer, or lose fewer samples")
     return p
 
@@ -204,20 +211,15 @@ def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
 
 
 def _require_information(R: Array, constants: int, d: int, degrees: int) -> None:
-    """Refuse data with too few samples, and data whose u or y follows from the past."""
+    """Refuse data with too few samples, and data whose u follows from its past."""
     if degrees < d:
         raise InputError(
-            f"the test for feedback needs {2 * d + FUTURE} samples with a complete past, got "
-            f"{degrees + d + FUTURE}: record longer, or lose fewer samples"
+            f"the test for feedback needs {plural(2 * d + FUTURE, 'sample')} with a complete past, "
+            f"got {degrees + d + FUTURE}: record longer, or lose fewer samples"
         )
     left, power = R[d, d] ** 2, float(np.sum(R[constants:, d] ** 2))
     if left <= _MIN_U_REST * power:
         raise CannotTellError(
             "u follows from its own past (a constant, a sine, few sines), which hides any effect "
             "of y on u: record with a telegraph, a PRBS or noise"
-        )
-    left, power = float(np.sum(R[d:, -1] ** 2)), float(np.sum(R[constants:, -1] ** 2))
-    if left <= _MIN_Y_REST * power:
-        raise CannotTellError(
-            "y follows from the past without noise, but feedback is visible only by noise"
         )
