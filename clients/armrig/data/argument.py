@@ -15,6 +15,7 @@ from armrig_core.process.calls import check_call
 
 from armrig.data.columns import MAX_SIZE
 from armrig.data.dataset import Dataset, Signals
+from armrig.numerics.quantities import digits
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -174,8 +175,8 @@ def _require_visible(data: Signals) -> None:
         for name, size in zip(names, largest.tolist(), strict=True):
             if 0 < size < _MIN_SIZE:
                 raise InputError(
-                    f"the largest |{name or default}| is {size:.3g}; use a unit in which it is "
-                    f"from {_MIN_SIZE:g} to {MAX_SIZE:g}"
+                    f"the largest |{name or default}| is {digits(size, 3)}; use a unit in which it "
+                    f"is from {_MIN_SIZE:g} to {MAX_SIZE:g}"
                 )
 
 

@@ -11,6 +11,8 @@ from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.checks import real_copy
+from armrig.numerics.quantities import digits, plural
+from armrig.numerics.rounding import is_constant
 from armrig.numerics.stretches import Mask
 
 Vector = NDArray[np.float64]
@@ -45,10 +47,18 @@ def columns(name: str, values: Any) -> Matrix:
         )
     if taken.shape[1] > taken.shape[0]:
         raise InputError(
-            f"{name} has {taken.shape[0]} rows and {taken.shape[1]} columns, fewer samples than "
-            f"channels; give {name}.T if the channels are the rows"
+            f"{name} has {plural(taken.shape[0], 'row')} and {plural(taken.shape[1], 'column')}, "
+            f"fewer samples than channels; give {name}.T if the channels are the rows"
         )
     return taken
+
+
+def constancy(name: str, values: Vector) -> str:
+    """Return a text with the way out if all known values of a signal are equal, "" otherwise."""
+    known = values[np.isfinite(values)]
+    if not known.size or not is_constant(known):
+        return ""
+    return f"{name} is always {known[0]:.4g}: give the column that varies, or record again"
 
 
 def plain(name: str, values: Any) -> Any:
@@ -103,7 +113,8 @@ def names_of(what: str, names: Names | None, values: Any, letter: str, n: int) -
     given = as_tuple(names)
     if len(given) != n or not all(isinstance(name, str) and (name or n == 1) for name in given):
         raise InputError(
-            f"{what}={list(given)!r}: {n} names are needed, one for each column of {letter}"
+            f"{what}={list(given)!r}: {plural(n, 'name is', 'names are')} needed, one for each "
+            f"column of {letter}"
         )
     if repeated := sorted({name for name in given if given.count(name) > 1}):
         raise InputError(f"{what}: {', '.join(repeated)} repeats; each channel needs its own name")
@@ -127,7 +138,7 @@ def courses_of(intersample: Names, n: int) -> tuple[Intersample, ...]:
     if len(given) != n or not set(given) <= set(allowed):
         raise InputError(
             f'intersample={intersample!r} must be "zoh" or "foh", or one of these for each of the '
-            f"{n} inputs"
+            f"{plural(n, 'input')}"
         )
     return tuple(allowed[allowed.index(course)] for course in given)
 
@@ -199,7 +210,8 @@ def require_size(name: str, x: Vector) -> None:
     largest = float(np.max(np.abs(x), initial=0.0))
     if largest > MAX_SIZE:
         raise InputError(
-            f"the largest |{name}| is {largest:.3g}; use a unit in which it is below {MAX_SIZE:g}"
+            f"the largest |{name}| is {digits(largest, 3)}; use a unit in which it is below "
+            f"{MAX_SIZE:g}"
         )
 
 
@@ -209,5 +221,6 @@ def require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None
     if bad.any():
         first = int(np.argmax(bad))
         raise InputError(
-            f"{name} is not finite at {bad.sum()} samples, first {x[first]} at {first}; {way_out}"
+            f"{name} is not finite at {plural(bad.sum(), 'sample')}, first {x[first]} at "
+            f"{first}; {way_out}"
         )

@@ -33,9 +33,12 @@ from armrig.data.columns import (
 from armrig.data.columns import Vector as Vector
 from armrig.data.experiments import Experiments, Trend, unchecked
 from armrig.numerics.checks import column
+from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
 
 T = TypeVar("T")
+VOLTS = (0.0, 1.0)
+"""Scale of an input in V: its value at 0 V, and its change per volt."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
@@ -68,6 +71,8 @@ class Signals(Experiments):
     intersample : {"zoh", "foh"} or sequence of these, default "zoh"
         Course of each input between samples: held, or a straight line. Models in discrete time do
         not use this setting.
+    input_scales : sequence of (float, float), optional
+        Value of each input at 0 V at a rig's pin, and its change per volt; default: volts.
     source : str
         Hash of the recording or data file; "" for data without a file.
     history : sequence of str
@@ -102,6 +107,8 @@ class Signals(Experiments):
     input_units: tuple[str, ...]
     units: tuple[str, ...]
     intersample: tuple[Intersample, ...]
+    input_scales: tuple[tuple[float, float], ...]
+    """Value of each input at 0 V at a rig's pin, and its change per volt; see `volts`."""
     source: str
     history: tuple[str, ...]
     trends: tuple[Trend, ...]
@@ -121,6 +128,7 @@ class Signals(Experiments):
         input_units: Names | None = None,
         units: Names | None = None,
         intersample: str | Sequence[str] = "zoh",
+        input_scales: Sequence[tuple[float, float]] | None = None,
         source: str = "",
         history: Sequence[str] = (),
         trends: Sequence[Trend] = (),
@@ -129,7 +137,8 @@ class Signals(Experiments):
         (N, nu), ny = u_.shape, y_.shape[1]
         if y_.shape[0] != N:
             raise InputError(
-                f"u has {N} samples and y has {y_.shape[0]}; both need one value for each instant"
+                f"u has {plural(N, 'sample')} and y has {y_.shape[0]}; both need one value for "
+                "each instant"
             )
         starts_ = starts_of(starts, N)
         outputs_ = names_of("outputs", outputs, y, "y", ny)
@@ -155,7 +164,8 @@ class Signals(Experiments):
             require_size(name or "y", y_[valid_[:, i], i])
         if len(trends) not in (0, len(starts_)):
             raise InputError(
-                f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
+                f"{plural(len(trends), 'trend')} for {plural(len(starts_), 'experiment')}; give "
+                "one for each, or none"
             )
         y_[~valid_] = np.nan
         for array in (u_, y_, valid_):
@@ -171,6 +181,7 @@ class Signals(Experiments):
             "input_units": units_of("input_units", input_units, nu),
             "units": units_of("units", units, ny),
             "intersample": courses_of(intersample, nu),
+            "input_scales": tuple(input_scales or nu * [VOLTS]),
             "source": source,
             "history": tuple(history),
             "trends": tuple(
@@ -202,6 +213,22 @@ class Signals(Experiments):
     def nu(self) -> int:
         """Number of inputs."""
         return len(self.inputs)
+
+    @property
+    def volts(self) -> Matrix:
+        """Inputs (N, nu) in V at the rig's pin; without their means, if a trend was removed.
+
+        Data without a rig, and a rig whose input is in volts, have u itself.
+
+        Examples
+        --------
+        >>> signals = armrig.Signals(u=[0, 60], y=[0, 1], Ts=1, input_scales=[(0, 20)])
+        >>> signals.volts.ravel()
+        array([0., 3.])
+        """
+        offset, per_volt = np.array(self.input_scales).T
+        volts: Matrix = (self.u - (0.0 if self.trends else offset)) / per_volt
+        return volts
 
     @property
     def ny(self) -> int:
@@ -248,7 +275,8 @@ class Signals(Experiments):
         """
         if (output is None and self.ny > 1) or (input is None and self.nu > 1):
             raise InputError(
-                f"{self.ny} outputs ({listed(self.outputs)}) and {self.nu} inputs "
+                f"{plural(self.ny, 'output')} ({listed(self.outputs)}) and "
+                f"{plural(self.nu, 'input')} "
                 f"({listed(self.inputs)}): choose one of each with signals.dataset(output, input)"
             )
         i, j = self.output(output), self.input(input)
@@ -257,11 +285,12 @@ class Signals(Experiments):
             u=self.u[:, j : j + 1],
             y=self.y[:, i : i + 1],
             valid=self.valid[:, i : i + 1],
-            inputs=("input" if self.outputs[i] == "u" else "u",),
+            inputs=(self.inputs[j],),
             outputs=(self.outputs[i],),
             input_units=(self.input_units[j],),
             units=(self.units[i],),
-            intersample=("zoh",),
+            intersample=(self.intersample[j],),
+            input_scales=(self.input_scales[j],),
             trends=tuple(t.each(lambda x: x[[j]], lambda x: x[[i]]) for t in self.trends),
         )
         return view(pair)
@@ -294,6 +323,7 @@ class Signals(Experiments):
             input_units=tuple(self.input_units[j] for j in of_u),
             units=tuple(self.units[i] for i in of_y),
             intersample=tuple(self.intersample[j] for j in of_u),
+            input_scales=tuple(self.input_scales[j] for j in of_u),
             trends=[t.each(lambda x: x[of_u], lambda x: x[of_y]) for t in self.trends],
         )
 
@@ -317,15 +347,18 @@ class Dataset(Experiments):
     Parameters
     ----------
     u, y : array_like, shape (N,)
-        Input and output. The input is held from each instant to the next (zero-order hold). NaN and
-        masked values of y are missing; u has no missing value.
+        Input and output. The input is held from each instant to the next (zero-order hold), unless
+        these are the channels of `Signals` with another `intersample`. NaN and masked values of y
+        are missing; u has no missing value.
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
         False where y is missing. At these samples `y` is NaN, and every sample computed from one of
         them is NaN.
-    output, unit, input_unit : str
-        Name of y, its unit, and the unit of u.
+    output, unit, input_unit, input : str
+        Name of y, its unit, the unit of u, and the name of u.
+    input_scale : (float, float), optional
+        Value of u at 0 V at a rig's pin, and its change per volt; default: volts.
     starts, source, history, trends
         As for `Signals`.
 
@@ -359,6 +392,8 @@ class Dataset(Experiments):
         output: str = "y",
         unit: str = "",
         input_unit: str = "V",
+        input: str = "",
+        input_scale: tuple[float, float] | None = None,
         source: str = "",
         history: Sequence[str] = (),
         trends: Sequence[Trend] = (),
@@ -376,7 +411,9 @@ class Dataset(Experiments):
             starts=starts,
             outputs=[output],
             units=[unit],
+            inputs=[input] if input else None,
             input_units=[input_unit],
+            input_scales=[input_scale or VOLTS],
             source=source,
             history=history,
             trends=trends,
@@ -396,8 +433,9 @@ class Dataset(Experiments):
         return view(signals)
 
     def _values(self) -> dict[str, Any]:
-        names = ("u", "y", "Ts", "valid", "starts", "output", "unit", "input_unit")
-        return {name: getattr(self, name) for name in (*names, "source", "history", "trends")}
+        names = ("u", "y", "Ts", "valid", "starts", "output", "unit", "input_unit", "input")
+        more = ("input_scale", "source", "history", "trends")
+        return {name: getattr(self, name) for name in (*names, *more)}
 
     u = _column(lambda data: data.u[:, 0], "Input (N,), in `input_unit`.")
     y = _column(lambda data: data.y[:, 0], "Output (N,), in `unit`; NaN where it is missing.")
@@ -407,6 +445,10 @@ class Dataset(Experiments):
     output = _column(lambda data: data.outputs[0], "Name of y.")
     unit = _column(lambda data: data.units[0], "Unit of y.")
     input_unit = _column(lambda data: data.input_units[0], "Unit of u.")
+    input = _column(lambda data: data.inputs[0], "Name of u.")
+    input_scale = _column(
+        lambda data: data.input_scales[0], "Value of u at 0 V at the pin, and its change per volt."
+    )
     source = _column(lambda data: data.source, 'Hash of the recording or data file, or "".')
     history = _column(lambda data: data.history, "Steps of the treatment, a sentence for each.")
     trends = _column(

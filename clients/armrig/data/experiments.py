@@ -16,6 +16,7 @@ from armrig_core.errors import InputError, InputTypeError
 from armrig.data.columns import Vector
 from armrig.data.step import took
 from armrig.numerics.checks import require_integers
+from armrig.numerics.quantities import plural
 from armrig.plots.layout import figure_of, html
 
 if TYPE_CHECKING:
@@ -147,7 +148,9 @@ class Experiments:
             )
         a, b, _ = part.indices(self.N)
         if b <= a:
-            raise InputError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
+            raise InputError(
+                f"data[{part.start}:{part.stop}] is empty: the data have {plural(self.N, 'sample')}"
+            )
         if (a, b) == (0, self.N):
             return self  # the data are immutable
         data = self.signals()
@@ -192,7 +195,8 @@ class Experiments:
         require_integers(k=(k, 1))
         if k > self.N:
             raise InputError(
-                f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
+                f"{plural(self.N, 'sample')} cannot be split into {plural(k, 'part')}: 1 to "
+                f"{self.N} are possible"
             )
         edges = [round(i * self.N / k) for i in range(k + 1)]
         return tuple(self[a:b] for a, b in pairwise(edges))
@@ -228,7 +232,8 @@ class Experiments:
         count = len(data.starts)
         if not which or not all(0 <= i < count for i in which):
             raise InputError(
-                f"select{which} needs numbers from 0 to {count - 1}: there are {count} experiments"
+                f"select{which} needs numbers from 0 to {count - 1}: the data have "
+                f"{plural(count, 'experiment')}"
             )
         edges = (*data.starts, self.N)
         parts = [np.arange(edges[i], edges[i + 1]) for i in which]
@@ -291,12 +296,12 @@ class Experiments:
     def _described(self, channels: str, missing: str) -> str:
         """Return one line with the names of the channels, and with the word for missing values."""
         data = self.signals()
-        parts = [f"{self.N} samples at {data.Ts:g} s", channels]
+        parts = [f"{plural(self.N, 'sample')} at {data.Ts:g} s", channels]
         if self.missing:
             share = 100 * self.missing / data.y.size
             parts.append(f"{self.missing} {missing} ({share:.1f} %)")
         if len(data.starts) > 1:
-            parts.append(f"{len(data.starts)} experiments")
+            parts.append(f"{plural(len(data.starts), 'experiment')}")
         if data.history:
             parts.append(f"history: {'; '.join(data.history)}")
         return f"<{type(self).__name__}: {'; '.join(parts)}>"

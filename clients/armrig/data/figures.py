@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from armrig_core.telemetry.channels import ARM_OUTPUTS
 
-from armrig.numerics.quantities import NBSP, minus
+from armrig.numerics.quantities import NBSP, digits, minus
 from armrig.plots.captions import labelled, legend, named, sign
 from armrig.plots.layout import (
     BLUE,
@@ -57,9 +57,9 @@ def without_ramp(
     left = np.var(y - level - slope * t[seen])
     if not left < (1 - MIN_RAMP_SHARE) * np.var(y):
         return none
-    shown, digits = labelled(name), minus(f"{abs(slope):.3g}")
-    label = f"{shown} {'−' if slope > 0 else '+'} {digits} $t$\n[{unit or '–'}]"
-    rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{unit}/s' if unit else 'per s'}"
+    shown, rise = labelled(name), minus(digits(abs(slope), 3))
+    label = f"{shown} {'−' if slope > 0 else '+'} {rise} $t$\n[{unit or '–'}]"
+    rate = f"{minus(digits(slope, 3))}{NBSP}{f'{unit}/s' if unit else 'per s'}"
     return slope * t, label, (f"{shown} minus its mean rate, {rate}",)
 
 

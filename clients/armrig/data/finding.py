@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -20,6 +20,8 @@ Remedy = Literal[
 - structure: take OE with an integrator
 """
 
+FEW_SAMPLES = 300
+"""Number of samples below which a model, and its standard deviations, are inaccurate."""
 OWN_DATA = (
     "the models are judged on their own estimation data, which gives too good results: "
     "validate on other data"
@@ -64,3 +66,11 @@ def warning(about: str, text: str, remedy: Remedy = "", **numbers: float) -> Fin
 def unusable(about: str, text: str, **numbers: float) -> Finding:
     """Return a finding of level "unusable"."""
     return Finding(level="unusable", about=about, text=text, numbers=numbers)
+
+
+def few_samples(N: int, name: str = "") -> Iterator[Finding]:
+    """Yield a warning if the data called `name` have less than `FEW_SAMPLES` samples."""
+    if 0 < N < FEW_SAMPLES:
+        text = f"{name} has {N} samples" if name else f"{N} samples"
+        text += f": models from so few samples are poor; record {FEW_SAMPLES} or more"
+        yield warning("samples", text, samples=N)

@@ -12,9 +12,10 @@ from armrig_core.process.calls import checked_call
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Trend
 from armrig.data.step import Step, codes_of, in_merged
+from armrig.numerics.quantities import plural
 
 _MAX_LISTED_LENGTHS = 8  # of merged parts, in a history
-_SAME = ("Ts", "outputs", "inputs", "units", "input_units", "intersample")
+_SAME = ("Ts", "outputs", "inputs", "units", "input_units", "intersample", "input_scales")
 """Fields that are the same in all merged parts."""
 
 
@@ -98,4 +99,4 @@ def _joined_history(parts: Sequence[Signals]) -> tuple[str, ...]:
     ]
     lengths = ", ".join(str(data.N) for data in parts[:_MAX_LISTED_LENGTHS])
     lengths += ", …" if len(parts) > _MAX_LISTED_LENGTHS else ""
-    return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
+    return (*common, *own, f"merged {plural(len(parts), 'part')} of {lengths} samples")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -12,12 +11,10 @@ from typing import TYPE_CHECKING
 
 from armrig_core.telemetry.channels import SYMBOLS
 
-from armrig.plots.layout import GREY, drawable
+from armrig.plots.layout import GREY, any_characters, drawable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_RAISED_DIGITS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 _RUN_OF_HASH: ContextVar[Mapping[str, str]] = ContextVar(
@@ -65,7 +62,7 @@ def sign(ax: Axes, *sources: str, above: float = 0.0) -> Axes:
     `above` is the height, in points, of the legend above the axes, as `legend` returns it.
     """
     if text := signature(*sources, runs=_RUN_OF_HASH.get()):
-        ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3 + above)
+        ax.set_title(drawable(text), loc="right", fontsize="x-small", color=GREY, pad=3 + above)
     return ax
 
 
@@ -88,15 +85,16 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
     room = 0.92 * 72 * ax.bbox.width / ax.figure.dpi  # 8 % is left for the labels of the axis
 
     def width(text: str) -> float:
-        return max(
-            text_to_path.get_text_width_height_descent(line, font, "$" in line)[0]
-            for line in text.split("\n")
-        )
+        with any_characters():
+            return max(
+                text_to_path.get_text_width_height_descent(line, font, "$" in line)[0]
+                for line in text.split("\n")
+            )
 
     def folded(text: str, room: float) -> str:
         return fill(text, max(12, int(len(text) * room / max(width(text), 1.0))))
 
-    names = [in_mathtext(drawable(n)) for n in names]
+    names = list(map(drawable, names))
     notes = tuple(map(drawable, notes))
     names = [folded(n, room - 3 * size) if width(n) > room - 3 * size else n for n in names]
     widths = [width(n) + 3 * size for n in names]
@@ -136,15 +134,6 @@ def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
         total += max(rest[:n])
         rest = rest[n:]
     return total <= room
-
-
-def in_mathtext(text: str) -> str:
-    """Return a text with powers of ten in mathtext; few fonts have superscripts as in 10⁻³."""
-
-    def power(found: re.Match[str]) -> str:
-        return f"$10^{{{found[1].translate(_RAISED_DIGITS)}}}$"
-
-    return re.sub("10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", power, text)
 
 
 def symbol(parameter: str) -> str:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import warnings
 from base64 import b64encode
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from html import escape
 from io import BytesIO
 from itertools import cycle
+from logging import ERROR, getLogger
 from math import tau
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
+
+from armrig_core.process.printable import SPACES, printable, with_degrees
 
 from armrig.numerics.stretches import stretches
 
@@ -37,6 +43,7 @@ INK, GREY = "#222222", "#777777"
 COLOURS = (SKY, VERMILION, BLUE, GREEN, PURPLE, INK)
 DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), "-", (0, (6, 1.5, 1, 1.5)), (0, (1, 1)), (0, (8, 3)))
 WIDTHS = (3.6, 2.0, 0.8, 1.2, 1.2, 0.8)
+_RAISED_DIGITS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _PANEL_HEIGHT = 1.15  # inches
 _WIDTH = 6.4  # inches
 _LEAST_HEIGHT = 3.6  # inches
@@ -75,8 +82,19 @@ def figure_of(ax: Axes) -> Figure:
     figure = ax.figure.figure
     if len({_group(one) for one in figure.axes}) == 1:
         letter(figure)
+    _write_degrees(figure)
     show_once(figure)
     return figure
+
+
+def _write_degrees(figure: Figure) -> None:
+    """Write °C for degC in all texts of a figure."""
+    from matplotlib.text import Text
+
+    for found in figure.findobj(Text):
+        text = found.get_text() if isinstance(found, Text) else ""
+        if isinstance(found, Text) and (shown := with_degrees(text)) != text:
+            found.set_text(shown)
 
 
 def drawn_by(name: str, what: str) -> Callable[..., Figure]:
@@ -191,9 +209,40 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
 
 
 def drawable(text: str) -> str:
-    """Return a text whose formulas can be drawn; a name or a unit of a file may have a bad one."""
-    lines = (x if _has_right_formulas(x) else x.replace("$", r"\$") for x in text.split("\n"))
+    """Return a text that can be drawn, with its exponents in mathtext.
+
+    A formula that cannot be drawn, as in a name or a unit of a file, becomes text. Control
+    characters, which an SVG must not contain, are escaped.
+    """
+    lines, text = [], printable(text, keep="\n" + SPACES)
+    for line in text.split("\n"):
+        drawn = in_mathtext(line)
+        is_right = _has_right_formulas(drawn)
+        lines.append(drawn if is_right else in_mathtext(line.replace("$", r"\$")))
     return "\n".join(lines)
+
+
+def in_mathtext(text: str) -> str:
+    """Return a text with the exponents of 10⁻³ and s⁻¹ in mathtext; few fonts have their digits."""
+
+    def exponent(found: re.Match[str]) -> str:
+        return f"${found[1] or ''}^{{{found[2].translate(_RAISED_DIGITS)}}}$"
+
+    return re.sub("(?:(10)(?=[⁻⁰¹²³⁴⁵⁶⁷⁸⁹])|(?=⁻))([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", exponent, text)
+
+
+@contextmanager
+def any_characters() -> Iterator[None]:
+    """Draw a box or ¤, without a warning, for a character that no font of this machine has."""
+    formulas = getLogger("matplotlib.mathtext")
+    level = formulas.level
+    formulas.setLevel(ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph .* missing")
+            yield
+    finally:
+        formulas.setLevel(level)
 
 
 def _has_right_formulas(line: str) -> bool:
@@ -201,7 +250,8 @@ def _has_right_formulas(line: str) -> bool:
 
     try:
         if "$" in line:
-            MathTextParser("path").parse(line)
+            with any_characters():
+                MathTextParser("path").parse(line)
     except ValueError:
         return False
     return line.replace(r"\$", "").count("$") % 2 == 0
@@ -215,8 +265,9 @@ def save(figure: Figure, path: Path, **options: Any) -> None:
     import matplotlib as mpl
 
     letter(figure)
+    _write_degrees(figure)
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    with mpl.rc_context({"svg.hashsalt": "armrig"}):
+    with mpl.rc_context({"svg.hashsalt": "armrig"}), any_characters():
         figure.savefig(path, metadata=undated.get(path.suffix.lower()), **options)
 
 

@@ -47,7 +47,9 @@ def channels_of(
     for channel in channels:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
         y = _on_grid(_calibrated(samples, channel, pot), rows.present)
-        valid = _valid(samples, channel, rows.present, before) & np.isfinite(y)
+        valid = np.isfinite(y)
+        if channel.turns or pot is not None:  # of every other channel the daemon marks by NaN
+            valid &= _valid(samples, channel, rows.present, before)
         if channel.turns and (pot is None or pot.wraps):
             y = unwrap(y, valid)
             unknown += tuple(turns_unknown(valid, rows.present, Ts).tolist())

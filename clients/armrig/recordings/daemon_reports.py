@@ -216,4 +216,7 @@ def _gap_line(gaps: list[Gap]) -> str:
     reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))
     if len(gaps) == 1:
         return f"{samples} at {gaps[0].t:.3f} s, {reasons}"
-    return f"{samples} in {len(gaps)} gaps from {gaps[0].t:.3f} s to {gaps[-1].t:.3f} s, {reasons}"
+    return (
+        f"{samples} in {plural(len(gaps), 'gap')} from {gaps[0].t:.3f} s to {gaps[-1].t:.3f} "
+        f"s, {reasons}"
+    )

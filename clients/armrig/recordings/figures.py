@@ -9,7 +9,7 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.columns import Vector
-from armrig.numerics.quantities import three_digits
+from armrig.numerics.quantities import digits, plural
 from armrig.numerics.stretches import Mask
 from armrig.plots.captions import labelled, legend, sign
 from armrig.plots.layout import (
@@ -35,7 +35,7 @@ _RESOLUTION_US = 1.0  # of the device's clock
 Quantity = Literal["jitter", "lateness"]
 _TIMES: dict[Quantity, tuple[Callable[[Recording], Vector], str]] = {
     "jitter": (jitter_us, r"$|\Delta t - T_s|$ on the device's clock [µs]"),
-    "lateness": (lateness_us, "host's lateness [µs]"),
+    "lateness": (lateness_us, "lateness at the host [µs]"),
 }
 
 
@@ -72,7 +72,8 @@ def plot_timing(
         text = "no samples"
         if x.size:
             text = (
-                f"{x.size} samples, all\n{three_digits(float(np.median(x)))} µs, to the microsecond"
+                f"{plural(x.size, 'sample')}, all\n{digits(float(np.median(x)), 3)} µs, to "
+                "the microsecond"
             )
         ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
         ax.set(xticks=[], yticks=[], xlabel=label, ylabel="samples")
@@ -94,7 +95,7 @@ def plot_timing(
     ax.set_xlim(floor, top)
     ax.set_ylim(bottom=0.6)
     for name, value, dash in zip(("p50", "p99", "max"), marks, (":", "--", "-"), strict=False):
-        text = f"{name} {three_digits(value)} µs"
+        text = f"{name} {digits(value, 3)} µs"
         ax.axvline(max(value, floor), color=VERMILION, ls=dash, lw=1.1, label=text)
     ax.set_xlabel(label)
     ax.set_ylabel("samples")
@@ -123,11 +124,12 @@ def plot_overview(
             signals.append((channel.rate, f"{channel.unit}/s", rate, valid))
     every = rows(ax, 1 + len(signals))
     ax, first, last = every[0], float(rec.t[0]), float(rec.t[-1])
-    ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
+    given = rec.description.input
+    ax.step(rec.t, given.value(rec.u), where="post", color=INK, lw=0.7)
     turns = any(channel.turns for channel in rec.description.channels)
     how: dict[str, Any] = {"first": first, "dead_band": turns}
     shade(ax, np.logical_and.reduce([valid for *_, valid in signals]), rec.Ts, **how)
-    ax.set_ylabel("$u$ [V]")
+    ax.set_ylabel(f"{'$u$' if given.name == 'u' else labelled(given.name)} [{given.unit}]")
     for panel, (name, unit, y, valid) in zip(every[1:], signals, strict=True):
         panel.plot(rec.t, y, color=BLUE, lw=0.7)
         panel.set_ylabel(f"{labelled(name)} [{unit}]")

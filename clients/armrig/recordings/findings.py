@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.commands.codes import OutcomeCode
+from armrig_core.commands.commands import UNTIL
 from armrig_protocol.messages import Flag
 
-from armrig.data.finding import Finding, good, unusable, warning
-from armrig.numerics.quantities import error, microseconds, percent
+from armrig.data.finding import FEW_SAMPLES, Finding, few_samples, good, unusable, warning
+from armrig.numerics.quantities import digits, error, microseconds, percent, plural
 from armrig.numerics.step_times import ramp_lag
 from armrig.numerics.stretches import longest, stretches
 from armrig.recordings.jitter import angle_of_jitter, sampling_statistics
 
 if TYPE_CHECKING:
-    from armrig_core.rig.channels import Channel
-
     from armrig.data.dataset import Dataset
     from armrig.recordings.recording import Recording
 
@@ -36,6 +36,7 @@ _MAX_REST_STEPS = 6  # largest range of readings at rest, in steps of the conver
 _MARGIN_RAD = 1.5  # from the dead band to the beginning of the next step
 _EARLIEST_STEP_S = 0.5
 _MIN_LINE_SAMPLES = 8
+_WIDE, _LONGER = 0.7, 4  # share of the input's range from which more time is advised
 _MIN_SPEED_RAD_S = 0.05  # of a chassis that turns before the step
 
 
@@ -44,30 +45,38 @@ def early_end(r: Recording) -> str:
     if r.outcome is None:
         return "the reason is not recorded"
     normal = r.outcome.code in (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
+    normal |= r.outcome.code == OutcomeCode.STOPPED and UNTIL in r.manifest.details
     return "" if normal else r.outcome.outcome
 
 
 def check_run(r: Recording) -> Iterator[Finding]:
     """Check how the run ended, the number of samples that arrived, and that the input changes."""
     came, u = r.samples.size, r.u[np.isfinite(r.u)]
+    instants = ceil(came / r.manifest.every)
     if r.cut_off:
         yield warning("run", f"the file is cut off: it contains {r.N * r.Ts:g} of {r.asked_s:g} s")
     elif r.truncated:
         yield warning("run", f"the file is damaged: {r.damage}")
     elif why := early_end(r):
         yield warning("run", f"the run ended early: {why}")
-    if came < TOO_FEW:
-        yield unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")
-    elif not r.missing:
-        yield good("samples", f"all {r.N} samples arrived")
+    if instants < TOO_FEW:
+        text = plural(instants, "sample is", "samples are")
+        yield unusable("samples", f"{text} too few; record {FEW_SAMPLES} or more")
     else:
-        many, text = r.missing > MOST_MISSING * r.N, f"{r.missing} of {r.N} samples are missing"
-        remedy = ": `armrig info` and `armrig doctor` show why" if many else " and marked missing"
-        yield (warning if many else good)("samples", text + remedy)
+        yield from few_samples(u.size // r.manifest.every)
+        yield _arrival(r)
     if not u.size or np.ptp(u) == 0:
         yield unusable("input", "the input never changes; use an input that switches")
     else:
-        yield good("input", f"{u.min():.3g} to {u.max():.3g} V")
+        yield good("input", f"{digits(u.min(), 3)} to {digits(u.max(), 3)} V")
+
+
+def _arrival(r: Recording) -> Finding:
+    if not r.missing:
+        return good("samples", f"all {plural(r.N, 'sample')} arrived")
+    many, text = r.missing > MOST_MISSING * r.N, f"{r.missing} of {r.N} samples are missing"
+    remedy = ": `armrig info` and `armrig doctor` show why" if many else " and marked missing"
+    return (warning if many else good)("samples", text + remedy)
 
 
 def check_first(r: Recording) -> Finding:
@@ -129,17 +138,22 @@ def second_moves(r: Recording) -> bool:
     return counts.size > 0 and int(np.ptp(counts)) > _MAX_REST_STEPS * converter_step(r)
 
 
-def check_signal(first: Channel, signal: float, noise: float, step: float) -> Iterator[Finding]:
+def check_signal(r: Recording, signal: float, noise: float, step: float) -> Iterator[Finding]:
     """Compare the signal in the first channel with the noise and the step of the converter."""
+    first = r.description.channels[0]
+    steps = plural(float(digits(noise / step, 2)), "step")
     ratio, steady = signal / noise, "a steady rotation" if first.turns else "its mean"
-    text = f"signal to noise {ratio:.2g} to 1: {first.name} deviates from {steady} by "
+    text = f"signal to noise {digits(ratio, 2)} to 1: {first.name} deviates from {steady} by "
     text += f"{error(signal, first.unit)} rms, and the noise, which an ARX model does not explain, "
-    text += f"is {error(noise, first.unit)} ({noise / step:.2g} steps of the converter)"
+    text += f"is {error(noise, first.unit)} ({steps} of the converter)"
     if not ratio < LEAST_RATIO:
         yield good("signal", text)
         return
     grade, why = (unusable, "the signal is only noise: ") if ratio < NO_RATIO else (warning, "")
-    yield grade("signal", f"{text}; {why}use levels with a larger difference")
+    remedy = "use levels with a larger difference"
+    if np.ptp(r.u[np.isfinite(r.u)]) >= _WIDE * r.description.input.u_max_v:
+        remedy = f"record longer, such as {digits(_LONGER * r.N * r.Ts, 2)} s"
+    yield grade("signal", f"{text}; {why}{remedy}")
 
 
 def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:

@@ -14,9 +14,9 @@ from armrig_core.recording_file.manifest import Recovered
 from armrig_core.rig.channels import Channel
 
 from armrig.data.columns import Vector
-from armrig.data.finding import Finding
+from armrig.data.finding import Finding, good
 from armrig.data.treatment import Drift, drift, hampel
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import digits, listed, plural
 from armrig.recordings.daemon_reports import gap_lines
 from armrig.recordings.findings import second_moves
 from armrig.recordings.jitter import Spread, disturbances, sampling_statistics
@@ -65,7 +65,7 @@ class Overview:
         first = rec.description.channels[0]
         hidden = "dead band" if first.turns else "out of range"
         return [
-            ("u", f"{_range(rec.u)} V, {np.nanmean(rec.u):.3g} V on average"),
+            _input_row(rec),
             *((channel.name, _motion(rec, channel)) for channel in rec.description.channels),
             ("missing", f"{rec.missing} of {plural(rec.N, 'sample')}"),
             (hidden, f"{plural(rec.hidden, 'sample')} without {first.name}"),
@@ -166,9 +166,15 @@ def _motion(rec: Recording, channel: Channel) -> str:
     return f"the {channel.body or 'shaft'} turned {turned:.1f} times, at {speed}"
 
 
+def _input_row(rec: Recording) -> tuple[str, str]:
+    given = rec.description.input
+    u, unit = given.value(rec.u), given.unit
+    return given.name, f"{_range(u)} {unit}, {digits(float(np.nanmean(u)), 3)} {unit} on average"
+
+
 def _range(x: Vector) -> str:
     x = x[np.isfinite(x)]
-    return f"{x.min():.3g} to {x.max():.3g}" if x.size else "not known"
+    return f"{digits(x.min(), 3)} to {digits(x.max(), 3)}" if x.size else "not known"
 
 
 def _outliers(times: Vector) -> str:
@@ -194,7 +200,7 @@ def contents_facts(rec: Recording) -> dict[str, Any]:
         "sampling": sampling_statistics(rec),
         "causes": disturbances(rec),
         "calibration": rec.calibration,
-        "remarks": [f.text for f in calibration_doubts(rec)],
+        "remarks": [f.text for f in (*calibration_doubts(rec), *_hash_remarks(rec))],
         "verdict": data_verdict(rec).facts(),
         "gaps": rec.gaps,
         "events": rec.events,
@@ -211,8 +217,8 @@ def contents_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]
     yield "recording", str(rec.path)
     if verbose:
         yield "sha256", rec.sha256
-    rig = f"rig {manifest.rig}{', emulated' if manifest.emulated else ''}"
-    yield "run", f"{manifest.run_id} of {rig}, {manifest.started}"
+    yield "rig", f"{manifest.rig}{', emulated' * manifest.emulated}: {rec.description.title}"
+    yield "run", f"{manifest.run_id}, {manifest.started}"
     if manifest.owner:
         yield "owner", _clipped(manifest.owner)
     yield (
@@ -224,14 +230,14 @@ def contents_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]
     if rec.recovered is not None:
         yield "recovered", _recovered(rec.recovered)
     yield "calibrated", calibration_text(rec)
-    for remark in calibration_doubts(rec):
+    for remark in (*calibration_doubts(rec), *_hash_remarks(rec)):
         yield "remark", remark.text
     of_interval = "spread of the sampling interval, by the device's clock"
     yield "jitter", _percentiles(timing.jitter, 0, of_interval)
     if verbose:
         pacer, late = _BY_DEVICE if manifest.pacing == "scheduled" else _BY_HOST
         yield "paced by", pacer
-        yield "host's lateness", _percentiles(timing.lateness, 1, late)
+        yield "lateness", _percentiles(timing.lateness, 1, late)
     if verbose and (found := disturbances(rec).texts()):
         yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
     notes = [_clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}") for note in rec.notes]
@@ -271,6 +277,13 @@ def calibration_doubts(rec: Recording) -> Iterator[Finding]:
         yield from doubts_of_calibration(rec.calibration, rec.manifest)
 
 
+def _hash_remarks(rec: Recording) -> Iterator[Finding]:
+    """Yield a note if attachments of an older file could not be compared with a hash."""
+    if rec.unhashed:
+        text = f"The manifest, by armrig {rec.manifest.armrig}, contains no hash of "
+        yield good("attachments", f"{text}{listed(rec.unhashed)}: an exchange is not found.")
+
+
 def _clipped(text: str) -> str:
     return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
 
@@ -280,6 +293,8 @@ def _sample_count(rec: Recording) -> str:
     turns = rec.description.channels[0].turns
     why = "an angle (dead band, and the sample after)" if turns else f"a valid {rec.first}"
     text = f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without {why}"
+    every = rec.manifest.every
+    text += f"; the dataset has Ts {every * rec.Ts:g} s" if every > 1 else ""
     if rec.truncated:
         text += f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
     return text

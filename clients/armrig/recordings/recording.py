@@ -18,6 +18,7 @@ from armrig.data.columns import Vector as Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.step import took
 from armrig.data.treatment import difference
+from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
 from armrig.plots.layout import figure_of, html
 from armrig.recordings.daemon_reports import DeviceClock, Event, Gap, Note, Timing
@@ -61,6 +62,8 @@ class Recording:
 
     path: Path
     """Path of the file."""
+    name: str
+    """Name in messages: the `@NAME` by which the recording was loaded, or the name of the file."""
     sha256: str
     """Hash of the whole file."""
     manifest: Manifest
@@ -119,6 +122,8 @@ class Recording:
     """Damage of the file, and the amount of data that could be read; "" for a complete file."""
     part: tuple[float, float] | None = None
     """Start and end of the loaded range, in s as in `t`; None if all samples were loaded."""
+    unhashed: tuple[str, ...] = ()
+    """Names of the attachments without a hash in the manifest, as in older files."""
 
     @property
     def N(self) -> int:
@@ -127,7 +132,10 @@ class Recording:
 
     @property
     def Ts(self) -> float:
-        """Sampling time, in s."""
+        """Time between two samples, in s.
+
+        A sampling time above 1 s is made by the client: see `Rig.arm`. It is that of `dataset`.
+        """
         return self.manifest.Ts
 
     @property
@@ -185,7 +193,8 @@ class Recording:
         if (of := name.removeprefix("valid_")) != name and of in channels:
             return channels[of].valid
         has = ", ".join(channels)
-        raise AttributeError(f"a recording of rig {self.description.rig.name} has no {name}: {has}")
+        rig = self.description.title
+        raise AttributeError(f"a recording of the rig '{rig}' has no {name}: {has}")
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -223,7 +232,8 @@ class Recording:
             raise InputError(f"output={output!r}: a recording has {', '.join(self.outputs)}")
         measured = next(c for c in self.description.channels if output in (c.name, c.rate))
         y, valid = self.channel(measured.name)
-        known = np.isfinite(self.u)
+        at, known = self._instants()
+        y, valid = y[at], valid[at]
         if not (valid & known).any():
             raise FileError(
                 f"{self.path}: none of its {self.N} samples shows {output}; record again"
@@ -232,21 +242,38 @@ class Recording:
         begins[1:] = ~known[:-1]
         begins[:1] = True
         if measured.turns:
-            begins[list(self.turns_unknown)] = True
+            unknown = np.searchsorted(at, self.turns_unknown)
+            begins[unknown[unknown < at.size]] = True
+        given = self.description.input
         data = Dataset(
-            u=self.u[known],
+            u=given.value(self.u[at][known]),
             y=y[known],
-            Ts=self.Ts,
+            Ts=self.manifest.every * self.Ts,
             valid=valid[known],
             starts=np.flatnonzero(begins[known]).tolist() or [0],
             output=measured.name,
             unit=measured.unit,
+            input=given.name,
+            input_unit=given.unit,
+            input_scale=(given.offset, given.per_volt),
             source=self.sha256,
             history=[took("took {:g} to {:g} s of the run".format(*self.part), *self.part)]
             if self.part
             else (),
         )
         return difference(data) if output == measured.rate else data
+
+    def _instants(self) -> tuple[NDArray[np.int_], Mask]:
+        """Return the rows of the instants of the client's sampling time.
+
+        The mask is True where the input is known, and is the same until the next instant.
+        """
+        every, k_first = self.manifest.every, self.manifest.k_first
+        at = np.arange((k_first - self.k_first) % every, self.N, every)
+        if every == 1 or not at.size:
+            return at, np.isfinite(self.u[at])
+        held = np.repeat(self.u[at], np.diff([*at, self.N]))
+        return at, np.logical_and.reduceat(self.u[at[0] :] == held, at - at[0])
 
     def signals(self, outputs: Sequence[str] | None = None) -> Signals:
         """Return u and several outputs for identification, with missing samples marked.
@@ -278,10 +305,11 @@ class Recording:
         return Signals(
             u=each[0].u,
             y=np.column_stack([data.y for data in each]),
-            Ts=self.Ts,
+            Ts=each[0].Ts,
             valid=np.column_stack([data.valid for data in each]),
             starts=sorted({start for data in each for start in data.starts}),
-            inputs=[self.description.input.name],
+            inputs=[each[0].input],
+            input_scales=[each[0].input_scale],
             outputs=[data.output for data in each],
             input_units=[each[0].input_unit],
             units=[data.unit for data in each],
@@ -346,7 +374,7 @@ class Recording:
 
     def __repr__(self) -> str:
         """Describe the recording in one line."""
-        parts = [f"{self.manifest.experiment}, {self.N} samples at {self.Ts:g} s"]
+        parts = [f"{self.manifest.experiment}, {plural(self.N, 'sample')} at {self.Ts:g} s"]
         parts += [f"{self.missing} missing"] if self.missing else []
         parts += [f"{self.hidden} in the dead band or just after"] if self.hidden else []
         parts += [self.damage] if self.truncated else []
@@ -354,15 +382,16 @@ class Recording:
 
 
 def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
-    """Return the columns (N,) of an export: k, t, u, the channels, their masks, and present.
+    """Return the columns (N,) of an export: k, t, the input, the channels, masks, and present.
 
     `raw` adds columns of the recorded readings and times, with 0 for a missing sample.
     """
     channels = [(c, recording.channel(c.name)) for c in recording.description.channels]
+    given = recording.description.input
     found: dict[str, NDArray[Any]] = {
         "k": recording.k_first + np.arange(recording.N),
         "t": recording.t,
-        "u": recording.u,
+        given.name: given.value(recording.u),
         **{c.name: shown.y for c, shown in channels},
         **{c.valid: shown.valid for c, shown in channels},
         "present": recording.present,
@@ -389,4 +418,5 @@ def export_metadata(recording: Recording) -> dict[str, str]:
 
 
 def _units(recording: Recording) -> dict[str, str]:
-    return {"t": "s", "u": "V"} | {c.name: c.unit for c in recording.description.channels}
+    given, channels = recording.description.input, recording.description.channels
+    return {"t": "s", given.name: given.unit} | {c.name: c.unit for c in channels}

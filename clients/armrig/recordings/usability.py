@@ -14,8 +14,8 @@ from armrig_core.rig.calibration import Calibration
 from armrig_core.rig.description import Description
 
 from armrig.data.dataset import Dataset
-from armrig.data.finding import Finding, lines_of, warning
-from armrig.numerics.quantities import listed
+from armrig.data.finding import Finding, few_samples, lines_of, warning
+from armrig.numerics.quantities import digits, listed, plural
 from armrig.numerics.regressors import whitening
 from armrig.recordings import findings
 
@@ -27,8 +27,6 @@ _STRETCH_S = 1.0  # length of the intervals to which straight lines are fitted
 _START_S = 3.0  # s; in longer runs, the first second (start of the motion) is left out
 _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
-FEW = 300
-"""Least number of samples for accurate standard deviations of a model of the rig."""
 STALE_DAYS = 30
 """Largest age of a calibration at the time of a recording, in days, before it counts as stale."""
 _MIN_TURN_RAD = 0.5  # least rotation from which the direction is judged
@@ -74,7 +72,9 @@ class DataVerdict:
             return f"the data cannot be used: {self.warnings[0]}"
         if self.warnings:
             return f"the data can be used, with care: {'; '.join(self.warnings)}"
-        return f"the data are good: signal to noise {self.signal_rad / self.noise_rad:.2g} to 1"
+        return (
+            f"the data are good: signal to noise {digits(self.signal_rad / self.noise_rad, 2)} to 1"
+        )
 
     def facts(self) -> dict[str, Any]:
         """Return all fields, for JSON."""
@@ -126,7 +126,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
     found += filter(None, [findings.hidden_step(recording)])
     found += findings.check_second(recording)
     if seen:
-        found += findings.check_signal(first, signal, noise, step)
+        found += findings.check_signal(recording, signal, noise, step)
         found += findings.check_timing(recording, seen, noise)
     return DataVerdict(
         recording=recording.sha256,
@@ -180,21 +180,27 @@ def _noise(data: Dataset) -> float:
 
 def doubts(recording: Recording) -> Iterator[Finding]:
     """Yield the doubts about a recording: too few samples, or a reversed sensor or motor."""
-    name, first = recording.path.name, recording.description.channels[0]
-    if 0 < recording.samples.size < FEW:
-        text = f"{name} has {recording.samples.size} samples: models from so few samples are poor; "
-        yield warning("samples", f"{text}record {FEW} or more")
+    name, first = recording.name, recording.description.channels[0]
+    yield from few_samples(int(np.isfinite(recording.u).sum()) // recording.manifest.every, name)
     angle = recording[first.name][np.isfinite(recording[first.name])]
     # No voltage is negative.
-    if first.turns and angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD:
+    turned = float(angle[-1] - angle[0]) if recording.description.arm and angle.size else 0.0
+    if turned < -_MIN_TURN_RAD:
         text = f"{name}: {first.name} falls although the voltage is positive, so its potentiometer "
         text += "or the motor's wires are reversed; run `armrig calibrate`"
         yield warning("direction", text)
 
 
+def warnings_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Return the doubts about recordings for models, and about the calibrations, as sentences."""
+    modelled = [r for r in recordings if r.manifest.kind not in NO_MODEL]
+    found = [finding for r in modelled for finding in doubts(r)]
+    return tuple(f"{f.text}." for f in (*found, *different_calibrations(recordings)))
+
+
 def emulation(recordings: Sequence[Recording]) -> list[str]:
     """Return a list of one sentence on the emulated recordings; empty if there are none."""
-    names = [r.path.name for r in recordings if r.manifest.emulated]
+    names = [r.name for r in recordings if r.manifest.emulated]
     where = f" in {listed(names)}" if 0 < len(names) < len(recordings) else ""
     text = f"The rig was emulated{where}: these are not measurements of a real rig."
     return [text] if names else []
@@ -204,7 +210,7 @@ def early_ends(recordings: Sequence[Recording]) -> Iterator[Finding]:
     """Yield a finding for each recording of a fixed length that ended early, with the reason."""
     for r in recordings:
         if (why := findings.early_end(r)) and r.manifest.samples:
-            text = f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} "
+            text = f"{r.name} ended early, after {r.samples.size} of {r.manifest.samples} "
             yield warning("run", f"{text}samples: {why}")
 
 
@@ -212,8 +218,8 @@ def different_calibrations(recordings: Sequence[Recording]) -> Iterator[Finding]
     """Yield one finding with the groups of recordings if their calibrations differ."""
     of: dict[tuple[object, ...] | None, list[str]] = {}
     for r in recordings:
-        values = (*r.calibration.channels, r.calibration.driver) if r.calibration else None
-        of.setdefault(values, []).append(r.path.name)
+        values = r.calibration.conversion if r.calibration else None
+        of.setdefault(values, []).append(r.name)
     if len(of) > 1:
         groups = "; ".join(listed(names) for names in of.values())
         text = f"The recordings were made with {len(of)} different calibrations ({groups}): their "
@@ -245,7 +251,10 @@ def doubts_of_calibration(calibration: Calibration | None, manifest: Manifest) -
         yield warning("age", "The age of the calibration is not known.")
         return
     if age > timedelta(days=STALE_DAYS):  # negative if the rig was calibrated after the recording
-        text = f"The calibration was {age.days} days old, more than {STALE_DAYS} days: calibrate "
+        text = (
+            f"The calibration was {plural(age.days, 'day')} old, more than {STALE_DAYS} days: "
+            "calibrate "
+        )
         yield warning("age", f"{text}the rig again.")
 
 
@@ -255,7 +264,7 @@ def doubts_of_estimation(
 ) -> Iterator[Finding]:
     """Yield a finding if a recording excites too few frequencies for any model."""
     if r.manifest.kind in NO_MODEL:
-        kind = f"{r.path.name} is a {r.manifest.kind}, which excites few frequencies"
+        kind = f"{r.name} is a {r.manifest.kind}, which excites few frequencies"
         yield warning("experiment", f"{kind}: {way_out}")
 
 
@@ -270,11 +279,11 @@ def doubts_of_pair(
     way_out = "a fit on it says little; validate on another telegraph (`armrig collect blackbox "
     yield from doubts_of_estimation(other, f"{way_out}--validation`)")
     pair = (first, other)
-    a, b = (r.path.name for r in pair)
+    a, b = (r.name for r in pair)
     if difference := _different_descriptions(first.description, other.description):
         raise InputError(
-            f"{a} is of a rig '{first.description.rig.name}', {b} of a rig "
-            f"'{other.description.rig.name}': {difference}; choose recordings of one description"
+            f"{a} is of a rig '{first.description.title}', {b} of a rig "
+            f"'{other.description.title}': {difference}; choose recordings of one description"
         )
     rigs = [(r.manifest.rig, r.manifest.device.get("uid")) for r in pair]
     body = first.description.channels[0].body or "first part"

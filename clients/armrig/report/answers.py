@@ -11,6 +11,8 @@ from armrig_core.process.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.process.printable import printable
 from armrig_core.process.toml_file import toml_tables
 
+from armrig.numerics.quantities import plural
+
 MAX_STUDENTS: Final = 2
 """Largest number of students: the handout's cover has this number of lines for names."""
 MAX_NAME, MAX_REASONS = 80, 4000
@@ -98,10 +100,10 @@ def _text(table: dict[str, Any], key: str, most: int) -> str:
     """Return a text in `table` without surrounding space; raise FileError if it is not valid."""
     value = table[key]
     if not isinstance(value, str):
-        raise FileError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {most} characters")
+        raise FileError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {plural(most, 'character')}")
     text = value.strip()
     if len(text) > most:
-        raise FileError(f"{key} has {len(text)} characters: at most {most} are allowed")
+        raise FileError(f"{key} has {plural(len(text), 'character')}: at most {most} are allowed")
     if not all(c.isprintable() or c.isspace() for c in text):
         raise FileError(f"{key} has characters that cannot be printed: give plain text")
     return text

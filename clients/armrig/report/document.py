@@ -12,8 +12,8 @@ from pathlib import Path
 
 from armrig_core.errors import OperationError
 
-from armrig.numerics.quantities import listed, milliseconds
-from armrig.recordings.usability import different_calibrations, early_ends, emulation
+from armrig.numerics.quantities import listed, milliseconds, plural
+from armrig.recordings.usability import early_ends, emulation, warnings_of
 from armrig.report.answers import MAX_STUDENTS, QUESTIONS, Answers, Student
 from armrig.report.figures import write_figures
 from armrig.report.handout_study import HandoutStudy
@@ -178,7 +178,7 @@ def _front(study: HandoutStudy) -> Section:
         ),
     )
     return Section(
-        warnings=tuple(f"{found.text}." for found in different_calibrations(study.recordings)),
+        warnings=warnings_of(study.recordings),
         tables=(table,) if study.recordings else (),
         points=(
             *notes(study.recordings),
@@ -224,6 +224,6 @@ def check_length(places: Places) -> None:
     longest = sorted(lengths, key=lambda name: -lengths[name])[:3]
     named = ", ".join(f"{name} ({lengths[name]:.1f})" for name in longest)
     raise OperationError(
-        f"the report has {pages} pages, and the handout allows {MOST_PAGES}; the longest sections "
-        f"are {named}: shorten your reasons, or choose lower orders (--na, --nb, --nf)"
+        f"the report has {plural(pages, 'page')}, and the handout allows {MOST_PAGES}; the longest "
+        f"sections are {named}: shorten your reasons, or choose lower orders (--na, --nb, --nf)"
     )

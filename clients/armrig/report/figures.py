@@ -53,7 +53,8 @@ def write_figures(
 def drawn(height: float, draws: Sequence[Draw]) -> Figure:
     """Return a figure as wide as the text, without empty panels."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    panels = figure.subplots(-(-len(draws) // 2), min(2, len(draws)), squeeze=False).ravel()
+    columns = min(len(draws), 3 if len(draws) % 2 else 2)
+    panels = figure.subplots(-(-len(draws) // columns), columns, squeeze=False).ravel()
     for ax in panels[len(draws) :]:
         ax.remove()
     for ax, draw in zip(panels, draws, strict=False):

@@ -16,6 +16,7 @@ from armrig.models.equation import letters, typst_form
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import (
     NBSP,
+    digits,
     error,
     fixed,
     listed,
@@ -291,7 +292,7 @@ def _grey_box(study: HandoutStudy, found: GreyFit) -> Section:
             f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's $J_1$. The chassis "
             "alone obeys, without friction,",
             "$ J dot.double(theta)_1 = (N K_m)/R_m (u - N K_m dot(theta)_1) $",
-            f"With this $J$ the simulated angle fits {found.N} samples best.{fixed_ones}",
+            f"With this $J$ the simulated angle fits {plural(found.N, 'sample')} best.{fixed_ones}",
         ),
         figures=figure(
             "greybox",
@@ -318,16 +319,18 @@ def _split(_: HandoutStudy, found: SplitStudy) -> Section:
     crosses = ""
     if last.k > 2:
         scatter, low, high = map(power, (last.scatter, *last.scatter_interval))
-        crosses = f"; the {last.k} parts scatter by {scatter} kg{NBSP}m², 95 % interval {low} to "
+        crosses = (
+            f"; the {plural(last.k, 'part')} scatter by {scatter} kg{NBSP}m², 95 % "
+            f"interval {low} to "
+        )
         crosses += f"{high} (χ² with {last.k - 1} degrees of freedom)"
     return Section(
         paragraphs=(
             f"If the data are divided into {plural(last.k, 'part')}, the variance of $J$ grows by "
-            f"a factor of {found.std_growth**2:.2f}. "
-            "A variance proportional to $1 slash N$ would grow by a factor of "
-            f"{first.N.mean() / last.N.mean():.2f}. "
-            "Each sample adds to the information $sum psi psi^top slash lambda$, and the "
-            "covariance is the inverse of the information.",
+            f"a factor of {found.std_growth**2:.2f}. A variance proportional to $1 slash N$ would "
+            f"grow by a factor of {first.N.mean() / last.N.mean():.2f}. Each sample adds to the "
+            "information $sum psi psi^top slash lambda$, and the covariance is the inverse of the "
+            "information.",
         ),
         tables=(table,),
         figures=figure(
@@ -347,7 +350,7 @@ def _loop(_: HandoutStudy, found: OpenLoop) -> Section:
     verdict = "the data show FEEDBACK" if found.feedback else "nothing speaks against open loop"
     return Section(
         paragraphs=(
-            f"p {p_relation(found.p_value)} in Sims' F-test ($F$ = {s.F:.3g} with {s.q} and "
+            f"p {p_relation(found.p_value)} in Sims' F-test ($F$ = {digits(s.F, 3)} with {s.q} and "
             f"{s.degrees} degrees of freedom): {verdict}.",
             "$theta_1(t)$ is regressed on its own past, past $u$, and $u(t), dots, u(t + 4)$. "
             "$theta_1$ is read before $u$ is applied. In open loop $u(t)$ and later inputs "

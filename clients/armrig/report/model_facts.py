@@ -18,6 +18,7 @@ from armrig.numerics.quantities import (
     p_value,
     percent,
     places,
+    plural,
     power,
 )
 from armrig.recordings.findings import second_moves
@@ -102,7 +103,7 @@ def structure(study: Study) -> str:
 def fixed_roots(study: Study) -> list[str]:
     """Return a sentence on each integrator that a model has by construction."""
     return [
-        f"{one.symbol} integrates the voltage, so {m.model.integrating.upper()} of "
+        f"{one.symbol} integrates the {one.input}, so {m.model.integrating.upper()} of "
         f"{_named(m, one, study)} has the factor "
         f"{'1 − q⁻¹' if m.model.Ts else 's'} by construction."
         for one in each_output(study)
@@ -238,8 +239,8 @@ def conclusions(study: Study) -> list[str]:
     missing = sum(r.missing for r in study.recordings)
     if missing:
         points.append(
-            f"{missing} samples are missing. They are marked as missing, and no estimate uses a "
-            "value in their place."
+            f"{plural(missing, 'sample is', 'samples are')} missing. They are marked as missing, "
+            "and no estimate uses a value in their place."
         )
     return points
 
@@ -274,9 +275,8 @@ def abstract(study: Study) -> str:
     names = listed([with_article(m.name) for m in study.estimated])
     motor = "motor's " * study.of_arm
     return (
-        f"{names[0].upper()}{names[1:]} model from the {motor}voltage to "
-        f"{listed(outputs)} were estimated from "
-        f"{study.estimation.N} samples at {milliseconds(study.estimation.Ts)}. On validation data "
-        f"the {name} model simulates {listed(errors)}."
-        f"{f'{differs}{listed(medians)}.' if medians else ''}"
+        f"{names[0].upper()}{names[1:]} model from the {motor}{study.input} to {listed(outputs)} "
+        f"were estimated from {plural(study.estimation.N, 'sample')} at "
+        f"{milliseconds(study.estimation.Ts)}. On validation data the {name} model simulates "
+        f"{listed(errors)}.{f'{differs}{listed(medians)}.' if medians else ''}"
     )

@@ -13,7 +13,7 @@ from armrig_core.telemetry.channels import CHANNELS
 from numpy.typing import NDArray
 
 from armrig import plots
-from armrig.numerics.quantities import NBSP, listed, minus, number, power
+from armrig.numerics.quantities import NBSP, digits, listed, minus, number, plural, power
 from armrig.physics.integrators.accuracy import Sinusoid, convergence
 from armrig.physics.integrators.methods import method_named
 from armrig.physics.integrators.stability import stability_limit
@@ -147,7 +147,7 @@ def _effect(after: Characteristics, before: Characteristics) -> str:
         "slope": after.initial_slope / before.initial_slope,
     }
     moved = [
-        f"multiplies the {name} by {r:.3g}"
+        f"multiplies the {name} by {digits(r, 3)}"
         for name, r in ratios.items()
         if abs(r - 1) > MAX_HIDDEN_CHANGE
     ]
@@ -214,7 +214,7 @@ def _integrator(study: HandoutStudy, name: str, figures: tuple[Figure, ...]) -> 
         paragraphs=(
             f"{edge}. A step of {number(1e3 * h)} ms keeps the error of each state below "
             f"{100 * steps.tolerance:g} % of its largest value. The error is computed for "
-            f"{advice.steps} steps over {problem.span:.3g} s with "
+            f"{plural(advice.steps, 'step')} over {digits(problem.span, 3)} s with "
             f"$u = {problem.amplitude:g} sin({problem.omega:g} t)$ V, against the exact solution.",
             _METHOD_TEXTS[name],
         ),

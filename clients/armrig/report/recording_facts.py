@@ -12,7 +12,15 @@ from armrig_core.telemetry.channels import CHANNELS
 from armrig.data.dataset import Dataset
 from armrig.data.figures import without_ramp
 from armrig.data.finding import Finding
-from armrig.numerics.quantities import NBSP, error, microseconds, milliseconds, number, percent
+from armrig.numerics.quantities import (
+    NBSP,
+    error,
+    microseconds,
+    milliseconds,
+    number,
+    percent,
+    plural,
+)
 from armrig.recordings.jitter import (
     SamplingStatistics,
     Spread,
@@ -62,7 +70,8 @@ def run_facts(r: Recording) -> dict[str, str]:
     """Return the facts about a run by name, as text; "" for a fact that is not known."""
     turns = r.description.channels[0].turns
     hidden = "in the dead band, or just after" if turns else f"without {r.first}"
-    u = r.u[np.isfinite(r.u)]
+    given = r.description.input
+    u = given.value(r.u[np.isfinite(r.u)])
     return {
         "run": run_name(r),
         "experiment": r.manifest.experiment,
@@ -71,7 +80,7 @@ def run_facts(r: Recording) -> dict[str, str]:
         "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
         "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
         "length": f"{r.N * r.Ts:.1f} s",
-        "input": f"{u.min():.2f} to {u.max():.2f} V" if u.size else "",
+        "input": f"{u.min():.2f} to {u.max():.2f} {given.unit}" if u.size else "",
         "calibrated": calibration_text(r),
         "missing samples": str(r.missing),
         hidden: str(r.hidden),
@@ -96,7 +105,7 @@ def notes(recordings: Sequence[Recording]) -> list[str]:
             f"Note of {name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MAX_NOTES]
         ]
         if len(found) > _MAX_NOTES:
-            said.append(f"Note of {name}: {len(found) - _MAX_NOTES} more notes")
+            said.append(f"Note of {name}: {plural(len(found) - _MAX_NOTES, 'more note')}")
     return said
 
 
@@ -141,7 +150,13 @@ def _percentiles(spread: Spread) -> str:
 
 def data_text(study: Study) -> str:
     """Return a text on the sources of angles and voltage, and the percentages of missing angles."""
-    said = ["The voltage is the applied voltage that the device reports."]
+    given, word = study.recordings[0].description.input, study.input
+    said = [f"The {word} is the applied {word} that the device reports."]
+    if given.is_scaled:
+        said = [
+            f"The {word} is {given.per_volt:g} {given.unit}/V times the applied voltage that the "
+            f"device reports{f', plus {given.offset:g} {given.unit}' if given.offset else ''}."
+        ]
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
     for one in each_output(study):
@@ -223,7 +238,7 @@ def _trends(name: str, data: Dataset) -> list[str]:
         parts = [
             _line(what, float(level), float(slope), unit)
             for what, level, slope, unit in (
-                ("u", trend.u_level, trend.u_slope, data.input_unit),
+                (data.input, trend.u_level, trend.u_slope, data.input_unit),
                 (data.output, trend.y_level, trend.y_slope, data.unit),
             )
         ]

@@ -37,9 +37,12 @@ class Figure:
     height: float
     """Height in inches."""
     draws: tuple[Draw, ...] = field(repr=False)
-    """Function for each panel; a row has at most two panels."""
+    """Function for each panel; a row has two panels, or three of an odd number."""
     floats: bool = True
-    """True if the figure may move to the top or the foot of a page, so that no page is empty."""
+    """True if the figure may move to the top of a page, so that no page is half empty.
+
+    After such a figure, all figures move: otherwise a figure could overtake the one before it.
+    """
 
 
 def figure(

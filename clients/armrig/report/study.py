@@ -11,10 +11,12 @@ import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.channels import symbol
+from armrig_core.rig.description import Input
 from armrig_core.telemetry.channels import ARM_OUTPUTS, BODIES, INTEGRATING_OUTPUTS
 
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.treatment import detrend
+from armrig.data.treatment.integrating import integration
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import armax, oe
 from armrig.estimation.request import require_sensible
@@ -92,6 +94,11 @@ class AssessedFit:
         return self.comparison.model
 
 
+def input_word(input: Input) -> str:
+    """Return the name of an input in sentences."""
+    return "voltage" if input.name == "u" and not input.is_scaled else input.name
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
     """Data, models and statistics of a report."""
@@ -112,6 +119,8 @@ class Study:
     """Text that names the quantities that the comparisons estimated from the validation data."""
     omega: Vector
     """Frequencies at which the models are compared with the physical model, in rad/s, (n,)."""
+    doubt: str = ""
+    """Reason why the data show no orders; "" if they do."""
     others: tuple[Study, ...] = ()
     """Studies of the other outputs of the same models and recordings."""
 
@@ -134,6 +143,11 @@ class Study:
     def integrates(self) -> bool:
         """True if the output is a ramp at a constant voltage."""
         return self.output in INTEGRATING_OUTPUTS
+
+    @property
+    def input(self) -> str:
+        """Name of the input for people: "voltage", or the name in the rig's description."""
+        return input_word(self.recordings[0].description.input)
 
     @property
     def of_arm(self) -> bool:
@@ -240,9 +254,14 @@ def study(
         [one.dataset(name) for name in one.outputs] if isinstance(one, Signals) else [one]
         for one in (estimation, validation)
     ]
-    orders = orders or Orders()
+    orders, doubt = orders or Orders(), ""
     if not of_arm:  # the arm integrates; the data show whether another rig does
-        found = _recommended(each[0])
+        try:
+            found = _recommended(each[0])
+        except InputError as err:
+            ramp = any(integration(one, None).integrates for one in each[0])
+            found = Orders(na=2, nb=2, nf=2, integrator=ramp)
+            doubt = f"The data do not show the orders: {err}. The models have two poles."
         orders = found if orders == Orders() else replace(orders, integrator=found.integrator)
     for one in each[0]:
         own = orders.of(one.output)
@@ -258,6 +277,7 @@ def study(
             for one in each[0]
         ]
     shared: dict[str, Any] = {"recordings": tuple(recordings), "halves": len(excited) == 1}
+    shared["doubt"] = doubt
     has_arm = of_arm and all(second_moves(r) for r in excited[:2])
     physics = [physical_model(ArmParameters(), one) if has_arm else None for one in each[0]]
     first, *others = (

@@ -14,9 +14,9 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.models.characteristics import integrates
 from armrig.models.equation import typst_form
-from armrig.numerics.quantities import error, listed, percent
+from armrig.numerics.quantities import digits, error, listed, percent
 from armrig.recordings.figures import varying_times
-from armrig.recordings.usability import different_calibrations, emulation
+from armrig.recordings.usability import emulation, warnings_of
 from armrig.report import model_facts, recording_facts
 from armrig.report.figures import detail_s, plot_velocity
 from armrig.report.recording_facts import run_name, without_turns
@@ -30,15 +30,16 @@ if TYPE_CHECKING:
 
 def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
     """Return the contents of a study's report, with all numbers as text."""
-    manifest = study.recording_of(study.estimation.source).manifest
+    recording = study.recording_of(study.estimation.source)
+    manifest = recording.manifest
     truncated = [
         f"{r.path.name} is incomplete: {r.damage}." for r in study.recordings if r.truncated
     ]
     return Contents(
-        title="Black-box identification of the rig",
+        title=f"{recording.description.title}: black-box identification",
         subtitle=f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
         front=Section(
-            warnings=tuple(f"{found.text}." for found in different_calibrations(study.recordings)),
+            warnings=(*warnings_of(study.recordings), *filter(None, [study.doubt])),
             lead="Summary.",
             paragraphs=(model_facts.abstract(study),),
             points=(*emulation(study.recordings), *remarks, *truncated),
@@ -52,7 +53,7 @@ def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
 
 def results(study: Study) -> Section:
     """Return the section with the models' fits and the conclusions."""
-    first, *others = _figures(study, "compare", floats=False)
+    first, *others = _figures(study, "compare")
     velocity = _with_velocity(study)
     table = Table(
         name="fits",
@@ -60,7 +61,7 @@ def results(study: Study) -> Section:
         f"). {study.note[0].upper()}{study.note[1:]}.",
         header=(
             *(["output"] if study.others else []),
-            *("model", f"fit of the {_quantity(study)}", "rms error"),
+            *("model", f"fit{' of the angle' * study.of_arm}", "rms error"),
             *(["fit of the velocity"] if velocity else []),
         ),
         rows=tuple(row for one in each_output(study) for row in _fit_rows(one, study)),
@@ -72,7 +73,7 @@ def results(study: Study) -> Section:
             "data.",
         ),
         tables=(table,),
-        figures=(first, *(replace(f, floats=True) for f in others)),
+        figures=(replace(first, floats=False), *others),
         points=tuple(model_facts.conclusions(study)),
     )
 
@@ -86,9 +87,10 @@ def data(study: Study) -> Section:
     if steps:
         shown += ", <step> the step"
         of = OUTPUTS.get(steps[0].first, steps[0].first)
+        of = f"{of[0].upper()}{of[1:]}" if study.of_arm else of  # a symbol keeps its case
         motor = "motor's " * study.of_arm
-        caption = f"(a) {of[0].upper()}{of[1:]} after a step of the {motor}voltage; (b) "
-        caption += f"the voltage; recording {run_name(steps[0])}."
+        caption = f"(a) {of} after a step of the {motor}{study.input}; (b) "
+        caption += f"the {study.input}; recording {run_name(steps[0])}."
         step = figure("step", caption, 2.0, partial(plots.plot_data, steps[0]))
     return Section(
         title="Data",
@@ -161,10 +163,7 @@ def physics(study: Study) -> Section:
             f"{model_facts.physics(study)}{_shows(study, 'bode')} the frequency responses, "
             f"{_references(study, 'step_poles')} the step responses, poles and zeros.",
         ),
-        figures=(
-            *_figures(study, "bode", floats=False),
-            *_figures(study, "step_poles", floats=False),
-        ),
+        figures=(*_figures(study, "bode"), *_figures(study, "step_poles")),
     )
 
 
@@ -180,13 +179,13 @@ def recordings(study: Study) -> Section:
         title="Recordings",
         tables=(table,),
         points=(
-            f"Report by armrig {version('armrig')}.",
             *(
                 f"{recording_facts.role(study, r)}: `{r.path.name}`, SHA-256 `{r.sha256}`"
                 for r in study.recordings
             ),
             *recording_facts.shared_facts(study),
             *recording_facts.notes(study.recordings),
+            f"Report by armrig {version('armrig')}.",
         ),
     )
 
@@ -256,11 +255,10 @@ def _shows(study: Study, name: str) -> str:
     return f"{_references(study, name)} {'show' if study.others else 'shows'}"
 
 
-def _figures(study: Study, name: str, *, floats: bool = True) -> tuple[Figure, ...]:
+def _figures(study: Study, name: str) -> tuple[Figure, ...]:
     """Return the figure `name` of each output."""
     return tuple(
-        Figure(f"{name}{_suffix(one, study)}", *_drawings(one)[name], floats)
-        for one in each_output(study)
+        Figure(f"{name}{_suffix(one, study)}", *_drawings(one)[name]) for one in each_output(study)
     )
 
 
@@ -286,8 +284,8 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
     return {
         "data": (
             f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
-            f"recording {validation}){halves}: {angles}; (b, d) voltage that the device applied. "
-            f"Shaded: {'dead band or ' * one.of_arm}missing sample.",
+            f"recording {validation}){halves}: {angles}; (b, d) {one.input} that the device "
+            f"applied. Shaded: {'dead band or ' * one.of_arm}missing sample.",
             2.4,
             tuple(partial(plots.plot_data, data) for data in (one.estimation, one.validation)),
         ),
@@ -299,14 +297,14 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
             (compare(one.validation, *fits[:own], labels=names[:own]).plot,),
         ),
         "velocity": (
-            f"Detail of {detail_s(one.validation):.3g} s: {detail} (recording {validation}). The "
-            "simulation of the models starts at the beginning of the data.",
+            f"Detail of {digits(detail_s(one.validation), 3)} s: {detail} (recording "
+            f"{validation}). The simulation of the models starts at the beginning of the data.",
             2.0,
             (partial(plot_velocity, one),),
         ),
         "bode": (
-            f"Frequency response from voltage to {angle}, (a) magnitude and (b) phase, with 95 % "
-            "bands. A band is linearised or, if a linearisation is poor, sampled from the "
+            f"Frequency response from {one.input} to {angle}, (a) magnitude and (b) phase, with "
+            "95 % bands. A band is linearised or, if a linearisation is poor, sampled from the "
             "covariance of the parameters. Dots: spectral analysis of the estimation data with "
             f"95 % bars. Recording {estimation}.",
             3.4,
@@ -327,7 +325,7 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
             f"Correlation of the residuals of {the} with themselves ({', '.join(marks[::2])}) and "
             f"with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: range of "
             "99 % of the values if the hypothesis is true.",
-            3.4 * -(-own // 2),
+            4.4 if own == 3 else 3.4 * -(-own // 2),
             tuple(partial(_plot_residuals, m) for m in one.estimated),
         ),
     }

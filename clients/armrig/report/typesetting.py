@@ -16,6 +16,7 @@ from typing import Any, cast
 import matplotlib as mpl
 import typst
 from armrig_core.errors import OperationError
+from armrig_core.process.printable import printable_texts, with_degrees
 
 from armrig.recordings.recording import Recording
 from armrig.report.sections import Contents, Figure
@@ -27,7 +28,7 @@ _UNKNOWN_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def recorded(recordings: Iterable[Recording]) -> datetime:
-    """Return the start time of the newest recording; 1970 if no recording contains a start time.
+    """Return the start time of the newest recording; 1970 if none has a start time in UTC.
 
     This time is the date of a report, so that a report of the same recordings has the same bytes.
     """
@@ -37,9 +38,9 @@ def recorded(recordings: Iterable[Recording]) -> datetime:
 def _started(recording: Recording) -> datetime:
     try:
         started = datetime.fromisoformat(recording.manifest.started)
-    except ValueError:
+        return started.replace(tzinfo=started.tzinfo or UTC).astimezone(UTC)
+    except (ValueError, OverflowError):  # 9999-12-31 west of Greenwich is in the year 10000
         return _UNKNOWN_DATE
-    return started.replace(tzinfo=started.tzinfo or UTC).astimezone(UTC)
 
 
 def typeset(root: Path, contents: Contents, made: datetime) -> tuple[bytes, Places]:
@@ -50,7 +51,9 @@ def typeset(root: Path, contents: Contents, made: datetime) -> tuple[bytes, Plac
     """
     made_on = [made.year, made.month, made.day]  # without a date, typst uses the current time
     values = _values(contents) | {"version": version("armrig"), "made_on": made_on}
-    data = json.dumps(values, default=_values, indent=1, ensure_ascii=False)
+    values = printable_texts(json.loads(json.dumps(values, default=_values)))
+    data = json.dumps(values, indent=1, ensure_ascii=False)
+    data = with_degrees(data).replace('"degC"', '"°C"')
     (root / _VALUES).write_text(data, encoding="utf-8")
     text = resources.files("armrig.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
     (root / TEMPLATE).write_text(text, encoding="utf-8")

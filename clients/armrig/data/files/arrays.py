@@ -12,6 +12,7 @@ from armrig_core.process.imports import imported
 
 from armrig.data.files.mat_variables import EMPTY, StructureArray, Unread, variables
 from armrig.data.files.table import NO_NUMBERS, Column, Table, Vector, require_room, titled
+from armrig.numerics.quantities import plural
 
 _MAX_DIMENSIONS = 2
 _TIME_NAMES = ("t", "time")
@@ -87,7 +88,11 @@ def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]
             _sort(path, inner, arrays, refused)
     elif isinstance(value, list):
         are = isinstance(value, StructureArray)
-        what = f"an array of {len(value)} structures" if are else f"a cell of {len(value)} values"
+        what = (
+            f"an array of {plural(len(value), 'structure')}"
+            if are
+            else f"a cell of {plural(len(value), 'value')}"
+        )
         refused[name] = f"is {what}; save one of them"
     elif isinstance(value, str):
         refused[name] = NO_NUMBERS

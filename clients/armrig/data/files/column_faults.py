@@ -72,13 +72,22 @@ def treated(
     return y, notes
 
 
-def held(x: Vector, name: str) -> list[str]:
-    """Return a note if every value stays for the same number of rows, or a multiple of it."""
+def rows_of_each_value(x: Vector) -> int:
+    """Return the number of rows for which every value stays, or 1."""
     at, lengths = _runs(x)
     rows = int(np.gcd.reduce(lengths[1:-1], initial=0))
-    if not 1 < rows <= _MAX_HELD or np.unique(x[at]).size <= _MIN_HELD_VALUES:
+    return rows if 1 < rows <= _MAX_HELD and np.unique(x[at]).size > _MIN_HELD_VALUES else 1
+
+
+def held(x: Vector, name: str) -> list[str]:
+    """Return a note if every value stays for the same number of rows, or a multiple of it."""
+    rows = rows_of_each_value(x)
+    if rows == 1:
         return []
-    text = f"each value of {name} is in {rows} rows: if {name} was read less often than the rows "
+    text = (
+        f"each value of {name} is in {plural(rows, 'row')}: if {name} was read less often "
+        "than the rows "
+    )
     return [Step(f"{text}were written, keep one row of {rows}", DOUBT)]
 
 
@@ -90,7 +99,7 @@ def stuck(y: Vector, name: str, u: NDArray[np.float64]) -> list[str]:
     moved = np.ptp(u[at[k] : at[k] + rows // 2], axis=0) if rows > _MIN_STUCK else np.zeros(1)
     if not (moved > 0).any() or rows == y.size or rows < _MIN_STUCK_RATIO * other:
         return []
-    text = f"{name} is {y[at[k]]:g} in {rows} rows in sequence while the input changes"
+    text = f"{name} is {y[at[k]]:g} in {plural(rows, 'row')} in sequence while the input changes"
     return [Step(f"{text}, as of a sensor that is stuck: cut these rows out", DOUBT)]
 
 
@@ -111,11 +120,14 @@ def rails_of(y: Vector) -> tuple[Mask, list[float]]:
         stays = stretches(there)
         lengths = [s.stop - s.start for s in stays]
         entries = [s for s in stays if s.start and s.stop - s.start > 1]
+        # A sensor at rest with single wrong samples leaves no rail.
+        leaves = any(s.stop - s.start > 1 for s in stretches(~there))
         beside = (known != value) & (np.abs(known - value) < _NEAR * digit)
         if (
             max(lengths) >= _MIN_RAIL_RUN
             and sum(lengths) >= _MIN_RAIL_SAMPLES
             and entries
+            and leaves
             and np.count_nonzero(beside) <= 2 * len(entries)
             and np.mean(steps[~(there[1:] & there[:-1])] == 0) < _MAX_RESTS
         ):

@@ -121,8 +121,8 @@ def load_data(
         inputs, outputs, found = _samples(Path(path), input, signal, how)
         if (sizes := (len(inputs), len(outputs))) != (1, 1):
             raise InputError(
-                f"there are {sizes[0]} inputs and {sizes[1]} outputs, but load_data reads one of "
-                "each: use armrig.load_signals(path, inputs=…, outputs=…)"
+                f"{plural(sizes[0], 'input')} and {plural(sizes[1], 'output')} are named, but "
+                "load_data reads one of each: use armrig.load_signals(path, inputs=…, outputs=…)"
             )
         of_u, of_y = inputs[0], outputs[0]
         return Signals(
@@ -232,7 +232,8 @@ def _samples(
     sizes = {x.size for x in (*given, *measured)}
     if len(sizes) > 1:
         raise FileError(
-            f"the columns have {min(sizes)} to {max(sizes)} samples; all need the same number"
+            f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}; all need the same "
+            "number"
         )
     grid = _grid(table, {*of_u, *of_y}, sizes.pop(), how)
     history = [*table.notes, *grid.notes]
@@ -393,7 +394,7 @@ def _values(table: Table, i: int, what: str) -> Vector:
         k = int(np.argmax(infinite))
         raise FileError(
             f"{table.place(k)}: the {what} is {values[k]} here, and infinite in "
-            f"{infinite.sum()} samples in all; leave an unknown value empty, or write NaN"
+            f"{plural(infinite.sum(), 'sample')} in all; leave an unknown value empty, or write NaN"
         )
     if np.isnan(values).all():
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "

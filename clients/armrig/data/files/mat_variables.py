@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from armrig.data.files.table import require_room, room
+from armrig.numerics.quantities import plural
 
 _HEADER_BYTES = 128  # before the first element of version 5
 _MAX_DEPTH = 8  # of nested structures; iddata has three levels
@@ -173,7 +174,7 @@ def _text(data: memoryview) -> str:
 def _shaped(values: Any, shape: tuple[int, ...]) -> Any:
     """Return values, stored column by column, as an array of the given shape."""
     if len(shape) < 2 or any(n < 0 for n in shape) or prod(shape) != values.size:
-        raise DamageError(f"{values.size} numbers in a shape of {shape}")
+        raise DamageError(f"{plural(values.size, 'number')} in a shape of {shape}")
     # A shape with a 0 and numbers above 2^60 is not a shape of numpy.
     return values.reshape(shape if values.size else 0, order="F")
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from armrig.data.files.stamps import Times
 from armrig.data.files.table import Vector
 from armrig.data.step import DOUBT, Step
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import digits, plural
 from armrig.numerics.stretches import Mask, pieces
 
 _MAX_DEVIATION = 0.05  # relative, of a regular interval, and of a given Ts without a note
@@ -159,8 +159,8 @@ def _of_times(times: Times) -> Grid:
         most = float(np.abs(d[shifted] - Ts).max())
         notes.append(
             f"{count} of {d.size} intervals differ{'s' * (count == 1)} from {Ts:.4g} s by more "
-            f"than 5 %, at most by {most:.3g} s ({100 * most / Ts:.0f} %): read as late rows of "
-            "the same grid"
+            f"than 5 %, at most by {digits(most, 3)} s ({100 * most / Ts:.0f} %): read as late "
+            "rows of the same grid"
         )
     if put_in := int(at[-1] + 1 - at.size):
         notes.append(
@@ -232,9 +232,9 @@ def _uneven(times: Times, irregular: Mask, usual: float) -> UnevenTimesError:
     count = int(np.count_nonzero(irregular))
     return UnevenTimesError(
         f"{times.place(k)}: {times.name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, and {count} of "
-        f"{t.size - 1} intervals {'is' if count == 1 else 'are'} not the usual {usual:.6g} s. Give "
-        "--resample to interpolate, another column (--time), or Ts in s (--Ts) if the times are "
-        "wrong"
+        f"{plural(t.size - 1, 'interval')} {'is' if count == 1 else 'are'} not the usual "
+        f"{usual:.6g} s. Give --resample to interpolate, another column (--time), or Ts in s "
+        "(--Ts) if the times are wrong"
     )
 
 
@@ -268,7 +268,8 @@ def _resampled(times: Times, given: float | None) -> Grid:
     ]
     wanted = np.concatenate(parts)
     note = (
-        f"resampled {times.t.size} rows to {wanted.size} samples, {Ts:g} s apart: y on straight "
+        f"resampled {plural(times.t.size, 'row')} to {plural(wanted.size, 'sample')}, {Ts:g} s "
+        "apart: y on straight "
         "lines between the rows, u held; this smooths the noise of y, so residuals may be coloured"
     )
     notes = [*times.notes, note, *_gap_notes(times, rows[begins])]

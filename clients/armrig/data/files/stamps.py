@@ -14,6 +14,7 @@ from armrig_core.errors import FileError
 from armrig.data.files.decimal_marks import number
 from armrig.data.files.table import Column, Table, Vector, shown
 from armrig.data.step import DOUBT, Step, codes_of
+from armrig.numerics.quantities import digits
 
 _UNITS = {
     1.0: "s sec secs second seconds",
@@ -165,8 +166,8 @@ def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[s
     span = float(np.ptp(t)) * unit
     if span and not _SPAN_S[0] <= span <= _SPAN_S[1]:
         raise FileError(
-            f"{named} span {span:.3g} s, allowed are {_SPAN_S[0]:g} to {_SPAN_S[1]:g} s; give Ts "
-            "in s (--Ts)"
+            f"{named} span {digits(span, 3)} s, allowed are {_SPAN_S[0]:g} to {_SPAN_S[1]:g} s; "
+            "give Ts in s (--Ts)"
         )
     # The difference first: the unit of an epoch in ns would round times of 1e18.
     return (t - t[:1]) * unit, _last_digit(t) * unit, notes
@@ -185,10 +186,10 @@ def _carry(t: Vector) -> int | None:
 
 def _last_digit(t: Vector) -> float:
     """Return the value of the last decimal digit that any of the numbers has; 0 if unknown."""
-    for digits in range(_MAX_DIGITS):
-        scaled = t * 10.0**digits
+    for places in range(_MAX_DIGITS):
+        scaled = t * 10.0**places
         if np.all(np.abs(scaled - np.rint(scaled)) <= 1e-4 + 4e-16 * np.abs(scaled)):
-            return 10.0**-digits
+            return 10.0**-places
     return 0.0
 
 

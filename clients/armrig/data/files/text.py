@@ -22,6 +22,19 @@ _PROBED_LINES = 20  # to find the separator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WaysOut:
+    """Remedies that the errors of a text name."""
+
+    not_a_number: str = "; leave a missing value empty, or write NaN; begin a remark's line with #"
+    """Follows "is not a number"."""
+    doubtful_mark: str = "Give --decimal , or --decimal ."
+    """For a number whose comma or point may be either mark."""
+
+
+_OF_DATA = WaysOut()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TextTable(Table):
     """Rows of a text file, not yet converted to numbers: unused columns may contain words."""
 
@@ -33,6 +46,8 @@ class TextTable(Table):
     """Separator of the cells; "" for blanks."""
     decimal: str | None
     """Decimal mark that the user gave, or None."""
+    ways_out: WaysOut = _OF_DATA
+    """Remedies that errors name."""
 
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, counted from 0; NaN where a value is missing."""
@@ -47,10 +62,7 @@ class TextTable(Table):
         for k, cell in enumerate(cells):
             value = number(cell, mark)
             if value is None:
-                raise self._fault(
-                    *(i, k, cell, "is not a number; leave a missing value empty, or write NaN; "),
-                    "begin a remark's line with #",
-                )
+                raise self._fault(i, k, cell, "is not a number", self.ways_out.not_a_number)
             values[k] = value
         return values
 
@@ -73,8 +85,8 @@ class TextTable(Table):
         mark = mark_of(cells, others, mixed=self.separator != ",")
         if mark is None:
             k, readings = doubtful_cell(cells)
-            said = f"may be {readings}: a decimal mark, or a mark between thousands? Give "
-            raise self._fault(i, k, cells[k], f"{said}--decimal , or --decimal .")
+            said = f"may be {readings}: a decimal mark, or a mark between thousands? "
+            raise self._fault(i, k, cells[k], said, self.ways_out.doubtful_mark)
         return mark
 
     def _fault(self, i: int, k: int, cell: str, *said: str) -> FileError:
@@ -82,8 +94,8 @@ class TextTable(Table):
         return FileError(f"{self.place(k)}, column {name}: '{shown(cell.strip())}' {''.join(said)}")
 
 
-def read_text(text: str, decimal: str | None = None) -> TextTable:
-    """Return the table that a text contains.
+def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_DATA) -> TextTable:
+    """Return the table that a text contains; `ways_out` are the remedies that its errors name.
 
     Lines that are empty, or begin with # or %, are remarks. A first line such as `sep=;` names the
     separator. Otherwise semicolon, tab, comma and blank are tried in this order on the first 20
@@ -134,6 +146,7 @@ def read_text(text: str, decimal: str | None = None) -> TextTable:
         lines=lines,
         separator=separator,
         decimal=decimal,
+        ways_out=ways_out,
     )
 
 

@@ -11,13 +11,14 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.argument import takes_signals, treats_signals
-from armrig.data.columns import Matrix, Vector, columns
+from armrig.data.columns import Matrix, Vector, columns, constancy
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Trend
 from armrig.data.step import LINE, MEAN, Step
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.regressors import whitening
+from armrig.numerics.quantities import digits, plural
+from armrig.numerics.regressors import unique_whitening
 from armrig.numerics.stretches import Mask
 
 Data = TypeVar("Data", Dataset, Signals)
@@ -159,12 +160,13 @@ def retrend(data: Data, y: ArrayLike | None = None) -> Data | Vector:
     given = columns("y", y)
     if given.shape[0] != data.N:
         raise InputError(
-            f"y has {given.shape[0]} samples and the data have {data.N}; give one for each instant"
+            f"y has {plural(given.shape[0], 'sample')} and the data have {data.N}; give one for "
+            "each instant"
         )
     if given.size != y_trend.size:
         raise InputError(
-            f"y has {given.shape[1]} columns; give one for each of the "
-            f"{y_trend.size // data.N} outputs"
+            f"y has {plural(given.shape[1], 'column')}; give one for each of the "
+            f"{plural(y_trend.size // data.N, 'output')}"
         )
     return given.reshape(y_trend.shape) + y_trend
 
@@ -214,8 +216,8 @@ class Drift:
         """Describe the drift in one line."""
         found = "a drift" if abs(self.z) > 2.58 else "no significant drift"
         return (
-            f"{found}: {self.rate:.3g} ± {self.std:.2g} {self.unit or '1'}/s, "
-            f"{f'{self.rate * self.seconds:.3g} {self.unit}'.rstrip()} in {self.seconds:g} s"
+            f"{found}: {digits(self.rate, 3)} ± {digits(self.std, 2)} {self.unit or '1'}/s, "
+            f"{f'{digits(self.rate * self.seconds, 3)} {self.unit}'.rstrip()} in {self.seconds:g} s"
         )
 
 
@@ -272,24 +274,29 @@ def drift(data: Signals, order: int = 10, *, integrator: bool | None = None) -> 
 def _drift_of(part: Signals, i: int, n: int) -> Drift:
     """Return the drift of output i in an experiment."""
     y, known = part.y[:, i], int(np.count_nonzero(part.valid[:, i]))
+    if text := constancy(part.outputs[i], y):
+        raise InputError(text)
     needed = 4 * n + 10
     if known < needed:
         raise InputError(
-            f"an experiment has {known} samples; a drift estimate of order {n} "
+            f"an experiment has {plural(known, 'sample')}; a drift estimate of order {n} "
             f"needs {needed}: lower the order"
         )
-    model = whitening([(part.u, y)], n, slope=True)
+    model = unique_whitening([(part.u, y)], n, slope=True)
     if model.rows < needed - n:
         raise InputError(
-            f"an experiment has {model.rows} samples after {n} samples without a gap; a drift "
-            f"estimate of order {n} needs {needed - n}: lower the order"
+            f"an experiment has {plural(model.rows, 'sample')} after {plural(n, 'sample')} without "
+            f"a gap; a drift estimate of order {n} needs {needed - n}: lower the order"
         )
-    Ts, gain = part.Ts, float(np.sum(model.A))
-    if not gain:
-        raise InputError(f"{part.outputs[i]} has no drift to estimate: it is constant, or a ramp")
+    Ts, gain = part.Ts, model.at_1
+    if not gain or model.ambiguous:
+        raise InputError(
+            f"{part.outputs[i]} has no drift to estimate, because it is a ramp or has no noise: "
+            "fit a line with detrend(..., order=1), or take a measured record"
+        )
     rate = model.d / gain / Ts
     by_theta = np.zeros(len(model.covariance))
-    by_theta[:n], by_theta[-1] = -rate / gain, 1 / gain / Ts
+    by_theta[: model.A.size - 1], by_theta[-1] = -rate / gain, 1 / gain / Ts
     variance = float(by_theta @ model.covariance @ by_theta)
     return Drift(
         rate=rate,

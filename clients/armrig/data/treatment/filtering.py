@@ -11,6 +11,7 @@ from armrig.data.argument import treats_signals
 from armrig.data.columns import Matrix, Vector
 from armrig.data.dataset import Signals
 from armrig.numerics.checks import require_integers, require_numbers
+from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
 
 MAX_FORGOTTEN_SHARE = 1e-4  # share of sum |impulse response| after the filter's memory
@@ -91,12 +92,15 @@ def prefilter(data: Signals, *, band: tuple[float, float], order: int = 4) -> Si
         valid[rows] = _known_for(part.valid, memory)
     if not valid.any(axis=0).all():
         raise InputError(
-            f"{name} remembers {memory} samples, and no stretch of y without a gap is as long; "
-            "use a shorter filter (a wider band, or a lower order)"
+            f"{name} remembers {plural(memory, 'sample')}, and no stretch of y without a gap is as "
+            "long; use a shorter filter (a wider band, or a lower order)"
         )
     lost = int(np.count_nonzero(data.valid & ~valid))
-    step = f"filtered u and y with {name}; {lost} more samples are missing, within the "
-    step += f"filter's memory of {memory} samples after the start or a gap"
+    step = (
+        f"filtered u and y with {name}; {plural(lost, 'more sample is', 'more samples are')} "
+        "missing, within the "
+    )
+    step += f"filter's memory of {plural(memory, 'sample')} after the start or a gap"
     return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
 
 
@@ -155,7 +159,7 @@ def resample(data: Signals, Ts: float) -> Signals:
     for i, part in enumerate(experiments):
         if 2 * half + 1 > part.N:
             raise InputError(
-                f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
+                f"experiment {i} has {plural(part.N, 'sample')}; resampling to {Ts:g} s needs "
                 f"{2 * half + 1}: leave it out with select, or use a shorter Ts"
             )
     h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER_BETA))
@@ -163,7 +167,8 @@ def resample(data: Signals, Ts: float) -> Signals:
     u, y, valid = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     if not valid.any(axis=0).all():
         raise InputError(
-            f"no stretch of y without a gap has the {2 * half + 1} samples that the anti-alias "
+            f"no stretch of y without a gap has the {plural(2 * half + 1, 'sample')} that the "
+            "anti-alias "
             f"filter for {Ts:g} s needs: record at that rate instead, or difference and average"
         )
     step = f"resampled from {old:g} s to {factor * old:g} s after a low-pass filter of "
@@ -211,7 +216,7 @@ def _memory(sections: Matrix) -> int:
         length *= 4
         if length > _MAX_MEMORY_SAMPLES:
             raise InputError(
-                f"the filter remembers more than {length // 8} samples; widen its band"
+                f"the filter remembers more than {plural(length // 8, 'sample')}; widen its band"
             )
 
 

@@ -13,9 +13,10 @@ from armrig.data.dataset import Dataset, Signals
 from armrig.data.experiments import Trend
 from armrig.data.finding import Finding, warning
 from armrig.numerics.criteria import mdl
-from armrig.numerics.least_squares import least_squares, orthonormal
+from armrig.numerics.least_squares import column_norms, least_squares, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig.numerics.regressors import Whitening, whitening
+from armrig.numerics.rounding import SHARE, is_constant, rounding_std
 from armrig.numerics.whiteness import BAND_99_PERCENT, autoregression
 
 _ORDER = 8  # order of the ARX model whose poles, except the slowest, shape the fast response
@@ -127,7 +128,7 @@ def pole_test(data: Signals, i: int) -> PoleTest | None:
     parts = [(u, y) for u, y in parts if y.size > 1]
     known = sum(int(np.isfinite(y).sum()) for _, y in parts)
     order, lags = min(_ORDER, known // 20), min(_LAGS, known // 5) // data.nu + 1
-    if order < 2 or not np.nanstd(np.concatenate([y for _, y in parts])):
+    if order < 2 or is_constant(np.concatenate([y for _, y in parts])):
         return None
     longest = max(y.size for _, y in parts)
     if all(_unstable(whitening(parts, n)) for n in (order, order // 2 + 1)):
@@ -229,9 +230,13 @@ def _curve(model: list[_Experiment], D: Vector, slow: list[Array]) -> tuple[Vect
     degrees = y.size - basis.rank - d
     if degrees < _MIN_DEGREES:
         return np.zeros(count), degrees, 1.0
-    rounding = np.finfo(np.float64).eps * float(y @ y) + np.finfo(np.float64).tiny
+    rounding = y.size * rounding_std(*(part.y for part in model)) ** 2
+    size = column_norms(X).reshape(count, d)
     y, X = basis.without(y), basis.without(X).reshape(-1, count, d)
-    explained = (np.linalg.qr(X.transpose(1, 0, 2))[0].transpose(0, 2, 1) @ y) ** 2
+    Q, R = np.linalg.qr(X.transpose(1, 0, 2))
+    # Of a response that the fast poles describe, too, only rounding errors are left.
+    left = np.abs(np.diagonal(R, axis1=1, axis2=2)) > SHARE * size
+    explained = (Q.transpose(0, 2, 1) @ y) ** 2 * left
     losses = np.maximum(y @ y - explained.sum(axis=1), rounding)
     effect = degrees * explained[-1, len(model) :].sum() / losses[-1]
     return losses / y.size, degrees, float(chdtrc(d - len(model), effect))
@@ -243,7 +248,9 @@ def _noise(model: list[_Experiment], D: Vector, slow: list[Array], fixed: Vector
     M, y = _whitened(model, D, columns)
     theta = least_squares(M, y[:, None])[:, 0]
     errors = (part.y - X @ theta for part, X in zip(model, columns, strict=True))
-    return autoregression([np.convolve(e, fixed)[fixed.size - 1 : e.size] for e in errors], mdl)[0]
+    least = rounding_std(*(part.y for part in model))
+    filtered_errors = [np.convolve(e, fixed)[fixed.size - 1 : e.size] for e in errors]
+    return autoregression(filtered_errors, mdl, least)[0]
 
 
 def _averaged(u: Array, y: Vector, N: int) -> tuple[Array, Vector]:

@@ -15,7 +15,9 @@ from armrig.data.files.column_faults import rails_of
 from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import Whitening, whitening
+from armrig.numerics.rounding import is_constant, rounding_std
 from armrig.numerics.stretches import Mask, pieces
 
 Indices = NDArray[np.intp]
@@ -24,6 +26,7 @@ _Found = tuple[Mask, Vector]
 _MAD_TO_STD = 1.4826  # of a normal distribution
 _MEDIAN_SAMPLES = 11  # up to five wrong samples in a row do not move the median of a window
 _GROSS_RATIO = 100  # least ratio of a gross error to the median deviation
+_SAMPLES_PER_SPIKE = 200  # least number of samples at rest for each sample that counts as an error
 _EARLY_FACTOR = 2  # factor of the limit in the first n samples after a start or a gap
 _MAX_ROUNDS = 25
 MOST = 0.1
@@ -50,8 +53,11 @@ def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -
     deviations. The model cannot predict the first n samples after the start or after a gap. These
     samples are therefore searched first, with a model of the reversed data, which predicts y(t)
     from later samples. This model predicts less well if the input excites poorly, so it is used
-    with twice the limit, and only for errors that earlier values of u do not explain.
+    with twice the limit, and only for errors that earlier values of u do not explain. If the model
+    explains all samples exactly, none is wrong.
     """
+    if not any(_gross(y).any() for _, y in parts) and whitening(parts, n).exact:
+        return [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
     backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
     early = [
         wrong[::-1] & _lacks_past(y, n) for (_, y), (wrong, _) in zip(parts, backwards, strict=True)
@@ -113,6 +119,9 @@ def _marked(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list
     most = int(MOST * sum(y.size for _, y in parts))
     if not any(marked.any() for marked in gross):
         return _searched(parts, n, limit, none, most)
+    at_rest = [_bridged(y, marked) for (_, y), marked in zip(parts, gross, strict=True)]
+    if all(map(is_constant, at_rest)):
+        return list(zip(gross, at_rest, strict=True))
     found = _searched(parts, n, limit, gross, most)
     count = _count(wrong for wrong, _ in found)
     without = _searched(parts, n, limit, none, min(most, count))
@@ -133,8 +142,10 @@ def _gross(y: Vector) -> Mask:
         off = np.abs(y[known] - median_filter(y[known], _MEDIAN_SAMPLES, mode="nearest"))
         # Most samples of a signal at rest are equal to the median. The typical deviation is
         # therefore the median of the deviations other than 0: one quantisation step is not gross.
-        typical = float(np.median(off[off > 0])) if off.any() else 0.0
-        wrong[known] = off > _GROSS_RATIO * max(typical, 1e-9 * float(np.max(np.abs(y[known]))))
+        # If hardly any sample differs, these samples are the errors.
+        few = np.count_nonzero(off) <= max(1, known.size // _SAMPLES_PER_SPIKE)
+        typical = 0.0 if few else float(np.median(off[off > 0]))
+        wrong[known] = off > _GROSS_RATIO * max(typical, rounding_std(y))
     return wrong
 
 
@@ -205,8 +216,7 @@ def _robust_std(x: Vector, parts: Sequence[tuple[Array, Vector]]) -> float:
         )
     mad = float(np.median(np.abs(known)))
     # A lower bound: without noise, rounding errors would be outliers.
-    largest = max(float(np.nanmax(np.abs(y), initial=0.0)) for _, y in parts)
-    return max(_MAD_TO_STD * mad, 1e-9 * largest, np.finfo(np.float64).tiny)
+    return max(_MAD_TO_STD * mad, rounding_std(*(y for _, y in parts)))
 
 
 def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
@@ -370,14 +380,20 @@ def _outliers(
     require_integers(order=(n, 1))
     if count < 5 * n + 10:
         raise InputError(
-            f"{count} samples are too few to find outliers with order={n}; "
+            f"{plural(count, 'sample is', 'samples are')} too few to find outliers with order={n}; "
             f"{5 * n + 10} are needed: lower the order"
         )
     limit = float(-ndtri(FALSE_ALARM_PROBABILITY / (2 * count))) if threshold is None else threshold
     require_numbers(threshold=limit)
     if not limit > 0:
         raise InputError(f"threshold={threshold!r} must be > 0, in robust standard deviations")
-    wrong = np.concatenate(wrong_samples(parts, n, limit))
+    levels, counts = np.unique(
+        np.concatenate([y[np.isfinite(y)] for _, y in parts]), return_counts=True
+    )
+    if levels.size == 2 and counts.min() > max(1, count // _SAMPLES_PER_SPIKE):
+        wrong = np.zeros(sum(y.size for _, y in parts), dtype=np.bool_)  # a relay's samples
+    else:
+        wrong = np.concatenate(wrong_samples(parts, n, limit))
     found = np.flatnonzero(wrong)
     if found.size > MOST * count:
         raise InputError(
@@ -396,7 +412,7 @@ def quantum(data: Dataset) -> float:
     """Return the quantisation step of y; 0 if changes of y are not whole multiples of one step."""
     change = np.abs(np.diff(data.y))
     change = change[np.isfinite(change)]
-    moved = change[change > 1e-9 * max(float(change.max(initial=0.0)), 1e-300)]
+    moved = change[change > rounding_std(data.y)]
     if moved.size < 10:
         return 0.0
     step = float(moved.min())

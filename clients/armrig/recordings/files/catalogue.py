@@ -30,6 +30,7 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray
 
+from armrig.numerics.quantities import plural
 from armrig.recordings.files.recording_summary import (
     ForeignError,
     RecordingSummary,
@@ -182,7 +183,7 @@ class Catalogue:
 
     def __repr__(self) -> str:
         """Describe the catalogue in one line."""
-        parts = [f"{len(self)} recordings in {self.folder}"]
+        parts = [f"{plural(len(self), 'recording')} in {self.folder}"]
         parts += [f"{len(self.left_out)} left out"] if self.left_out else []
         parts += [f"{len(self.unfinished)} unfinished"] if self.unfinished else []
         return f"<Catalogue: {', '.join(parts)}>"
@@ -216,7 +217,7 @@ def catalogue(folder: str | Path) -> Catalogue:
 
     >>> folder = armrig.example_recording().path.parent
     >>> armrig.catalogue(folder)
-    <Catalogue: 1 recordings in ...>
+    <Catalogue: 1 recording in ...>
     >>> [recording.run_id for recording in armrig.catalogue(folder).recordings]
     ['64ad4518']
     """

@@ -26,6 +26,7 @@ from armrig_core.recording_file.file_records import (
     Place,
     Record,
     Wanted,
+    attachment_sha256,
     check_attachment,
     file_records,
 )
@@ -91,6 +92,8 @@ class Content:
     """
     input: Place | None = None
     """Place of the input's attachment in the file."""
+    input_sha256: str = ""
+    """SHA-256 of the input; "" if no input is attached, or if its attachment is damaged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,6 +133,8 @@ def read(
         if reader.end:
             again = _read_by_index(source, reader)
             content = max(content, again, key=lambda c: (c.samples.size, len(c.metadata)))
+        if content.input is not None:
+            content.input_sha256 = attachment_sha256(source.stream, content.input)
     content.sha256 = sha256
     return content
 

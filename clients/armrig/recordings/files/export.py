@@ -51,7 +51,8 @@ def write_mat(
     # Octave and MATLAB compute with doubles and logical values only.
     kinds = {name: np.bool_ if c.dtype == np.bool_ else np.float64 for name, c in found.items()}
     variables: dict[str, Any] = {name: column.astype(kinds[name]) for name, column in found.items()}
-    variables |= {"y": variables[output], "Ts": recording.Ts}
+    variables |= {"u": variables[recording.description.input.name], "y": variables[output]}
+    variables["Ts"] = recording.Ts
     about = {"sha256": recording.sha256, "output": output, "run_id": recording.manifest.run_id}
     with path.open("wb") as file:
         savemat(file, {**variables, **about}, oned_as="column", do_compression=True)

@@ -30,8 +30,10 @@ from armrig_core.telemetry import channels as rig_channels
 from numpy.typing import NDArray
 
 from armrig.data.files import OTHER_DATA, RECORDING
+from armrig.numerics.quantities import plural
 from armrig.recordings.channels import channels_of
 from armrig.recordings.daemon_reports import Clock, Gap, reports_of
+from armrig.recordings.files.attachment_hashes import attachment_fault, without_hash
 from armrig.recordings.files.container import Content, Part, read
 from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import is_foreign, is_recording
@@ -82,9 +84,10 @@ def load(
     Raises
     ------
     FileError
-        The file is not a recording or is damaged before its first sample. The calibration cannot be
-        read. The parts belong to different runs, or the range contains no sample. No recording has
-        the name, or several recordings have the name.
+        The file is not a recording or is damaged before its first sample. An attachment does not
+        have the hash in the manifest. The calibration cannot be read. The parts belong to different
+        runs, or the range contains no sample. No recording has the name, or several recordings have
+        the name.
     OSError
         The file cannot be opened or read.
 
@@ -117,7 +120,8 @@ def load(
             raise FileError(f'{msg}armrig.load(["{paths[0].name}", "{file.name}"])')
         calibration = read_calibration(file)
     found = run_content(paths, start, stop)
-    recording = _assembled(name, found, calibration or found.calibration)
+    called = str(given[0]) if str(given[0]).startswith("@") and len(given) == 1 else name.name
+    recording = _assembled(name, called, found, calibration or found.calibration)
     if found.between != EVERYTHING and not recording.N:
         msg = f"{name}: it contains no sample from {start or 0:g} s"
         msg += f" to {stop:g} s" if stop is not None else " on"
@@ -250,7 +254,21 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
         check_sampling_time(manifest)
     except DamageError as err:
         raise FileError(f"{path}: {err}") from err
+    check_attachments(path, content, manifest)
     return content, manifest, ended, attached
+
+
+def check_attachments(path: Path, content: Content, manifest: Manifest) -> None:
+    """Refuse a file whose attachment does not have the hash that is in the manifest.
+
+    If bytes of the file are damaged, the hash itself may be wrong: the difference is then added to
+    `content.damage`. Raises FileError.
+    """
+    if not (fault := attachment_fault(content, manifest)):
+        return
+    if not content.damage or content.cut_off:
+        raise FileError(f"{path}: {fault}")
+    content.damage = f"{content.damage}; {fault}"
 
 
 def beginning(path: Path) -> tuple[Path, Content]:
@@ -287,7 +305,9 @@ def _recovered(content: Content) -> Recovered | None:
     return None if entries is None else records.Recovered.of(entries)
 
 
-def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -> Recording:
+def _assembled(
+    path: Path, name: str, found: RunContent, calibration: Calibration | None
+) -> Recording:
     content, manifest, outcome, _, between = found
     try:
         description = records.description_of(content.attachments)
@@ -311,7 +331,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     samples, before = described[rows.taken], described[: rows.taken.start]
     reports = reports_of(messages, clock)
     gaps = reports["gaps"]
-    saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B, "
+    saved = f"; saved: {plural(samples.size, 'sample')}, {content.read} of {content.size} B, "
     saved += f"{rows.N * manifest.Ts:g} s of {max(manifest.samples, 0) * manifest.Ts:g} s"
     t = np.arange(rows.k_first - origin, rows.k_first - origin + rows.N, dtype=np.float64)
     t *= manifest.Ts
@@ -322,6 +342,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     driver, u = calibration.driver if calibration else Driver(), _input(samples, rows, gaps)
     recording = Recording(
         path=path,
+        name=name,
         sha256=content.sha256,
         manifest=manifest,
         outcome=outcome,
@@ -347,6 +368,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         part=(round(float(t[0]), 9), round(float(t[-1]) + manifest.Ts, 9))  # to ns
         if between != EVERYTHING and t.size
         else None,
+        unhashed=without_hash(content, manifest),
         **reports,
     )
     shown = (recording.channel(channel.name) for channel in description.channels)
@@ -418,6 +440,7 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
         metadata={RUN: contents[0].metadata[RUN]},
         attachments=contents[0].attachments,
         input=contents[0].input,
+        input_sha256=contents[0].input_sha256,
     )
     for content in contents:
         for stream, messages in content.messages.items():

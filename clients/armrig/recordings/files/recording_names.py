@@ -9,10 +9,11 @@ from itertools import islice
 from pathlib import Path
 
 from armrig_core.errors import FileError, OperationError
+from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.recording_directory import directory_to_look_in, installed
 
 from armrig.recordings.files.catalogue import may_answer_to, newest_first, summaries
-from armrig.recordings.files.recording_summary import RecordingSummary
+from armrig.recordings.files.recording_summary import RecordingSummary, summary_of
 
 LAST = "last"
 VALIDATION = "/validation"
@@ -65,7 +66,8 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
         listed = "; ".join(described(s) for s in found[:_MAX_LISTED])
         rest = f"; and {len(found) - _MAX_LISTED} older ones" if len(found) > _MAX_LISTED else ""
         raise NoSuchRecordingError(
-            f"{text} may be any of {len(found)} recordings, newest first: {listed}{rest}; use "
+            f"{text} may be any of {len(found)} recordings, newest first: "
+            f"{listed}{rest}; use "
             "one of these, and give the next recording its own --name"
         )
     return found[0]
@@ -117,12 +119,29 @@ def short_name(summary: RecordingSummary, answering: Answering) -> str:
     return str(summary.path)
 
 
+def name_of(path: Path) -> str:
+    """Return the shortest name of a recording in the recording folder; "" for another file."""
+    try:
+        folder = recording_folder()
+        if path.absolute().parent == folder.absolute():
+            paths = newest_first(folder)
+            return short_name(summary_of(path), lambda name: matching(name, paths))
+    except (NoSuchRecordingError, DamageError, OSError):
+        pass
+    return ""
+
+
 def described(summary: RecordingSummary) -> str:
-    """Return id, kind, length and start of a recording as text."""
+    """Return id, kind, name, length and start of a recording as text."""
     name = f" {summary.name}" if summary.name else ""
-    what = f"{summary.kind}{name}{' (validation)' if summary.is_validation else ''}"
+    return f"@{summary.run_id}, {summary.kind}{name}{contents(summary).removeprefix(summary.kind)}"
+
+
+def contents(summary: RecordingSummary) -> str:
+    """Return kind, length and start of a recording as text."""
+    what = f"{summary.kind}{' (validation)' if summary.is_validation else ''}"
     when = summary.started[:19].replace("T", " ")
-    return f"@{summary.run_id}, {what}, {summary.seconds:g} s, {when}"
+    return f"{what}, {summary.seconds:g} s, {when}"
 
 
 def _none(text: str, folder: Path) -> str:

@@ -37,6 +37,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata, MetadataIndex
 
 from armrig.data.files import RECORDING
+from armrig.numerics.quantities import plural
 from armrig.recordings.grid import check_sampling_time
 
 VALIDATION_OF = "validation_of"
@@ -139,6 +140,8 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     """Version of armrig that made the recording."""
     outcome_code: str
     """Code of the outcome: an `armrig_core.commands.codes.OutcomeCode`."""
+    every: int = 1
+    """Number of samples in a Ts: see `Manifest.every`."""
 
     @property
     def is_complete(self) -> bool:
@@ -168,7 +171,7 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     @property
     def seconds(self) -> float:
         """Length of the recording in s, including missing samples."""
-        return (self.samples + self.missing) * self.Ts
+        return (self.samples + self.missing) * self.Ts / self.every
 
     def names(self, *, validation: bool) -> set[str]:
         """Return all names that select the recording: its name, run id, experiment and file name.
@@ -234,13 +237,16 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
     }
     for name, text in texts.items():
         if len(text) > TEXT_LIMIT:
-            raise DamageError(f"its {name} has {len(text)} characters, more than {TEXT_LIMIT}")
+            raise DamageError(
+                f"its {name} has {plural(len(text), 'character')}, more than {TEXT_LIMIT}"
+            )
     check_sampling_time(manifest)
     return RecordingSummary(
         folder=path.parent,
         file=path.name,
         size=path.stat().st_size,
-        Ts=manifest.Ts,
+        Ts=manifest.every * manifest.Ts,
+        every=manifest.every,
         samples=outcome.samples,
         missing=outcome.missing,
         part=manifest.part,

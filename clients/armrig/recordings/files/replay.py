@@ -20,7 +20,7 @@ from armrig_protocol.frame import Spoilt, Unknown, decode
 
 from armrig.numerics.quantities import plural
 from armrig.recordings.files.container import Content, read, streamed
-from armrig.recordings.files.loading import files_of, run_content
+from armrig.recordings.files.loading import check_attachments, files_of, run_content
 from armrig.recordings.files.recording_summary import is_foreign
 from armrig.recordings.files.sample_rows import SAMPLE_DTYPE
 from armrig.recordings.files.verification import recorded_input
@@ -71,7 +71,8 @@ def replay(path: Path) -> Replay:
     all frames to the device and all samples in the file.
 
     Raises FileError if the file is not a recording of armrig, or its core steps are missing or of
-    another release. Raises OSError if the file cannot be read.
+    another release. Raises FileError, too, if an attachment does not have the hash in the manifest.
+    Raises OSError if the file cannot be read.
     """
     try:
         paths = files_of(path)
@@ -88,6 +89,8 @@ def replay(path: Path) -> Replay:
         raise FileError(f"{path}: nothing to replay: {why}")
     try:
         return _replayed(paths, content, first)
+    except FileError:
+        raise
     except Exception as err:  # the steps in the file may be anything, so any exception may occur
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         raise FileError(
@@ -101,6 +104,7 @@ def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
 
 def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     manifest = Manifest.of(content.metadata[RUN])
+    check_attachments(paths[0], content, manifest)
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(paths[0], content.input, manifest.samples)
@@ -137,7 +141,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     # In a file that is cut off, the last sample may be later or earlier than the last step.
     reach = (min if content.cut_off else max)(ours, theirs.size)
     if not difference and same != reach:
-        difference = f"the file has {theirs.size} samples, the replay has {ours}"
+        difference = f"the file has {plural(theirs.size, 'sample')}, the replay has {ours}"
         difference += f"; the first {same} are the same"
     return Replay(
         steps=n,

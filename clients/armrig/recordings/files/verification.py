@@ -1,11 +1,11 @@
 """Verification that a recording reports all its gaps and contains only requested voltages.
 
-A recording that fails the verification can still be loaded and exported.
+A recording that fails the verification can still be loaded and exported. Only an exchanged
+attachment is refused by `load`, and so by `verify`.
 """
 
 from __future__ import annotations
 
-import hashlib
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from armrig.data.columns import Vector
 from armrig.data.finding import Finding, good, unusable, warning
-from armrig.numerics.quantities import NBSP, plural
+from armrig.numerics.quantities import NBSP, digits, listed, plural
+from armrig.recordings.files.attachment_hashes import attachment_fault, attachment_names
 from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.recording_summary import REMOTE
 from armrig.recordings.jitter import sampling_statistics
@@ -59,7 +60,7 @@ class Verification:
     sha256: str
     """Hash of the recording, as `sha256sum` prints it."""
     checks: tuple[Finding, ...]
-    """Findings about file, samples, envelope, input, timing, configuration and clock."""
+    """Findings on file, samples, envelope, input, timing, configuration, attachments and clock."""
     samples: int = 0
     """Number of samples that could be read."""
 
@@ -91,6 +92,7 @@ def verify_recording(recording: Recording) -> Verification:
         _check_attached_input(recording),
         check_timing(recording),
         _check_configuration(recording),
+        _check_attachments(recording),
         check_clock(recording),
     )
     return Verification(
@@ -111,7 +113,10 @@ def check_file(r: Recording) -> Finding:
         )
     came, missing = r.samples.size, r.missing
     if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):
-        text = f"it reports {r.outcome.samples} samples and {r.outcome.missing} missing samples, "
+        text = (
+            f"it reports {plural(r.outcome.samples, 'sample')} and "
+            f"{plural(r.outcome.missing, 'missing sample')}, "
+        )
         text += "but contains "
         return unusable("file", f"{text}{came} and {missing}")
     return good("file", f"complete, all checksums correct; outcome of the run: {r.outcome.outcome}")
@@ -132,12 +137,15 @@ def check_samples(r: Recording) -> Finding:
     if unreported.any():
         k = r.k_first + int(unreported.argmax())
         count = int(np.count_nonzero(unreported))
-        verb = "is" if count == 1 else "are"
-        text = f"{plural(count, 'sample')} {verb} missing without a gap record, from k={k} on"
+        text = (
+            f"{plural(count, 'sample is', 'samples are')} missing without a gap record, from "
+            f"k={k} on"
+        )
         return unusable("samples", text)
     if r.missing:
         text = (
-            f"{r.samples.size} of {r.N}; each of the {r.missing} missing samples is in a gap record"
+            f"{r.samples.size} of {r.N}; "
+            f"{plural(r.missing, 'missing sample is', 'missing samples are')} in gap records"
         )
         return good("samples", text)
     return good("samples", f"all {r.N} from k={r.k_first} on")
@@ -174,7 +182,10 @@ def check_input(r: Recording, u: Vector) -> Finding:
     """Check that the voltages of each sample agree with the attached input `u`, (N,) in V."""
     at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
     if u.size != r.manifest.samples:
-        text = f"{u.size} voltages are attached, but the run has {r.manifest.samples} samples"
+        text = (
+            f"{plural(u.size, 'voltage is', 'voltages are')} attached, but the run has "
+            f"{plural(r.manifest.samples, 'sample')}"
+        )
         return unusable("input", text)
     outside = (at < 0) | (at >= u.size)
     if outside.any():
@@ -196,7 +207,8 @@ def check_input(r: Recording, u: Vector) -> Finding:
             text += f"the first at k={r.samples['k'][i]}: {r.samples[field][i]:.6g} V instead of "
             return unusable("input", f"{text}{u[at[i]]:.6g} V")
     text = (
-        f"u is the experiment's input at each sample, applied in steps of {step * 1e3:.3g}{NBSP}mV"
+        "u is the experiment's input at each sample, applied in steps of "
+        f"{digits(step * 1e3, 3)}{NBSP}mV"
     )
     return good("input", text)
 
@@ -213,7 +225,7 @@ def check_timing(r: Recording) -> Finding:
     if not s.jitter.n:
         return warning("timing", "too few samples")
     text = ", ".join(
-        f"{name} {p.p50:.3g}, {p.p99:.3g}, {p.p999:.3g}, {p.max:.3g}"
+        f"{name} {digits(p.p50, 3)}, {digits(p.p99, 3)}, {digits(p.p999, 3)}, {digits(p.max, 3)}"
         for name, p in (("jitter", s.jitter), ("lateness", s.lateness))
     )
     return good("timing", f"{text} (p50, p99, p99.9, max in µs)")
@@ -265,14 +277,11 @@ def _check_attached_input(r: Recording) -> Finding:
 
 
 def _check_configuration(r: Recording) -> Finding:
-    """Check the hash of the attached configuration, and requested voltages against its limits."""
+    """Check the requested voltages against the limits of the attached configuration."""
     _, content = beginning(r.path)
     text = content.attachments.get(CONFIG)
-    if text is None or not r.manifest.config_sha256:
-        why = "no configuration is attached, or its hash is not recorded"
-        return warning("configuration", why)
-    if hashlib.sha256(text).hexdigest() != r.manifest.config_sha256:
-        return unusable("configuration", "its hash differs from the hash in the manifest")
+    if text is None:
+        return warning("configuration", "no configuration is attached")
     try:
         limits = msgspec.json.decode(text, type=_Config).limits
     except msgspec.DecodeError as err:
@@ -282,7 +291,26 @@ def _check_configuration(r: Recording) -> Finding:
     if u.size and not (low <= u.min() and u.max() <= high):
         found = f"{u.min():.4g} to {u.max():.4g} V were requested, outside the limits "
         return unusable("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
-    return good("configuration", "its hash is correct; the requested voltages are in its limits")
+    return good("configuration", "the requested voltages are in its limits")
+
+
+def _check_attachments(r: Recording) -> Finding:
+    """Check that no attachment is missing; `load` has compared the hashes."""
+    _, content = beginning(r.path)
+    if fault := attachment_fault(content, r.manifest):  # of a damaged file, which is loaded
+        return unusable("attachments", fault)
+    hashes, found = r.manifest.attachment_hashes, attachment_names(content)
+    if missing := sorted({*hashes} - found):
+        text = f"missing, although the manifest contains the hash: {listed(missing)}"
+        if r.recovered is not None and r.recovered.damage:
+            return warning("attachments", f"{text}; {r.recovered.damage}")
+        return unusable("attachments", text)
+    if not found:
+        return warning("attachments", "nothing is attached")
+    if r.unhashed:
+        text = f"the manifest, by armrig {r.manifest.armrig}, contains no hash of "
+        return warning("attachments", f"{text}{listed(r.unhashed)}: an exchange is not found")
+    return good("attachments", f"each has the hash in the manifest: {listed(sorted(found))}")
 
 
 class _Limits(msgspec.Struct, frozen=True):
@@ -325,7 +353,9 @@ def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
         at += 4 + int.from_bytes(content[at : at + 4], "little")
     if at + 8 + int.from_bytes(content[at : at + 8], "little") + 4 != place.length:
         raise DamageError("the attached input does not have the form of an input")
-    too_long = DamageError(f"the attached input is longer than the {most} samples of the run")
+    too_long = DamageError(
+        f"the attached input is longer than the {plural(most, 'sample')} of the run"
+    )
     if len(content) < place.length:
         raise too_long
     expected = int.from_bytes(content[-4:], "little")

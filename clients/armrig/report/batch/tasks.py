@@ -153,7 +153,7 @@ _OF_THE_RUN: dict[str, tuple[Kind, Callable[[Recording], Any]]] = {
 OF_THE_RUN: dict[str, Kind] = {name: kind for name, (kind, _) in _OF_THE_RUN.items()}
 OF_THE_RESULT: dict[str, Kind] = {"problem": "text", "doubts": "texts"}
 """Columns of every task; `problem` is the reason for a missing result, or ""."""
-CHECKS = ("file", "samples", "envelope", "input", "timing", "configuration", "clock")
+CHECKS = ("file", "samples", "envelope", "input", "timing", "configuration", "attachments", "clock")
 """Checks of `armrig verify`; the table has two columns for each check: result and finding."""
 OF_THE_TASK: dict[str, dict[str, Kind]] = {
     "identify": {

@@ -1,0 +1,55 @@
+"""Comparison of a recording's attachments with the hashes in its manifest.
+
+The comparison finds a mix-up. It does not find a forger, who can change the manifest, too.
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+
+from armrig_core.recording_file.manifest import DESCRIPTION, INPUT, RECOVERED, Manifest, Recovered
+
+from armrig.recordings.files.container import Content
+
+_SHOWN_DIGITS = 12
+_WAY_OUT = "copy the recording again, from its rig or from a backup"
+
+
+def attachment_names(content: Content) -> set[str]:
+    """Return the names of the attachments, including an input that is damaged."""
+    return {*content.attachments, *([INPUT] if content.input else [])}
+
+
+def attachment_fault(content: Content, manifest: Manifest) -> str:
+    """Return the first difference of the attachments from the manifest's hashes; "" if none.
+
+    An attachment without a hash is not compared. A missing description is a difference, because
+    the recording would be read as that of the arm, unless a damage of the file explains it.
+    """
+    for name, recorded in manifest.attachment_hashes.items():
+        came = content.input_sha256 if name == INPUT else ""
+        if name in content.attachments:
+            came = sha256(content.attachments[name]).hexdigest()
+        if came and came != recorded:
+            return (
+                f"the attachment '{name}' is not that of this run: its SHA-256 begins with "
+                f"{came[:_SHOWN_DIGITS]}, in the manifest with {recorded[:_SHOWN_DIGITS]}; "
+                f"{_WAY_OUT}"
+            )
+        if name == DESCRIPTION and not came and not _damage(content):
+            return (
+                f"the attachment '{name}' is missing, but the manifest contains its SHA-256: the "
+                f"outputs of the rig are not known; {_WAY_OUT}"
+            )
+    return ""
+
+
+def _damage(content: Content) -> str:
+    if content.damage or RECOVERED not in content.metadata:
+        return content.damage
+    return Recovered.of(content.metadata[RECOVERED]).damage
+
+
+def without_hash(content: Content, manifest: Manifest) -> tuple[str, ...]:
+    """Return the names of the attachments without a hash in the manifest."""
+    return tuple(sorted(attachment_names(content) - {*manifest.attachment_hashes}))
