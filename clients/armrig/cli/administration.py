@@ -31,6 +31,7 @@ from armrig.cli.printing import (
     spinner,
 )
 from armrig.lab import installation
+from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from armrig_core.rig.firmware_image import FirmwareImage
@@ -57,7 +58,7 @@ def doctor(
     connect: str | None = chosen(
         None,
         "Socket of a daemon on this machine, unixsock-stream/PATH; other endpoints are refused.",
-        "[client] connect, or the daemon on this machine",
+        "the configuration's [client] connect, otherwise the daemon on this machine",
         metavar="ENDPOINT",
     ),
     json: Json = False,
@@ -86,16 +87,17 @@ def doctor(
 
 def flash(
     port: str | None = chosen(
-        None, "Serial port of the board.", "the only Uno plugged in", metavar="DEVICE"
+        None, "Serial port of the board.", "the Uno, if only one is plugged in", metavar="DEVICE"
     ),
     image: str | None = chosen(
         None,
-        "Image of armrig to write: uno is the arm's; tclab, heatshield and optoshield are those of "
-        "the shields.",
+        "Firmware of armrig to write: uno (the arm), tclab, heatshield or optoshield.",
         "uno",
         metavar="NAME",
     ),
-    file: Path | None = chosen(None, "Firmware file to write.", "the image", names="--hex FILE"),
+    file: Path | None = chosen(
+        None, "Firmware file to write (Intel HEX).", "the file of --image", names="--hex FILE"
+    ),
     baud: int = chosen(_BAUD, "Speed of the firmware's serial line, in bit/s ([device] baud)."),
     dry_run: bool = chosen(False, "Show the plan only, without opening the port."),
     yes: bool = chosen(False, "Confirm that the motor is unplugged; do not ask."),
@@ -239,14 +241,27 @@ def check_rig(
     file: Annotated[Path, argument("FILE", "Description (TOML), or a name of `armrig rigs`.")],
     json: Json = False,
 ) -> None:
-    """Check the description of a rig, and print how it was understood."""
+    """Check the description of a rig, and print how it was understood.
+
+    A file of own equations is executed.
+    """
     from armrig_core.rig.description import path_of, read_description
 
+    from armrig.excitation.pace import pace_of
+
     described = read_description(path_of(file))
+    rows = described.rows()
+    if described.model and not described.arm:
+        try:
+            with spinner("simulating the model"):
+                paced = pace_of(described).row
+        except (InputError, OperationError) as err:
+            paced = f"no demo: {err}"
+        rows.insert(-1, ("experiments", paced))
     if json:
-        print_json(dict(described.rows()))
+        print_json(dict(rows))
     else:
-        print_table(*described.rows())
+        print_table(*rows)
 
 
 def _page() -> Path:
@@ -256,13 +271,14 @@ def _page() -> Path:
 
 
 def _found(term: str, terms: dict[str, str]) -> str:
-    """Return the term that a text means, regardless of case, blanks, hyphens and underscores."""
+    """Return the term that a text means, in any case and hyphenation, also in the plural."""
     from difflib import get_close_matches
 
     names = {_plain(name): name for name in terms}
     wanted = _plain(term)
-    if wanted in names:
-        return names[wanted]
+    for form in (wanted, wanted.removesuffix("s")):
+        if form in names:
+            return names[form]
     containing = [name for name in names if wanted and wanted in name]
     near = list(dict.fromkeys([*containing, *get_close_matches(wanted, names)]))[:_MAX_OFFERED]
     offered = ", ".join(names[name] for name in near)
@@ -423,7 +439,9 @@ def rig(
     *,
     name: Annotated[str, argument("ID", "Id of the rig.")],
     host: list[str] | None = chosen(
-        None, "Host name or address that clients use; repeatable.", "none, only through a router"
+        None,
+        "Host name or address that clients use; repeatable.",
+        "none, clients connect through a router",
     ),
     issuing: Issuing,
 ) -> None:
@@ -549,7 +567,7 @@ def router(
         session, people = open_router(listen, certificate, names)
         with session:
             inform(
-                f"router at {listen}: {len(people.rigs)} rigs, {len(people.operators)} may drive "
-                f"and {len(people.observers)} may watch; Ctrl-C ends the router"
+                f"router at {listen}: {plural(len(people.rigs), 'rig')}, {len(people.operators)} "
+                f"may drive and {len(people.observers)} may watch; Ctrl-C ends the router"
             )
             ended.wait()

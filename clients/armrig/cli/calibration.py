@@ -223,8 +223,8 @@ class _Wanted:
     )
     point: list[str] | None = chosen(
         None,
-        "Known value of an output that does not turn; give two values of one output, or more if it "
-        "is not linear.",
+        "Known value of an output that does not turn, in its unit; give two values of one output, "
+        "or more if it is not linear.",
         metavar="NAME=VALUE",
     )
     meter_std: float = chosen(0.01, "Standard deviation of a meter's reading, in V.")
@@ -266,13 +266,13 @@ def calibrate(
     Ts: SamplingTime = None,
     yes: bool = chosen(
         False,
-        "Ask no questions, not even for meter readings; load the calibration into the daemon "
-        "unless --no-use is given.",
+        "Ask no question, not even for meter readings. The daemon uses the calibration unless "
+        "--no-use is given.",
     ),
     use: bool | None = chosen(
         None,
         "Use the calibration in the running daemon until the daemon ends.",
-        "asked",
+        "the command asks",
         names="--use/--no-use",
     ),
     rig: RigId = "1",
@@ -286,6 +286,7 @@ def calibrate(
     from armrig_core.rig.calibration import Calibration
 
     from armrig.physics.calibration import estimate
+    from armrig.recordings.files.origin import Origin
 
     if wanted.point:
         _measure_points(wanted, Dialogue(yes=yes), rig, connect, json=json)
@@ -322,8 +323,10 @@ def calibrate(
         facts = {"calibration": path, "figures": figures}
         print_json(facts | fields_of(found, "alpha_sign warnings") | {"in_use": used})
     else:
-        described = rest.manifest.description_sha256
-        say_next("collect step", rig=naming(rig, connect), described=described)
+        # No earlier recording has the new calibration.
+        made = hashlib.sha256(path.read_bytes()).hexdigest()
+        origin = Origin.of_run(rest.path, rest.manifest).calibrated(made)
+        say_next("collect step", origin, rig=naming(rig, connect))
 
 
 def _measure_points(
@@ -372,7 +375,8 @@ def conversion_through(points: Sequence[tuple[float, float]]) -> dict[str, Any]:
     if any(b[0] - a[0] < _MIN_COUNTS or a[1] == b[1] for a, b in pairwise(points)):
         came = " and ".join(f"{counts:.0f}" for counts, _ in points)
         raise InputError(
-            f"the readings are {came} counts; give values that are further apart, and check the "
+            f"the readings are {came} counts; give values that are further apart, and "
+            "check the "
             "wires"
         )
     check_points(points)
@@ -389,6 +393,13 @@ def _measured(
     """Return the recordings by name, and the voltmeter's readings; make those without a file."""
     files = {"rest": wanted.rest_file, "turns": wanted.turns_file}
     found = {name: armrig.load(path) for name, path in files.items() if path is not None}
+    for recording in found.values():
+        if not recording.description.arm:
+            name = recording.first
+            raise InputError(
+                f"{recording.name} is of the rig '{recording.description.title}', and --rest and "
+                f"--turns are for the arm: use `armrig calibrate --point {name}=A --point {name}=B`"
+            )
     readings, seconds = wanted.readings, wanted.level_seconds
     if "rest" not in found:
         ask.ready("Turn the chassis to its mark for theta_1 = 0 and let the arm hang still.")

@@ -16,9 +16,11 @@ from armrig_core.errors import InputError, OperationError
 from armrig_core.process.options import chosen
 
 import armrig
+from armrig.cli.demo_files import demo_files
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Json
 from armrig.cli.printing import columns, fields_of, inform, print_result, spinner
+from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from armrig.excitation.demonstration import Experiment
@@ -83,7 +85,7 @@ def demo(
     seconds: float | None = chosen(
         None,
         "Length of each telegraph signal, in s.",
-        "30, or by the model of --rig-file",
+        "30, with --rig-file a length that suits its model",
         min=5,
     ),
     seed: int = chosen(1, "Seed of the inputs and of the rig's noise.", min=0, max=2**63 - 2),
@@ -108,36 +110,42 @@ def demo(
     The demo needs no hardware. It takes two minutes; with --virtual it takes 20 s, on any system
     with Python.
 
+    A repeated demo writes its own files again. A file that is not the demo's, or was changed after
+    the demo, is never overwritten: the demo refuses to start.
+
     With --json the last line contains the paths of all files and the fit of each model.
     """
     from armrig_core.rig.description import path_of, read_description, shipped
 
-    from armrig.excitation.demonstration import experiments, pace_of
+    from armrig.excitation.demonstration import experiments
+    from armrig.excitation.pace import pace_of
 
-    if directory.exists() and not directory.is_dir():
-        raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
     most = _MAX_S if rig_file is None else _MAX_DESCRIBED_S
     if seconds is not None and seconds > most:
         raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {most:g} s")
     described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
     pace = pace_of(described, seconds)
     plan = experiments(pace, seed)
-    directory.mkdir(parents=True, exist_ok=True)
-    config = write_config(directory, seed, pace.Ts, rig_file)
     paths: list[Path] = []
     virtual = virtual or firmware or not described.arm  # a slow rig needs hours
-    why = "" if virtual else _record(plan, config, paths)
-    if why:
-        inform(f"not in real time: {why}; the demonstration goes on in virtual time")
-    n_real = len(paths)
-    if n_real < len(plan):
-        with spinner("recording in virtual time"):
-            folder = directory.absolute()
-            paths += record_in_virtual_time(plan[n_real:], folder, config, seed, firmware=firmware)
-    emulated = _EMULATED if described.arm else _AS_DESCRIBED
-    remarks = _remarks(len(paths), n_real, why, emulated) + ([_FIRMWARE] if firmware else [])
-    with spinner("identifying and typesetting"):
-        done, pdf = _reported(paths, remarks, directory)
+    with demo_files(directory):
+        config = write_config(directory, seed, pace.Ts / pace.every, rig_file)
+        why = "" if virtual else _record(plan, config, paths)
+        if why:
+            inform(f"not in real time: {why}; the demonstration goes on in virtual time")
+        n_real = len(paths)
+        if n_real < len(plan):
+            with spinner("recording in virtual time"):
+                # Each experiment of another rig than the arm begins at rest.
+                left, folder = plan[n_real:], directory.absolute()
+                of_each = [left] if described.arm else [[one] for one in left]
+                for i, of in enumerate(of_each):
+                    more = record_in_virtual_time(of, folder, config, seed + i, firmware=firmware)
+                    paths += more
+        emulated = _EMULATED if described.arm else _AS_DESCRIBED
+        remarks = _remarks(len(paths), n_real, why, emulated) + ([_FIRMWARE] if firmware else [])
+        with spinner("identifying and typesetting"):
+            done, pdf = _reported(paths, remarks, directory)
     if not virtual:
         inform(f"the daemon's log: {directory / 'armrigd.log'}")
     names = [experiment.name for experiment in plan]
@@ -205,7 +213,9 @@ def _text(done: Study, names: list[str], directory: Path, pdf: Path) -> str:
     files = []
     for recording, name in zip(done.recordings, names, strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
-        samples = f"{recording.samples.size} samples{missing}, sha256 {recording.short_hash}"
+        samples = (
+            f"{plural(recording.samples.size, 'sample')}{missing}, sha256 {recording.short_hash}"
+        )
         files.append((name, f"{_from_here(recording.path)}: {samples}"))
     files += [("figures", str(directory / "*.svg")), ("report", str(pdf))]
     return f"simulated on the validation recording\n{columns(models)}\n\n{columns(files)}"
@@ -230,7 +240,7 @@ def record_in_virtual_time(
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     program += ["--firmware"] if firmware else []
-    requests = (dumps({"u": one.u.tolist(), **one.request}) for one in plan)
+    requests = (dumps(one.of_the_device()) for one in plan)
     Thread(target=_load_drawing_modules).start()
     played = subprocess.run(program, input="\n".join(requests).encode(), capture_output=True)
     if played.returncode:

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 from armrig_core.commands.codes import TRY_AGAIN
 
 from armrig.cli.printing import inform
+from armrig.numerics.quantities import plural
 from armrig.rig.client import Rig
 from armrig.rig.collection import on_the_terminal
 from armrig.rig.local_daemon import running
 from armrig.rig.replies import BusyError, RefusedError, RunEndedError
 from armrig.rig.session import RigError
-from armrig.rig.status import scheduling_sentences
+from armrig.rig.status import scheduling_line
 
 if TYPE_CHECKING:
     from armrig.excitation.demonstration import Experiment
@@ -49,9 +50,11 @@ def record_in_real_time(
     arguments = ["--config", str(config), "--emulate"]
     with running(arguments, rig=rig_id, log=log), Rig(rig_id) as rig:
         wait_until_safe(rig)
-        inform(f"an emulated rig and its daemon run; {len(plan)} experiments take {left_s:.0f} s")
-        for line in scheduling_sentences(rig.status().host):
-            inform(line)
+        inform(
+            f"an emulated rig and its daemon run; {plural(len(plan), 'experiment')} take "
+            f"{left_s:.0f} s"
+        )
+        inform(scheduling_line(rig.status().host))
         for experiment in plan:
             done.append(recorded(rig, experiment, end_s - left_s))
             left_s -= experiment.seconds

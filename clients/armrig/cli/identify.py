@@ -50,7 +50,7 @@ from armrig.cli.recorded_data import (
 )
 from armrig.estimation.request import Request
 from armrig.models.structure_table import STRUCTURES, users
-from armrig.numerics.quantities import listed
+from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
@@ -65,9 +65,12 @@ if TYPE_CHECKING:
 
 _MAX_SHOWN_MODELS = 5  # models of a search without --verbose
 _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
-_MAX_TS_S, _LEAST_S, _LEAST_SAMPLES = 1.0, 30.0, 600  # of the experiment that `next:` names
-_LEAST_TRANSIENTS = 10  # of the experiment of a slow rig
-_NK = "1; estimated with --search of one input and one output"
+_FIRST_ORDER = (
+    "P1D"  # process whose time constant and dead time `next:` estimates, if hints find it
+)
+_LEAST_S, _LEAST_SAMPLES = 30.0, 600  # of the experiment that `next:` names
+_SLOW_S, _TIME_CONSTANTS = 300.0, 10  # length from which a rig is slow; then its time constants
+_NK = "1, with --search estimated for one input and one output"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,12 +83,17 @@ class _Search:
     most: int | None = chosen(
         None,
         "Highest order that --search tries.",
-        "5, up to 8 if needed",
+        "5, and up to 8 if needed",
         "--max-order",
         min=1,
         max=100,
     )
     jobs: int = chosen(1, "Number of processes that --search uses.", min=1)
+    open_loop: bool = chosen(
+        False,
+        "The input was not computed from the output, so that --search may try nk = 0.",
+        "only for an input that armrig played, or that is held",
+    )
     fixed: model_structures.Given = field(default_factory=dict)
     """Fixed arguments of the search; the search chooses all other arguments."""
 
@@ -119,10 +127,9 @@ def sampling(
 
     def say_after() -> None:
         if signals.read and (again := step_again(signals.read[0])):
-            say_next("collect step again", again=again)
+            say_next("collect step again", signals.origin, again=again)
         elif from_recording(data):
-            described = signals.read[0].manifest.description_sha256 if signals.read else ""
-            say_next("collect pair", **_experiment(choice), described=described)
+            say_next("collect pair", signals.origin, **_experiment(choice))
         else:
             say_next("hints", file=typed(file), given=signals.options())
 
@@ -138,12 +145,15 @@ def sampling(
 
 def _experiment(choice: SamplingTime) -> dict[str, str | float]:
     """Return sampling time, length and switching of the experiment that the line `next:` names."""
+    from armrig_core.commands.commands import LONGEST_TS
+
     from armrig.estimation.nonparametric.sampling_time import nearest_125
 
-    Ts = min(choice.Ts, _MAX_TS_S)
+    Ts = min(choice.Ts, LONGEST_TS)
     seconds, switching = max(_LEAST_S, _LEAST_SAMPLES * Ts), ""
-    if Ts < choice.Ts:  # a slow rig is sampled faster, for longer, and its input is held for tau
-        seconds = max(seconds, nearest_125(_LEAST_TRANSIENTS * choice.settling))
+    if seconds > _SLOW_S:  # a slow rig is sampled faster, and its input is held for about tau
+        seconds = max(_SLOW_S, nearest_125(_TIME_CONSTANTS * choice.tau))
+        Ts = min(Ts, nearest_125(seconds / _LEAST_SAMPLES))
         switching = f" --a {nearest_125(Ts / choice.tau):g}"
     return {"Ts": Ts, "seconds": seconds, "switching": switching}
 
@@ -215,14 +225,18 @@ def hints(
 
 def _options(found: Sequence[StructureHints], *, level: bool) -> str:
     """Return the options of `armrig identify` for hints, and for outputs with a level."""
+    offset = " --offset" * level
+    if [one.process for one in found] == [_FIRST_ORDER]:
+        return f"--structure process --form {_FIRST_ORDER}{offset}"
     nf = max(one.nf for one in found)
     # With one denominator, each channel of a sampled plant has a numerator of its order.
     nb = max(one.nb for one in found) if len(found) == 1 else nf
     shown = [one for one in found if one.nk_interval] or found  # without unknown delays
     family = found[0].family if len(found) == 1 else "oe"
-    options = f"--structure {family} --nb {nb} --nf {nf} --nk {min(one.nk for one in shown)}"
+    poles = f"--na {nf} --nc {nf}" if family == "armax" else f"--nf {nf}"
+    options = f"--structure {family} --nb {nb} {poles} --nk {min(one.nk for one in shown)}"
     integrates = any(one.integrator for one in found)
-    return options + " --integrator" * integrates + " --offset" * (level and not integrates)
+    return options + (" --integrator" if integrates else offset)
 
 
 def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
@@ -233,7 +247,9 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
     of += "resonances antiresonances nk_interval excess"
     return {
         "structure": found.family,
-        "orders": fields_of(found, "nb nf nk"),
+        "orders": fields_of(found, "nb nf nk")
+        if found.family != "armax"
+        else {"na": found.nf, "nb": found.nb, "nc": found.nf, "nk": found.nk},
         "structures": [fields_of(s, "nb nf nk integrator") for s in found.structures],
         **fields_of(found, of),
         "reasons": [*found.reasons],
@@ -245,7 +261,7 @@ def identify(
     *,
     file: DataFile,
     given: Annotated[model_structures.Given, model_structures.estimation_options(default_nk=_NK)],
-    searching: Annotated[_Search, group(_Search, ("search", "most", "jobs"))],
+    searching: Annotated[_Search, group(_Search, ("search", "most", "jobs", "open_loop"))],
     validate: Path | None = chosen(
         None, "Recording, or other data, for validation.", metavar="F2", parser=recording_path
     ),
@@ -284,6 +300,9 @@ def identify(
         tell_findings(doubts_of_estimation(recording))
     # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
+    if isinstance(wanted, _Search) and signals.read:
+        played = all(recording.manifest.samples > 0 for recording in signals.read)
+        wanted = replace(wanted, open_loop=wanted.open_loop or played)
     wanted = _for_outputs(wanted, data, integrator=given["integrator"])
     decides = (signals.assume or searching.search) and not (given["integrator"] or out.json)
     integrator, taken = signals.choice(data, named=bool(decides))
@@ -487,6 +506,7 @@ def _searched(
             data,
             other,
             orders=None if wanted.most is None else range(1, wanted.most + 1),
+            open_loop=wanted.open_loop,
             executor=executor,
             progress=progress,
             **given,
@@ -535,8 +555,8 @@ _MAX_NAMES = 3  # recordings in a message
 class _Selection:
     """Options of all batches: the recordings, the processes and the form of the result."""
 
-    rig: list[str] | None = chosen(None, "Id of a rig to include; repeatable.", "all")
-    kind: list[str] | None = chosen(None, "Kind of experiment to include; repeatable.", "all")
+    rig: list[str] | None = chosen(None, "Id of a rig to include; repeatable.", "all rigs")
+    kind: list[str] | None = chosen(None, "Kind of experiment to include; repeatable.", "all kinds")
     workers: int | None = chosen(
         None, "Number of processes on this machine.", "one for each core", min=1
     )
@@ -652,7 +672,7 @@ def _say_batch(table: Path, rows: list[Row], done_before: int, *, json: bool) ->
     before = f", {done_before} of them processed before" if done_before else ""
     print_result(
         facts | {"problems": without, "damaged": damaged, "failed": failed},
-        f"{table}: {len(rows)} recordings{before}; {len(without)} without a result",
+        f"{table}: {plural(len(rows), 'recording')}{before}; {len(without)} without a result",
         *_first(without, "column problem contains"),
         *_first(damaged, "column damage contains"),
         *_first(failed, "columns of the checks contain"),

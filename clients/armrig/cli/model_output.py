@@ -36,8 +36,10 @@ def advice_lines(fit: armrig.Fit, doubts: Sequence[Finding]) -> list[str]:
         said.add("level")
     found = [f for f in advice_on(fit) if f.level != "good"]
     advised = [f for f in found if f.about not in said]
-    lines = [f"! {f.about.replace('_', ' ')}: {f.text}" for f in (*doubts, *advised)]
-    return lines or [f"nothing {'else ' if found else ''}to act on"]
+    # The command reported the number of samples when it read the data.
+    shown = [f for f in (*doubts, *advised) if f.about != "samples"]
+    lines = [f"! {f.about.replace('_', ' ')}: {f.text}" for f in shown]
+    return lines or [f"nothing {'else ' if found or doubts else ''}to act on"]
 
 
 def advice_on(fit: armrig.Fit) -> tuple[Finding, ...]:
@@ -138,7 +140,11 @@ def print_comparison(table: ComparisonTable, where: str, *, verbose: bool) -> No
         return
     best, *differences = table.explain(brief=not verbose).splitlines()
     say(best, bold=True)
-    how = "simulated" if table.horizon is None else f"predicted {table.horizon} samples ahead"
+    how = (
+        "simulated"
+        if table.horizon is None
+        else f"predicted {plural(table.horizon, 'sample')} ahead"
+    )
     say(f"{how} {where}", dim=True)
     say("\n".join(repr(table).splitlines()[1:]))
     if verbose:

@@ -62,7 +62,7 @@ def estimation_options(*, structure: OfferedName | None = None, default_nk: str 
 
 def _order(name: str) -> Any:
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
-    decided = "poles - 1" if name == "zeros" else "by the data"
+    decided = "one less than the poles" if name == "zeros" else "chosen from the data"
     shown = {decided if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
         shown = {", ".join(f"{title} {n}" for title, n in default.items())}

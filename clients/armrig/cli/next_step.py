@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, count
-from operator import attrgetter
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Literal
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
     from armrig.data.finding import Finding
     from armrig.models.fit import Fit
+    from armrig.recordings.files.origin import Origin
     from armrig.recordings.files.recording_summary import RecordingSummary
     from armrig.recordings.recording import Recording
     from armrig.validation.residual_test import ResidualTest
@@ -38,11 +38,11 @@ _AGAIN = "-again"  # suffix of the name of a repeated step
 NEXT: Mapping[str, str] = {
     "collect step": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
     "collect step other": "armrig collect step{rig} --name first",
-    "collect step again": "armrig collect step{again}",
+    "collect step again": "armrig collect step{rig}{again}",
     "collect greybox": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
-    "collect pair": "armrig collect blackbox --Ts {Ts:g} --seconds {seconds:g}{switching} "
+    "collect pair": "armrig collect blackbox{rig} --Ts {Ts:g} --seconds {seconds:g}{switching} "
     "--validation",
-    "collect blackbox": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --seed 2",
+    "collect blackbox": "armrig collect blackbox{rig} --Ts {Ts:g} --seconds 30 --seed 2",
     "conformance": "armrig conformance --device {port}",
     "model": "armrig model --set J_2=0.005 --set K_lin=2.4 -o step.png",
     "lab": "armrig lab",
@@ -63,7 +63,7 @@ NEXT: Mapping[str, str] = {
     "integrate": "armrig integrate -o integrate.png",
     "report": "armrig report {file} -o report.pdf",
     "handout": "armrig report --handout{files}{answers}{sinusoid} -o {report}",
-    "questions": "armrig report --handout --questions {questions}",
+    "questions": "armrig report --handout{files} --questions {questions}",
 }
 """Commands that the line `next:` names; names in braces are replaced by values."""
 OF_KIND: Mapping[str, str] = {"step": "sampling", "greybox": "greybox"}
@@ -72,9 +72,9 @@ REASONS = Path("reasons.toml")
 """Usual file with the answers to the handout's questions."""
 
 
-def say_next(name: str, **values: str | float) -> None:
+def say_next(name: str, origin: Origin | None = None, /, **values: str | float) -> None:
     """Print the line `next: …` with a command of `NEXT`, on standard error."""
-    say_to_copy(next_line(name, **values))
+    say_to_copy(next_line(name, origin, **values))
 
 
 def say_to_copy(text: str) -> None:
@@ -83,18 +83,29 @@ def say_to_copy(text: str) -> None:
         print(printable(text, keep="\n"), file=sys.stderr)
 
 
-def next_line(name: str, **values: str | float) -> str:
+def next_line(name: str, origin: Origin | None = None, /, **values: str | float) -> str:
     """Return the line `next: …` with a command of `NEXT`.
 
-    The value `described` is the hash of the rig's description; "" if it is not known.
+    `origin` is that of the recording or rig that the command before was about. The line names only
+    recordings and rigs of this origin.
     """
     opener = {"darwin": "open", "win32": "start"}.get(sys.platform, "xdg-open")
-    line = NEXT[name].format(**{"opener": opener, "given": "", "validate": ""} | values)
-    return f"next: {printable(_goes_on(line, str(values.get('described', ''))))}"
+    known = {
+        "opener": opener,
+        "given": "",
+        "validate": "",
+        "rig": naming(origin.rig if origin else "1"),
+    }
+    line = NEXT[name].format(**known | values)
+    return f"next: {printable(_goes_on(line, origin))}"
 
 
-def _goes_on(line: str, described: str) -> str:
+def _goes_on(line: str, origin: Origin | None) -> str:
     """Return the command, or a later command if the rig runs or the recording already exists."""
+    from armrig_core.rig.description import shipped
+
+    from armrig.recordings.files.origin import Origin
+
     words = shlex.split(line)
     if words[1:] == ["lab"]:
         with suppress(ImportError, ArmrigError):  # not on Windows
@@ -104,23 +115,26 @@ def _goes_on(line: str, described: str) -> str:
                 words = shlex.split(line := NEXT["collect step"].format(rig=""))
     if words[1] != "collect":
         return line
+    rig = words[words.index("--rig") + 1] if "--rig" in words else "1"
+    # Without a recording or a rig before, the next steps are the handout's: those of the arm.
+    origin = origin or Origin(rig=rig, description_sha256=shipped("arm").sha256)
     own = own_recordings()
-    of_rig = [s for s in own if described in ("", s.description_sha256 or described)]
-    validated = [first for first, _ in _pairs(of_rig, "blackbox")]
+    alike = [s for s in own if origin.matches(s)]
+    estimated = [first for first, _ in _pairs(alike, "blackbox")]
     if "--validation" in words:
         Ts = float(words[words.index("--Ts") + 1])
-        made = next((s for s in validated if s.Ts == Ts), None)
-        return NEXT["plot"].format(file=typed(made.path)) if made else line
+        pair = next((s for s in estimated if s.Ts == Ts), None)
+        return NEXT["plot"].format(file=typed(pair.path)) if pair else line
     if words[-2] != "--name":
         return line
     names = f"{words[-1]}{_AGAIN}", words[-1]  # prefer the repeated run
     named = [s for name in names for s in own if name in s.names(validation=False)]
-    found = [s for s in named if s in of_rig]
-    if not found:  # a recording of another rig keeps its name
+    usable = [s for s in named if s in alike]
+    if not usable:  # a recording of another origin keeps its name
         return line.rpartition("--name")[0].rstrip() if named else line
-    if found[0].kind == "step" and validated:
-        return NEXT["hints"].format(file=typed(validated[0].path), given="")
-    return NEXT[OF_KIND.get(found[0].kind, "plot")].format(file=typed(found[0].path))
+    if usable[0].kind == "step" and estimated:
+        return NEXT["hints"].format(file=typed(estimated[0].path), given="")
+    return NEXT[OF_KIND.get(usable[0].kind, "plot")].format(file=typed(usable[0].path))
 
 
 def own_recordings() -> list[RecordingSummary]:
@@ -134,11 +148,20 @@ def own_recordings() -> list[RecordingSummary]:
 
 
 def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[tuple[RecordingSummary, ...]]:
-    """Return estimation and validation recordings of one Ts and calibration, newest first."""
-    runs = {s.run_id: s for s in own}
-    found = [(runs[s.validation_of], s) for s in own if s.is_validation and s.validation_of in runs]
-    same = attrgetter("Ts", "calibration_sha256")
-    return [(a, b) for a, b in found if same(a) == same(b) and b.kind in (kinds or (b.kind,))]
+    """Return estimation and validation recordings of one Ts and origin, newest first."""
+    from armrig.recordings.files.origin import Origin
+
+    estimations: dict[str, list[RecordingSummary]] = {}
+    for s in own:
+        if not s.is_validation:
+            estimations.setdefault(s.run_id, []).append(s)
+    return [
+        (a, b)
+        for b in own
+        if b.is_validation and b.kind in (kinds or (b.kind,))
+        for a in estimations.get(b.validation_of, ())
+        if a.kind == b.kind and a.Ts == b.Ts and Origin.of_summary(a).matches(b)
+    ]
 
 
 def paired(path: Path, wanted: Literal["estimation", "validation"]) -> str:
@@ -159,7 +182,7 @@ def step_again(recording: Recording) -> str:
     options = step_options(hidden.numbers) if hidden else ""
     name = manifest.experiment.partition("-")[2]
     named = f" --name {quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
-    return f" --Ts {manifest.Ts:g} {options}{named}" if options else ""
+    return f" --Ts {manifest.every * manifest.Ts:g} {options}{named}" if options else ""
 
 
 def naming(rig: str, connect: str | None = None) -> str:
@@ -170,16 +193,9 @@ def naming(rig: str, connect: str | None = None) -> str:
 
 def typed(path: Path) -> str:
     """Return the @name of a recording, or its quoted path, as a user types it."""
-    from armrig.recordings.files import recording_names as names
-    from armrig.recordings.files.catalogue import newest_first
-    from armrig.recordings.files.recording_summary import summary_of
+    from armrig.recordings.files.recording_names import name_of
 
-    with suppress(names.NoSuchRecordingError, DamageError, OSError):
-        folder = names.recording_folder()
-        if path.absolute().parent == folder.absolute():
-            paths = newest_first(folder)
-            return names.short_name(summary_of(path), lambda name: names.matching(name, paths))
-    return quote(str(path))
+    return name_of(path) or quote(str(path))
 
 
 def free_name() -> str:
@@ -188,27 +204,68 @@ def free_name() -> str:
     return next(name for name in names if not Path(name).exists())
 
 
-def say_handout(answers: Path = REASONS, sinusoid: str = "") -> None:
-    """Print the command of the handout's report, with the file `answers` if it exists."""
-    given = f" --answers {quote(str(answers))}" if answers.exists() else ""
-    files, report = _for_the_report(), free_name()
-    say_next("handout", files=files, answers=given, sinusoid=sinusoid, report=report)
+def say_handout(given: Sequence[Path] = (), answers: Path = REASONS, sinusoid: str = "") -> None:
+    """Print the command of the handout's report, with the file `answers` if it exists.
 
-
-def _for_the_report() -> str:
-    """Return the names of the recordings for the handout's report, with a blank before each name.
-
-    The report uses a step, an estimation and a validation recording of one calibration, and a
-    recording of the chassis. The calibration is that of most of these recordings.
+    The report contains the given recordings, and others of the same origin.
     """
-    own, found = own_recordings(), list[list["RecordingSummary"]]()
-    for calibration in dict.fromkeys(s.calibration_sha256 for s in own):
-        known = [s for s in own if s.calibration_sha256 == calibration]
-        pair = sorted(_pairs(known, "blackbox"), key=lambda pair: not pair[1].name)[:1]
-        # A daemon for the chassis alone reads the same calibration from a file, with another hash.
-        alone = _newest("greybox", known) or _newest("greybox", own)
-        found.append([*_newest("step", known), *chain(*pair), *alone])
-    return "".join(f" {typed(s.path)}" for s in max(found, key=len, default=[]))
+    said = f" --answers {quote(str(answers))}" if answers.exists() else ""
+    files, report = listed_paths(_for_the_report(given)), free_name()
+    say_next("handout", files=files, answers=said, sinusoid=sinusoid, report=report)
+
+
+def listed_paths(paths: Iterable[Path]) -> str:
+    """Return the names of recordings, with a blank before each name."""
+    return "".join(f" {typed(path)}" for path in paths)
+
+
+def _for_the_report(given: Sequence[Path]) -> list[Path]:
+    """Return the recordings for the handout's report: the given recordings, and others like them.
+
+    The report uses a step, an estimation and a validation recording, and a recording of the
+    chassis. All added recordings have the origin of the given recordings. If none is given, the
+    origin is that of most of these recordings.
+    """
+    from armrig.recordings.files.origin import Origin, description_in
+    from armrig.recordings.files.recording_summary import summary_of
+
+    own = own_recordings()
+    try:
+        fixed = [summary_of(path) for path in given]
+    except (DamageError, OSError):  # nothing is known about an incomplete recording
+        return list(given)
+    if fixed:
+        origins = [Origin.of_summary(s) for s in fixed]
+        taken = {path.absolute() for path in given}
+        alike = [s for s in own if all(origin.matches(s) for origin in origins)]
+        alike = [s for s in alike if s.path.absolute() not in taken]
+        return [s.path for s in _completed(fixed, alike)]
+    groups, left = list[list["RecordingSummary"]](), own
+    while left:
+        origin, described = Origin.of_summary(left[0]), description_in(left[0].path)
+        alike = [s for s in left if origin.matches(s)]
+        left = [s for s in left if s not in alike]
+        if described is not None and described.arm:
+            groups.append(_completed([], alike))
+    return [s.path for s in max(groups, key=len, default=[])]
+
+
+def _completed(
+    given: Sequence[RecordingSummary], alike: Sequence[RecordingSummary]
+) -> list[RecordingSummary]:
+    """Return the given recordings, completed from `alike`: step, pair, chassis, and others."""
+    from armrig.report.handout_study import OTHERS
+
+    steps, alone = ([s for s in given if s.kind == kind] for kind in ("step", "greybox"))
+    excited = [s for s in given if s.kind not in OTHERS]
+    if not excited:
+        named_first = sorted(_pairs(alike, "blackbox"), key=lambda pair: not pair[1].name)
+        excited = list(chain(*named_first[:1]))
+    elif len(excited) == 1:
+        pairs = _pairs([*excited, *alike])
+        excited = next((list(pair) for pair in pairs if excited[0] in pair), excited)
+    chosen = [*(steps or _newest("step", alike)), *excited, *(alone or _newest("greybox", alike))]
+    return chosen + [s for s in given if s not in chosen]
 
 
 def _newest(kind: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary]:
@@ -216,9 +273,10 @@ def _newest(kind: str, own: Sequence[RecordingSummary]) -> list[RecordingSummary
     return sorted((s for s in own if s.kind == kind), key=lambda s: not s.name)[:1]
 
 
-def chassis() -> str:
+def chassis(origin: Origin | None) -> str:
     """Return the name of the newest complete recording of the chassis alone; "" if none exists."""
-    return "".join(typed(s.path) for s in _newest("greybox", own_recordings()))
+    alike = [s for s in own_recordings() if origin is None or origin.matches(s)]
+    return "".join(typed(s.path) for s in _newest("greybox", alike))
 
 
 CHECK = ""
@@ -259,7 +317,7 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         # `armrig validate` has no option --assume.
         say_next("validate", **values | {"given": replace(signals, assume=None).options()})
     else:
-        say_next("collect blackbox" if signals.read else "check", **values)
+        say_next("collect blackbox" if signals.read else "check", signals.origin, **values)
 
 
 def after_validate(

@@ -16,17 +16,19 @@ Connect = Annotated[
     option(
         "--connect ENDPOINT",
         "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
-        "[client] connect, or the daemon on this machine",
+        "the configuration's [client] connect, otherwise the daemon on this machine",
     ),
 ]
-SamplingTime = Annotated[float | None, option("--Ts", "Sampling time, in s.", "the daemon's")]
+SamplingTime = Annotated[
+    float | None, option("--Ts", "Sampling time, in s, at most 60.", "the daemon's sampling time")
+]
 Json = Annotated[bool, option("--json", "Print JSON.")]
 Verbose = Annotated[bool, option("-v --verbose", "Print all details.")]
 CalibrationFile = Annotated[
     Path | None,
     option(
         "--calibration TOML",
-        "Calibration to use in place of the calibration attached to a recording.",
+        "Calibration file to use instead of the calibration in the recording.",
     ),
 ]
 
@@ -42,7 +44,7 @@ From = Annotated[
     option(
         "--from S",
         "Start of the samples to use, in s from the first sample of the file.",
-        "its start",
+        "the start of the file",
         callback=_not_nan,
     ),
 ]
@@ -52,7 +54,7 @@ To = Annotated[
         "--to S",
         "End of the samples to use, in s from the first sample of the file; a sample at this "
         "time is left out.",
-        "its end",
+        "the end of the file",
         callback=_not_nan,
     ),
 ]
@@ -62,9 +64,9 @@ Detrend = Annotated[bool, option("--detrend", "Subtract the mean of each signal 
 
 @dataclass(frozen=True, kw_only=True)
 class _ModelOrders:
-    na: int = chosen(4, "Number of a's (ARX).")
-    nb: int = chosen(4, "Number of b's.")
-    nf: int = chosen(4, "Number of f's (OE); an integrator counts as one.")
+    na: int = chosen(4, "Number of coefficients a (ARX).")
+    nb: int = chosen(4, "Number of coefficients b.")
+    nf: int = chosen(4, "Number of coefficients f (OE); an integrator counts as one.")
     nk: int = chosen(1, "Delay from u to y, in samples.")
 
 

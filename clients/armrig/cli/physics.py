@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
+import numpy as np
 import typer
 from armrig_core.errors import InputError
 from armrig_core.process.options import chosen, option
@@ -20,6 +21,7 @@ from armrig.cli import recorded_data
 from armrig.cli.next_step import say_handout, say_next, typed
 from armrig.cli.printing import columns, echo, fields_of, say, say_answer, say_more, spinner, tell
 from armrig.cli.results import Draw, Output, Shown, shown
+from armrig.numerics.quantities import digits, error, listed
 
 if TYPE_CHECKING:
     from armrig.models.fit import Fit
@@ -34,8 +36,8 @@ def _doubted(given: list[str] | None) -> list[str] | None:
         handout = getattr(armrig.ArmParameters(), name)
         if handout and value > 0 and not 1 / _MAX_RATIO <= value / handout <= _MAX_RATIO:
             tell(
-                f"--set {name}={value:g}: this is {value / handout:.2g} times the value of the "
-                f"handout, {handout:g}; is it in SI units?"
+                f"--set {name}={value:g}: this is {digits(value / handout, 2)} times the value of "
+                f"the handout, {handout:g}; is it in SI units?"
             )
     return given
 
@@ -136,7 +138,7 @@ OwnModel = Annotated[
         "--model",
         "Rig without its rotating part (chassis), complete rig (arm), or a Python file with own "
         "equations, which is executed.",
-        "from alpha",
+        "chassis if alpha rests, otherwise arm",
         metavar="chassis|arm|FILE.py",
         parser=_rig_or_equations,
     ),
@@ -144,7 +146,9 @@ OwnModel = Annotated[
 Model = Annotated[
     Rig | None,
     option(
-        "--model", "Rig without its rotating part (chassis) or complete rig (arm).", "from alpha"
+        "--model",
+        "Rig without its rotating part (chassis) or complete rig (arm).",
+        "chassis if alpha rests, otherwise arm",
     ),
 ]
 _FREE = f"Parameter to estimate ({PARAMETERS}); repeatable"
@@ -157,6 +161,12 @@ def greybox(
     free: list[str] | None = chosen(None, f"{_FREE}.", "J_1", metavar="NAME"),
     friction: Literal["viscous", "coulomb", "both"] | None = chosen(
         None, "Friction to estimate in addition; the handout neglects friction."
+    ),
+    validate: Path | None = chosen(
+        None,
+        "Data to simulate with the estimates.",
+        metavar="F",
+        parser=recorded_data.recording_path,
     ),
     given: Given = None,
     part: Annotated[recorded_data.SignalChoice, recorded_data.data_group(without="assume")],
@@ -181,8 +191,14 @@ def greybox(
         # The equations contain the level: no hint at means.
         part = replace(part, offset=True)
         data = part.of(file)
-        recordings = part.read
         equations = own_equations(Path(model))
+        returned = equations.simulate(np.zeros((2, len(data.signals().inputs))), Ts=1.0, steps=1)
+        recorded = [*part.read[0].channels] if part.read else []
+        if part.signal is None and returned.shape[1] == len(recorded) > 1:
+            part = replace(part, signal=",".join(recorded), read=[])
+            data = part.of(file)
+        recordings = part.read
+        other = None if validate is None else part.of(validate)
         for name in free or ():
             if name not in equations.parameters:
                 known = ", ".join(equations.parameters)
@@ -199,19 +215,34 @@ def greybox(
         shown = THETA_1 if THETA_1 in outputs else outputs[0]
         data = recording.dataset(shown)
         signals: Any = data if len(outputs) == 1 else recording.signals(outputs)
+        other = None
+        if validate is not None:
+            [second] = part.recordings(validate)
+            other = second.dataset(shown) if len(outputs) == 1 else second.signals(outputs)
         names = tuple(free or ("J_1",))
         with spinner("estimating"):
             fit = armrig.greybox(signals, rig, names, fixed, shown, friction=friction)
     fit.require_result()
+    validation = {} if other is None else _fits_of(fit, other)
 
     def say_fit() -> None:
         say_answer(fit.explain())
+        if validation:
+            fits = [
+                f"{name} to {x['fit_percent']:.2f} % (rms {error(x['rms_error'], x['unit'])})"
+                for name, x in validation.items()
+            ]
+            say(f"Simulated on {validate}, it fits {listed(fits)}.")
         say(repr(fit) if out.verbose else repr(fit).partition("\n")[0])
         for text in emulation(recordings):
             say(text, dim=True)
 
     out.show(
-        facts=lambda: {"recording": data.source, "model": model} | _grey_facts(fit),
+        facts=lambda: (
+            {"recording": data.source, "model": model}
+            | _grey_facts(fit)
+            | ({"validation": validation} if validation else {})
+        ),
         say=say_fit,
         figures=lambda: {"greybox": partial(fit.plot, data)},
         say_next=lambda: (
@@ -219,6 +250,19 @@ def greybox(
         ),
         height=4.5,
     )
+
+
+def _fits_of(fit: armrig.GreyFit, data: Any) -> dict[str, dict[str, Any]]:
+    """Return fit, rms error and unit of each output, simulated on other data."""
+    signals, found = data.signals(), {}
+    for name, unit, y, e in zip(
+        signals.outputs, signals.units, signals.y.T, fit.errors(data).T, strict=True
+    ):
+        known = np.isfinite(e)
+        share = np.linalg.norm(e[known]) / np.linalg.norm(y[known] - y[known].mean())
+        rms = float(np.sqrt(np.mean(e[known] ** 2)))
+        found[name] = {"fit_percent": 100 * float(1 - share), "rms_error": rms, "unit": unit}
+    return found
 
 
 def own_equations(path: Path) -> armrig.Ode:
@@ -312,14 +356,20 @@ def simulate(
     part: recorded_data.Part,
     out: Annotated[Output, shown("json", "plot", "verbose")],
 ) -> None:
-    """Simulate the physical model and saved models (handout 3.4).
+    """Simulate saved models, and the arm (handout 3.4).
 
     The input comes from the recording.
     """
     from armrig.cli import model_output
 
-    physics = physics_beside(given)
-    data = part.recordings(file)[0].dataset()
+    recording = part.recordings(file)[0]
+    data, described = recording.dataset(), recording.description
+    if not described.arm and (given or not model):
+        raise InputError(
+            f"{typed(file)} is of the rig '{described.title}', and the physical model with its "
+            "--set is the arm's: give --model JSON, a model that `armrig identify --save` wrote"
+        )
+    physics = physics_beside(given) if described.arm else {}
     saved = map(armrig.load_fit, model or ())
     fits: list[Fit] = [fit if (fit.ny, fit.nu) == (1, 1) else fit[data.output] for fit in saved]
     fits += [armrig.physical_model(p, data) for p in physics.values()]
@@ -489,10 +539,12 @@ def _model_figures(compared: dict[str, armrig.ArmParameters]) -> dict[str, Draw]
 def integrate(
     *,
     method: list[str] | None = chosen(
-        None, "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.", "all"
+        None,
+        "Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
+        "all methods",
     ),
     h: list[float] | None = chosen(
-        None, "Step size, in s; repeatable.", "a recommended step", metavar="S"
+        None, "Step size, in s; repeatable.", "the recommended step", metavar="S"
     ),
     omega: Omega = OMEGA,
     amplitude: Amplitude = AMPLITUDE_V,
@@ -594,7 +646,7 @@ def _say_solutions(
     say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10}  {'at h':8} {'error':>10}")
     for row in rows:
         limit = f"{row.limit:10.5g}" if isfinite(row.limit) else f"{'no limit':>10}"
-        error = f"{row.error:10.3g}" if isfinite(row.error) else f"{'overflow':>10}"
+        error = f"{digits(row.error, 3):>10}" if isfinite(row.error) else f"{'overflow':>10}"
         stable = "stable" if row.stable else "UNSTABLE"
         say(f"{row.method:14} {row.h:10.4g} {limit}  {stable:8} {error}")
     say("The limit is the largest absolutely stable step (the handout calls it the minimum).")

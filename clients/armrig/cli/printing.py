@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import typer
 from armrig_core.errors import InputError, OperationError
 from armrig_core.process.journal import log_prefix
-from armrig_core.process.printable import brief, json_printable, printable
+from armrig_core.process.printable import brief, json_printable, printable, with_degrees
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -98,7 +98,7 @@ def echo(text: str) -> None:
 
 def _for_terminal(text: str, keep: str = "") -> str:
     """Return the text for a terminal, with ordinary blanks between numbers and units."""
-    return printable(text.replace(_NO_BREAK_SPACE, " "), keep)
+    return printable(with_degrees(text).replace(_NO_BREAK_SPACE, " "), keep)
 
 
 def question(text: str) -> str:
@@ -227,7 +227,8 @@ def warned(recording: Any) -> Any:
     if recording.truncated:
         unfinished = recording.path.suffix == ".active"
         why = "still being recorded, or the daemon was killed; " if unfinished else ""
-        tell(f"{recording.path}: {why}{recording.damage}")
+        name = recording.name if recording.name.startswith("@") else recording.path
+        tell(f"{name}: {why}{recording.damage}")
     return recording
 
 

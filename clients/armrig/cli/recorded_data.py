@@ -20,6 +20,7 @@ from armrig.cli.options import CalibrationFile, Detrend, From, To
 from armrig.cli.printing import inform, say, spinner, tell, tell_findings, warned
 from armrig.cli.results import name_runs
 from armrig.data.files import OTHER_DATA, RECORDING
+from armrig.data.finding import few_samples
 from armrig.data.step import DOUBT, MEAN, codes_of
 from armrig.numerics.quantities import listed, plural
 
@@ -27,21 +28,27 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals, Vector
     from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
+    from armrig.recordings.files.origin import Origin
 
 T = TypeVar("T")
 _NAMES = "@last or @NAME"
 
 
 def recording_path(text: str) -> Path:
-    """Return the path of a recording from its path or @name; print what the @name means."""
-    from armrig.recordings.files.recording_names import chosen, described, recording_folder
+    """Return the path of a recording from its path or @name; print what the @name means.
+
+    The line names the recording as later lines do. A name that the user typed in another form
+    precedes this name, such as `@last is @monday`.
+    """
+    from armrig.recordings.files.recording_names import chosen, contents, name_of, recording_folder
 
     if not text.startswith("@"):
         _check_bare_name(Path(text))
         return Path(text)
     found = chosen(text, recording_folder())
-    about = described(found).removeprefix(f"{text}, ")  # an id is not repeated
-    inform(f"{text} is {about}", dim=True)
+    name = name_of(found.path)
+    which = f"{text}:" if name == text else f"{text} is {name},"
+    inform(f"{which} {contents(found)}", dim=True)
     return found.path
 
 
@@ -87,34 +94,34 @@ class DataOptions:
         None,
         "Output: a channel of the rig, or its rate; in other data, the column's name, or its "
         "number from 1.",
-        "the first channel; y of other data",
+        "the first channel, in other data y",
         metavar="NAME",
     )
     time: str | None = chosen(
-        None, "Column of the times in other data.", "t or time, if there is one", metavar="NAME"
+        None, "Column of the times in other data.", "t or time, if the file has it", metavar="NAME"
     )
-    Ts: float | None = chosen(None, "Sampling time of other data, in s.", "by the times")
+    Ts: float | None = chosen(None, "Sampling time of other data, in s.", "from the times")
     topic: str | None = chosen(
         None,
         "Topic of an MCAP file of another program; its messages' fields are the columns.",
         metavar="NAME",
     )
     decimal: Literal[",", "."] | None = chosen(
-        None, "Decimal mark of other data: comma or point.", "by all numbers of the file"
+        None, "Decimal mark of other data: comma or point.", "found from all numbers of the file"
     )
     resample: bool = chosen(False, "Interpolate other data at uneven times.")
     hold_input: bool = chosen(False, "Hold the input where its cell is empty.")
     mask_rails: bool = chosen(False, "Mark samples at a rail of the converter as missing.")
     unwrap: float | None = chosen(
         None,
-        "Remove the jumps of a counter or angle that wraps, such as 65536 or 360.",
+        "Range of a counter or angle that wraps, such as 65536 or 360; its jumps are removed.",
         metavar="RANGE",
     )
     detrend: Detrend = False
     hampel: bool = chosen(False, "Mark single outliers of the output as missing.")
     assume: Assumption | None = chosen(
         None,
-        "Take the output as the integral of its rate, or as an output that settles.",
+        "Kind of the output: integrating, if it is the integral of its rate, or settling.",
         "a test of the data decides",
     )
     calibration: CalibrationFile = None
@@ -170,9 +177,9 @@ def require_arm(recording: armrig.Recording) -> None:
     """Refuse a recording of a rig that the arm's physical model does not describe."""
     if not recording.description.arm:
         raise InputError(
-            f"{recording.path.name} is of rig {recording.description.rig.name}, and this command "
-            "is for the arm's physical model; use `armrig identify`, or armrig.greybox in Python "
-            "with your own model"
+            f"{recording.name} is of the rig '{recording.description.title}', and this "
+            "command is for the arm's physical model; use `armrig identify` or `armrig report`, or "
+            "`armrig greybox F --model FILE.py` with your own equations"
         )
 
 
@@ -272,10 +279,18 @@ def tell_of_reading(
     for text, code in steps:
         if code == DOUBT:
             tell(f"{file}: {text}")
+    tell_findings(few_samples(data.N, str(file)))
     facts = [text for text, code in steps if code != DOUBT]
-    parts = [f"{data.N} samples, {data.Ts:g} s apart", *columns]
+    parts = [f"{plural(data.N, 'sample')}, {data.Ts:g} s apart", *columns]
     parts += [f"{data.missing} {missing}"] if data.missing else []
     inform(f"{file}: {'; '.join([*parts, *facts])}", dim=True)
+
+
+def named(recording: armrig.Recording) -> armrig.Recording:
+    """Return the recording with the name that the command line gives it."""
+    from armrig.recordings.files.recording_names import name_of
+
+    return replace(recording, name=name_of(recording.path) or recording.name)
 
 
 def loaded(
@@ -290,7 +305,9 @@ def loaded(
     from armrig.recordings.usability import all_doubts, early_ends
 
     with spinner("reading"):
-        recordings = [armrig.load(file, calibration, start=start, stop=stop) for file in files]
+        recordings = [
+            named(armrig.load(file, calibration, start=start, stop=stop)) for file in files
+        ]
     name_runs(*recordings)
     # `warned` reports a file that is cut off. The end of a requested range is not an early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
@@ -356,6 +373,13 @@ class SignalChoice(DataOptions):
             signal=None if recorded and output == self.default else output,
             input=None if recorded else input,
         )
+
+    @property
+    def origin(self) -> Origin | None:
+        """Rig and calibration of the first recording that was read; None without a recording."""
+        from armrig.recordings.files.origin import Origin
+
+        return Origin.of_run(self.read[0].path, self.read[0].manifest) if self.read else None
 
     @property
     def integrator(self) -> bool | None:

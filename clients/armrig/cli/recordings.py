@@ -32,8 +32,9 @@ from armrig.cli.printing import (
     tell,
     warned,
 )
-from armrig.cli.recorded_data import File, Part
+from armrig.cli.recorded_data import File, Part, named
 from armrig.cli.results import Draw, Plot, Shown, check_output, check_plot, name_runs, write_plot
+from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from armrig_core.recording_file.recovery import RecoveredFile
@@ -61,8 +62,8 @@ def ls(
     live: bool = chosen(False, "List the rigs that are alive."),
     connect: str | None = chosen(
         None,
-        "Only with --live: zenoh endpoint of a router or daemon.",
-        "[client] connect, or all rigs of this machine",
+        "zenoh endpoint of a router or daemon; only with --live.",
+        "the configuration's [client] connect, otherwise all rigs of this machine",
         metavar="ENDPOINT",
     ),
     json: Json = False,
@@ -183,7 +184,7 @@ def _the_rest(found: Catalogue, shown: int) -> str:
         return f"there are no recordings in {found.folder}; make one with `armrig collect`"
     parts = [f"in {found.folder}"]
     if older := len(found) - shown:
-        parts.append(f"{older} older recordings: --all")
+        parts.append(f"{plural(older, 'older recording')}: --all")
     if damaged := [left for left in found.left_out if not left.is_foreign]:
         parts.append(f"damaged: {_names(damaged)}; `armrig info FILE` shows the damage")
     if foreign := [left for left in found.left_out if left.is_foreign]:
@@ -206,7 +207,7 @@ def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
     from armrig.recordings.overview import contents_facts, contents_rows
 
-    recording = armrig.load(file, part.calibration, start=part.start, stop=part.stop)
+    recording = named(armrig.load(file, part.calibration, start=part.start, stop=part.stop))
     name_runs(recording)
 
     def say_next_command() -> None:
@@ -244,7 +245,7 @@ def replay(file: File, json: Json = False) -> None:
         same = "replay made the same decisions, to the last bit"
         same += f", up to the end of the file: {found.until}" if found.until else ""
         print_table(
-            ("replayed", f"{found.steps} steps of the core over {found.seconds:.3f} s"),
+            ("replayed", f"{plural(found.steps, 'step')} of the core over {found.seconds:.3f} s"),
             ("frames", f"{found.frames} to the device, as recorded"),
             ("samples", f"{found.samples} as recorded"),
             *((s.level, f"{s.t:.3f} s: {s.message}") for s in found.said),
@@ -312,9 +313,11 @@ def verify(file: File, json: Json = False) -> None:
     if not found.passed:
         failed = ", ".join(c.about for c in found.checks if c.level == "unusable")
         n = found.samples
-        use = f"its {n} samples can be used, with care" if n else "it has no usable sample"
+        use = (
+            f"its {plural(n, 'sample')} can be used, with care" if n else "it has no usable sample"
+        )
         if 0 < n < TOO_FEW:
-            use = f"{n} samples are left, at least {TOO_FEW} are needed"
+            use = f"{plural(n, 'sample is', 'samples are')} left, at least {TOO_FEW} are needed"
         tell(f"{found.path}: failed: {failed}; {use}")
         raise typer.Exit(1)
 
@@ -357,7 +360,7 @@ def export(
         )
     check_output(out, [file])
     with spinner("reading"):
-        recording = armrig.load(file, calibration, start=start, stop=stop)
+        recording = named(armrig.load(file, calibration, start=start, stop=stop))
     if signal is not None and signal not in recording.channels:
         has = ", ".join(recording.channels)
         raise typer.BadParameter(f"--signal {signal}: the recording has {has}")
@@ -365,7 +368,7 @@ def export(
     with spinner("writing"), _whole(out):
         write(recording, out)
     facts = {"file": out, "samples": recording.N, "recording": recording.sha256}
-    text = f"{out}: {recording.N} samples, {recording.missing} of them missing"
+    text = f"{out}: {plural(recording.N, 'sample')}, {recording.missing} of them missing"
     print_result(facts, text, json=json)
 
 

@@ -35,27 +35,34 @@ CHANNEL_WIDTH = 4.5
 _HEIGHT = 8.0  # in inches, of a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
-"""Run id of each recording that the command read, by the recording's hash."""
+"""Name or run id of each recording that the command read, by the recording's hash."""
 _ESTIMATION: dict[Path, str] = {}
-"""Run ids of estimation recordings, by path; validation recordings that were read name them."""
+"""Names of estimation recordings, by path; validation recordings that were read name them."""
 _MCAP = b"\x89MCAP0\r\n"
 
 
 def name_runs(*recordings: armrig.Recording) -> None:
-    """Store the run ids of recordings; figures of the command show these ids, as `armrig ls` does.
+    """Store the names of recordings; figures of the command show these names, as `armrig ls` does.
 
-    For a validation recording, the id of the estimation run is also stored if the estimation
-    recording is in the same folder.
+    The name of a recording outside the recording folder is the id of its run. For a validation
+    recording, the name of the estimation recording is also stored if it is in the same folder.
     """
     for r in recordings:
-        _RUNS[r.sha256] = r.manifest.run_id
+        _RUNS[r.sha256] = _shown_name(r.path, r.manifest.run_id)
         of = str(r.manifest.details.get("validation_of", ""))
         if of.isalnum():
-            _ESTIMATION.update((path, of) for path in r.path.parent.glob(f"*-{of}.mcap"))
+            paths = r.path.parent.glob(f"*-{of}.mcap")
+            _ESTIMATION.update((path, _shown_name(path, of)) for path in paths)
+
+
+def _shown_name(path: Path, run_id: str) -> str:
+    from armrig.recordings.files.recording_names import name_of
+
+    return name_of(path).removeprefix("@") or run_id
 
 
 def _runs() -> dict[str, str]:
-    """Return the run id of each recording by the recording's hash; figures show these ids."""
+    """Return the name of each recording by the recording's hash; figures show these names."""
     from hashlib import file_digest
 
     runs = dict(_RUNS)
@@ -75,7 +82,7 @@ Plot = Annotated[
     Path | None,
     option(
         "-o --plot FIGURE",
-        "Figure to write (such as .png, .pdf, .svg); FOLDER/ gets a .png for each diagram.",
+        "Figure to write, such as a .png, .pdf or .svg; FOLDER/ gets a .png of each diagram.",
         parser=figure_path,
     ),
 ]
@@ -179,9 +186,11 @@ def figures_by_channel(
 
 
 def _named(name: str, draw: Draw, *, ax: Axes) -> None:
+    from armrig.plots.layout import drawable
+
     draw(ax=ax)
     backed = {"fc": "white", "lw": 0, "alpha": 0.7, "pad": 1}
-    ax.text(0.99, 0.95, name, transform=ax.transAxes, ha="right", va="top", bbox=backed)
+    ax.text(0.99, 0.95, drawable(name), transform=ax.transAxes, ha="right", va="top", bbox=backed)
 
 
 def check_output(

@@ -11,11 +11,13 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from itertools import chain, islice
 from math import degrees, isfinite
 from pathlib import Path
+from shlex import quote
+from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
 from armrig_core.process.loading import end_at_ctrl_c
 from armrig_core.process.options import argument, chosen
-from armrig_core.process.printable import printable
+from armrig_core.process.printable import plural, printable
 from armrig_core.process.signal_pipe import until_signal
 from armrig_core.rig.channels import Channel, channel
 from armrig_core.rig.emulated import SOCKET_PREFIX
@@ -32,6 +34,7 @@ from armrig.cli.printing import (
     print_table,
     say,
     takes_styles,
+    tell_error,
 )
 
 if TYPE_CHECKING:
@@ -61,14 +64,14 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         return
     print_table(*status_rows(report))
     if report.phase == "safe" and not report.line:
-        _say_next(_next_of(report), rig, connect, report.described.sha256)
+        _say_next(_next_of(report), rig, connect, report)
 
 
 def watch(
     rig: RigId = "1",
     connect: Connect = None,
     count: int | None = chosen(
-        None, "Number of samples and gaps after which the command ends.", "until Ctrl-C", min=1
+        None, "Number of samples and gaps after which the command ends.", "no limit", min=1
     ),
     json: Json = False,
 ) -> None:
@@ -96,7 +99,10 @@ def stop(
     rig: RigId = "1",
     connect: Connect = None,
     by: str = chosen(
-        "", "Name of the person who stops the rig, for the recording.", "this user", names="--owner"
+        "",
+        "Name of the person who stops the rig, for the recording.",
+        "this user's name",
+        names="--owner",
     ),
     json: Json = False,
 ) -> None:
@@ -113,24 +119,25 @@ def stop(
     try:
         with opened_rig(rig, connect) as opened:
             opened.stop(by)
-            motor = "" if json else _motor_after_stop(opened)
+            after = "" if json else _state_after_stop(opened)
     except NoReplyError as err:
-        motor = _stop_without_daemon(rig, err)
+        after = f"motor: {_stop_without_daemon(rig, err)}"
     if json:
         print_json({"rig": rig, "stopped": True})
     else:
-        say(f"rig {rig}, motor: {motor}", bold=True)
+        say(f"rig {rig}, {after}", bold=True)
 
 
-def _motor_after_stop(rig: Rig) -> str:
-    """Return the state of the motor, once a status reports that the input has ended."""
+def _state_after_stop(rig: Rig) -> str:
+    """Return the state of the motor or input, once a status reports that the run has ended."""
     status, end_s = None, time.monotonic() + _STOP_REPORT_S
     with suppress(armrig.RigError):  # the stop is confirmed: a missing status is no failed stop
         status = rig.status()
         while status.phase in _DRIVEN and time.monotonic() < end_s:
             time.sleep(_STATUS_INTERVAL_S)
             status = rig.status()
-    return (status and status.motor) or "stop sent"
+    name = "motor" if status is None or status.described.arm else "input"
+    return f"{name}: {(status and status.motor) or 'stop sent'}"
 
 
 def _stop_without_daemon(rig: str, err: NoReplyError) -> str:
@@ -177,7 +184,7 @@ def note(
     text: Annotated[str, argument("TEXT", "Text of the note, 1 to 500 characters.", False)],
     rig: RigId = "1",
     connect: Connect = None,
-    owner: str = chosen("", "Author of the note.", "this user"),
+    owner: str = chosen("", "Author of the note.", "this user's name"),
     json: Json = False,
 ) -> None:
     """Write a note into the current recording.
@@ -201,10 +208,12 @@ def _next_of(status: StatusReport) -> str:
     return "collect greybox" if status.arm_removed else "collect step"
 
 
-def _say_next(name: str, rig: str, connect: str | None, described: str = "") -> None:
+def _say_next(name: str, rig: str, connect: str | None, report: StatusReport | None = None) -> None:
     from armrig.cli.next_step import naming, say_next
+    from armrig.recordings.files.origin import Origin
 
-    say_next(name, rig=naming(rig, connect), described=described)
+    origin = Origin.of_status(report) if report else None
+    say_next(name, origin, rig=naming(rig, connect))
 
 
 @contextmanager
@@ -276,20 +285,23 @@ _BLANK = "–"
 
 
 def lab(
-    port: str | None = chosen(None, "Serial port of the rig.", "an emulated rig", metavar="DEVICE"),
+    port: str | None = chosen(
+        None, "Serial port of the rig.", "none, the rig is emulated", metavar="DEVICE"
+    ),
     config: Path | None = chosen(
-        None, "Configuration file, in place of the installed files.", metavar="TOML"
+        None, "Configuration file to use instead of the installed files.", metavar="TOML"
     ),
     rig: RigId = "1",
     rig_file: Path | None = chosen(
         None,
         "Description of the rig: a file, or a name of `armrig rigs`.",
-        "[rig] file, or the arm",
+        "the configuration's [rig] file, otherwise the arm",
         metavar="TOML",
     ),
     page: bool = chosen(
         True,
         "Also serve the dashboard, and open it if there is a screen; not with --json.",
+        "--dashboard",
         names="--dashboard/--no-dashboard",
     ),
     json: Json = False,
@@ -307,6 +319,7 @@ def lab(
         inform(f"starting {what} …", dim=True)
     import platformdirs
 
+    from armrig.cli.next_step import naming
     from armrig.lab.avrdude import plugged_in, refuse_leonardo
     from armrig.rig.local_daemon import running
 
@@ -314,29 +327,36 @@ def lab(
         refuse_leonardo(port, plugged_in())
     log = Path(platformdirs.user_state_dir("armrig")) / f"lab-{rig}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
-    arguments = ["--rig", rig, *(["--emulate"] if port is None else ["--port", port])]
-    arguments += [] if config is None else ["--config", str(config)]
-    arguments += [] if rig_file is None else ["--rig-file", str(rig_file)]
+    given = {"--port": port, "--config": config, "--rig-file": rig_file}
+    options = [str(x) for pair in given.items() if pair[1] is not None for x in pair]
+    emulated = ["--emulate"] if port is None else []
+    again = f"armrig lab{naming(rig)}{''.join(f' {quote(option)}' for option in options)}"
     with (
-        running(arguments, rig=rig, log=log) as daemon,
+        running(["--rig", rig, *emulated, *options], rig=rig, log=log) as daemon,
         armrig.Rig(rig) as opened,
-        _page(rig) if page and not json else nullcontext("") as url,
+        _page(rig, again, rig_file) if page and not json else nullcontext("") as url,
     ):
         try:
             _show(opened, daemon, log, what, url, json=json)
+        except armrig.RigError as err:
+            if not url or daemon.poll() is None:
+                raise
+            tell_error(f"{err}; the page stays until Ctrl-C; in another terminal: {again}")
+            Event().wait()  # Ctrl-C ends it
         except KeyboardInterrupt:
             inform("ending: the motor goes to 0 V")
             raise
 
 
 @contextmanager
-def _page(rig: str) -> Iterator[str]:
+def _page(rig: str, command: str, rig_file: Path | None = None) -> Iterator[str]:
     """Serve the dashboard, and open it in a browser if there is a screen."""
     import webbrowser
 
     from armrig.dashboard.serving import Settings, dashboard
 
-    with dashboard(Settings(rig=rig)) as served:
+    settings = Settings(rig=rig, command=command, starts_daemon=True, rig_file=rig_file)
+    with dashboard(settings) as served:
         if sys.stdout.isatty() and any(name in os.environ for name in _SCREENS):
             webbrowser.open(served.browser_url)
         yield served.url
@@ -346,23 +366,31 @@ def _show(
     rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, url: str, *, json: bool
 ) -> None:
     """Print a message when the rig is ready; on a terminal, show the newest sample live."""
-    from armrig.cli.next_step import naming, next_line
+    from armrig.cli.next_step import next_line
+    from armrig.recordings.files.origin import Origin
     from armrig.rig.local_daemon import require_running
+    from armrig.rig.session import NoReplyError
 
     shown = told = ""
     status, asked_s = rig.status(), time.monotonic()
     # Computed once: the commands of later recordings print their own next command.
-    described = status.described.sha256
-    after = next_line(_next_of(status), rig=naming(status.rig), described=described)
+    after = next_line(_next_of(status), Origin.of_status(status))
     with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
-        sample = None
+        sample, silence = None, ""
         while True:
             require_running(daemon, log)
             if time.monotonic() - asked_s >= _LAB_STATUS_INTERVAL_S:
-                status, asked_s = rig.status(), time.monotonic()
+                try:
+                    status, silence = rig.status(), ""
+                except NoReplyError as err:
+                    require_running(daemon, log)
+                    if not url:
+                        raise
+                    silence = f"{err}; Ctrl-C ends the lab"  # a page outlives a frozen daemon
+                asked_s = time.monotonic()
             sample = (newest() or [sample])[-1]
             how = f"{status.phase} {status.reason} {status.line}"
-            now = how if json else _sentence(status, what, url, after, log)
+            now = how if json else silence or _sentence(status, what, url, after, log)
             if now and now != told:
                 say(status if json else now)
                 told = now
@@ -403,7 +431,7 @@ def _lines(status: StatusReport, sample: Any) -> str:
     last = status.last_run
     if last is not None:
         how = f"recorded, {last.outcome}" if last.finished else "recording"
-        lines.append(f"{how}: {last.samples} samples, {Path(last.recording).name}")
+        lines.append(f"{how}: {plural(last.samples, 'sample')}, {Path(last.recording).name}")
     return "\n".join(lines)
 
 
@@ -452,7 +480,11 @@ def dashboard(
     rig: RigId = "1",
     connect: Connect = None,
     port: int | None = chosen(
-        None, "TCP port on this machine.", "8807, or a free one", min=1, max=65_535
+        None,
+        "TCP port of the page on this machine.",
+        "8807 if it is free, otherwise a free port",
+        min=1,
+        max=65_535,
     ),
     browser: bool = chosen(False, "Open the page in the browser.", names="--open"),
     share: bool = chosen(False, "Let visitors on this network watch and stop the rig, over TLS."),

@@ -19,6 +19,7 @@ from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.options import Commands, chosen, group, option
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
+from msgspec import structs
 
 import armrig
 from armrig.cli.next_step import OF_KIND, naming, own_recordings, say_next, step_again, typed
@@ -26,8 +27,13 @@ from armrig.cli.options import Connect, From, Json, RigId, SamplingTime, To
 from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
 from armrig.cli.results import check_output
+from armrig.numerics.quantities import digits, plural
 
 if TYPE_CHECKING:
+    from armrig_core.commands.commands import StatusReport
+    from armrig_core.rig.description import Input
+
+    from armrig.excitation.pace import Pace
     from armrig.rig.remote_recording import RemoteRecording
 
 collect = Commands(
@@ -36,29 +42,129 @@ collect = Commands(
     "The exit code is 1 if the data cannot be used."
 )
 SECONDS = 30.0
+STEP_S, STEP_AT_S, SWITCHING = 5.0, 1.0, 0.05
+UNKNOWN_TS_S = 0.1
+"""Sampling time in s of a step of a rig whose time constants are not known."""
+MOST_UNASKED_S, MOST_ASKED_S = 3600.0, 21_600.0
+"""Longest times in s for which a rig is held until it has settled, without and with --yes."""
 DEFAULT_PERIOD_S = 5.0
 DEAD_MAN_S = 1.0
 """Default time in s after which a closed terminal or a lost connection stops the motor."""
 _MAX_NAME_LENGTH = 40  # characters of a kind of experiment that the daemon accepts
 _MAX_SEED = 2**53
-Seconds = Annotated[float, option("--seconds", "Length, in s; at most 4 000 000 samples.")]
-Low = Annotated[
-    float | None, option("--low", "Lowest voltage of the input, in V, at least 0.", "0.5")
-]
-High = Annotated[
+Seconds = Annotated[
     float | None,
     option(
-        "--high",
-        "Highest voltage, in V, at most 5; the default is lower if the rig allows less.",
-        "4.5",
+        "--seconds",
+        "Length of the run, in s; at most 4 000 000 samples.",
+        "what suits the model of the rig; for the arm 5, and 30 for a staircase",
     ),
 ]
 
 
-def _levels(low: float | None, high: float | None) -> tuple[float, float, bool]:
-    """Return the voltages, and True if both are defaults, which the rig's limit may lower."""
-    given = low is not None or high is not None
-    return 0.5 if low is None else low, 4.5 if high is None else high, not given
+class Level(NamedTuple):
+    """A level of the input, as a person typed it."""
+
+    value: float
+    name: str = ""
+    """Name of the input, whose own value it is; empty for a voltage at the pin."""
+
+
+def _level(text: str) -> Level:
+    """Return a level such as 2.5, or power=60."""
+    name, _, number = text.rpartition("=")
+    try:
+        return Level(float(number), name.strip())
+    except ValueError:
+        raise typer.BadParameter(
+            f"{text!r} is no voltage, such as 2.5, and no value of the input, such as power=60"
+        ) from None
+
+
+Low = Annotated[
+    Level | None,
+    option(
+        "--low",
+        "Lowest voltage of the input, in V, at least 0; or its own value, such as power=10.",
+        "0.5",
+        metavar="LEVEL",
+        parser=_level,
+    ),
+]
+High = Annotated[
+    Level | None,
+    option(
+        "--high",
+        "Highest voltage of the input, in V, at most 5; or its own value, such as power=90.",
+        "4.5, or the rig's limit if it is lower",
+        metavar="LEVEL",
+        parser=_level,
+    ),
+]
+
+
+class _Levels(NamedTuple):
+    low: float
+    high: float
+    are_default: bool
+    """True if the rig's limits may change both."""
+    are_bare: bool
+    """True if a level has no name."""
+
+
+def _levels(low: Level | None, high: Level | None, run: _Run, pace: Pace | None = None) -> _Levels:
+    """Return the voltages at the pin; by default those that suit the model of the rig."""
+    typed = [level for level in (low, high) if level is not None]
+    volts: list[float] = []
+    defaults = (pace.low, pace.high) if pace else (0.5, 4.5)
+    for level, default in zip((low, high), defaults, strict=True):
+        if level is None or not level.name:
+            volts.append(default if level is None else level.value)
+            continue
+        given = _input_of(run)
+        if level.name != given.name:
+            raise InputError(
+                f"{level.name}={level.value:g}: the input of rig {run.rig} is {given.name} in "
+                f"{given.unit}; a number without a name is a voltage at the pin"
+            )
+        volts.append(round(given.volts(level.value), 12))
+    if typed and all(level.name for level in typed) and volts[0] > volts[1]:
+        volts.reverse()  # the value of an inverting amplifier falls with the voltage
+    low_v, high_v = volts
+    is_default = not typed and pace is None
+    return _Levels(low_v, high_v, is_default, any(not level.name for level in typed))
+
+
+def _input_of(run: _Run) -> Input:
+    """Return the input of the rig's description."""
+    with armrig.Rig(run.rig, connect=run.connect) as rig:
+        return rig.status().described.input
+
+
+def _rig_of(run: _Run) -> StatusReport | None:
+    """Return the status of a rig that is not the arm; None for the arm, or without an answer."""
+    with suppress(RuntimeError), armrig.Rig(run.rig, connect=run.connect) as rig:
+        status = rig.status()
+        return None if status.described.arm else status
+    return None
+
+
+def _paced(run: _Run, *, by_model: bool) -> tuple[_Run, Pace | None]:
+    """Return the options and the pace that suit the matrices of a rig.
+
+    The pace is None if the length is given (not `by_model`), for the arm, and without matrices.
+    """
+    from armrig.excitation.pace import pace_inside
+
+    status = _rig_of(run) if by_model else None
+    pace = pace_inside(status.described, status.u_max) if status else None
+    if pace is None:
+        return run, None
+    if run.Ts is not None:
+        switch = min(0.5, pace.switch * run.Ts / pace.Ts)
+        pace = structs.replace(pace, Ts=run.Ts, switch=switch)
+    inform(f"the model of the rig suggests {pace.row}")
+    return replace(run, Ts=pace.Ts), pace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,15 +172,17 @@ class _Run:
     """Options common to all kinds of experiment."""
 
     Ts: SamplingTime = None
-    name: str = chosen("", "Name of the recording, for @NAME: a-z, 0-9 and -.", "none")
+    name: str = chosen("", "Name of the recording, for @NAME: a-z, 0-9 and -.", "no name")
     pacing: Literal["scheduled", "exchange"] = chosen(
         "scheduled", "Clock of the samples: the device's timer (scheduled) or the host (exchange)."
     )
-    owner: str | None = chosen(None, "Name of the rig's owner, shown to other users.", "this user")
+    owner: str | None = chosen(
+        None, "Name of the rig's owner, shown to other users.", "this user's name"
+    )
     dead_man: float = chosen(
         DEAD_MAN_S,
-        "Time, 0.5 to 60 s, after which the daemon stops the run if this program is killed, "
-        "frozen or disconnected. 0 plays the run to its end.",
+        "Time in s, 0.5 to 60, after which the daemon stops the run if this program is killed, "
+        "frozen or disconnected; 0 plays the run to its end.",
         metavar="SECONDS",
     )
     rig: RigId = "1"
@@ -87,7 +195,9 @@ class InputChoice:
     """Options of a random input, or of the user's own input."""
 
     seconds: float | None = chosen(
-        None, "Length, in s; at most 4 000 000 samples; not with --file.", "30"
+        None,
+        "Length of the run, in s; at most 4 000 000 samples; not with --file.",
+        "what suits the model of the rig; for the arm 30",
     )
     input: Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None = chosen(
         None, "Input signal.", "telegraph"
@@ -95,7 +205,11 @@ class InputChoice:
     file: Path | None = chosen(
         None, "File with your own input: a row with u, or t and u, for each sample.", metavar="CSV"
     )
-    a: float = chosen(0.05, "Probability of a switch at each sample (telegraph, prbs).")
+    a: float | None = chosen(
+        None,
+        "Probability of a switch at each sample (telegraph, prbs).",
+        "what suits the model of the rig; for the arm 0.05",
+    )
     low: Low = None
     high: High = None
     seed: int = chosen(
@@ -111,7 +225,8 @@ Choice = Annotated[InputChoice, group(InputChoice)]
 @collect.add("collect blackbox --seconds 30 --validation")
 def blackbox(choice: Choice, run: Run) -> None:
     """Play a random input, or your own input, to the complete rig."""
-    collect_each(chosen_inputs("blackbox", choice, run.Ts), run)
+    run, pace = _paced(run, by_model=choice.seconds is None and choice.file is None)
+    collect_each(chosen_inputs("blackbox", choice, run, pace), run)
 
 
 @collect.add("collect greybox --seconds 30")
@@ -120,52 +235,73 @@ def greybox(choice: Choice, run: Run) -> None:
 
     Remove the rotating part first. The configuration must have [arm] removed = true.
     """
-    collect_each(chosen_inputs("greybox", choice, run.Ts), run, without_arm=True)
+    collect_each(chosen_inputs("greybox", choice, run), run, without_arm=True)
 
 
 @collect.add("collect step --Ts 0.002")
 def step(
     *,
-    seconds: Seconds = 5.0,
-    at: float = chosen(1.0, "Time of the step, in s."),
+    seconds: Seconds = None,
+    at: float | None = chosen(None, "Time of the step, in s.", "1, or a sixth of the length"),
     low: Low = None,
     high: High = None,
+    until: Literal["settled"] | None = chosen(
+        None,
+        "settled: end when the output has settled, at the latest after --seconds.",
+        "settled without --seconds, if the rig has no model",
+    ),
+    yes: bool = chosen(False, "With --until settled, hold the rig for more than an hour."),
     run: Run,
 ) -> None:
     """Play a step, to measure time constant, delay and gain.
 
     The input steps from --low to --high.
     """
+    from armrig_core.commands.commands import UNTIL
+
     from armrig.excitation.named_signals import check_step_time, step_at
 
-    low, high, default = _levels(low, high)
-    step_at(1, 1.0, low=low, high=high, at=0.0)
+    run, pace = _paced(run, by_model=seconds is None)
+    low_v, high_v, *how = _levels(low, high, run, pace)
+    step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
+    if seconds is None and pace is None and (until or _rig_of(run)):
+        until, seconds = "settled", (MOST_ASKED_S if yes else MOST_UNASKED_S)
+        run = replace(run, Ts=UNKNOWN_TS_S if run.Ts is None else run.Ts)
+    if until and (seconds or 0) > MOST_UNASKED_S and not yes:
+        raise InputError(f"--seconds {seconds:g}: give --yes, too, to hold the rig for so long")
+    if seconds is None:
+        seconds = pace.step_s if pace else STEP_S
+    at = at if at is not None else pace.step_s / 6 if pace else STEP_AT_S
     check_step_time(at, seconds)
-    details = {"input": "step", "low": low, "high": high, "at": at}
-    make = partial(step_at, low=low, high=high, at=at)
-    collect_each([Played("step", make, details, seconds, default)], run)
+    details = {"input": "step", "low": low_v, "high": high_v, "at": at}
+    details |= {UNTIL: until} if until else {}
+    make = partial(step_at, low=low_v, high=high_v, at=at)
+    collect_each([Played("step", make, details, seconds, *how)], run)
 
 
 @collect.add("collect staircase --levels 6")
 def staircase(
     *,
-    seconds: Seconds = SECONDS,
-    levels: int = chosen(6, "Number of levels.", min=2),
+    seconds: Seconds = None,
+    levels: int = chosen(6, "Number of levels of the staircase.", min=2),
     low: Low = None,
     high: High = None,
     run: Run,
 ) -> None:
-    """Play a staircase of levels up and down, to measure static gain and friction."""
+    """Play a staircase of levels up and down, to measure the static curve."""
     from armrig.excitation.named_signals import step_at, up_and_down
 
-    low, high, default = _levels(low, high)
-    step_at(1, 1.0, low=low, high=high, at=0.0)
-    details = {"input": "staircase", "low": low, "high": high, "levels": levels}
+    run, pace = _paced(run, by_model=seconds is None)
+    low_v, high_v, *how = _levels(low, high, run, pace)
+    step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
+    if seconds is None:
+        seconds = (2 * levels - 1) * pace.step_s if pace else SECONDS
+    details = {"input": "staircase", "low": low_v, "high": high_v, "levels": levels}
 
     def make(N: int, _: float) -> Any:
-        return up_and_down(N, low=low, high=high, levels=levels)
+        return up_and_down(N, low=low_v, high=high_v, levels=levels)
 
-    collect_each([Played("staircase", make, details, seconds, default)], run)
+    collect_each([Played("staircase", make, details, seconds, *how)], run)
 
 
 @collect.add("collect bla --realisations 4")
@@ -190,26 +326,28 @@ def bla(
     """
     from armrig.excitation.named_signals import realisations
 
-    low, high, default = _levels(low, high)
-    realisations(3, 1, low, high, seed, periods=1)
+    run, pace = _paced(run, by_model=seconds is None and period is None)
+    low_v, high_v, *how = _levels(low, high, run, pace)
+    realisations(3, 1, low_v, high_v, seed, periods=1)
     if seconds is not None and period is not None:
         raise InputError(
             f"--seconds {seconds:g} with --period {period:g}: give only one of these two options, "
-            f"because a recording has {periods} periods (--periods)"
+            f"because a recording has {plural(periods, 'period')} (--periods)"
         )
     if period is not None and not period > 0:  # also refuses NaN
         raise InputError(f"--period {period:g}: must be a number of seconds, more than 0")
     if seconds is None:
-        seconds = periods * (DEFAULT_PERIOD_S if period is None else period)
-    details = {"input": "multisine", "low": low, "high": high, "periods": periods}
+        usual = pace.step_s if pace else DEFAULT_PERIOD_S
+        seconds = periods * (usual if period is None else period)
+    details = {"input": "multisine", "low": low_v, "high": high_v, "periods": periods}
     details |= {"realisations": count, "seed": seed}
 
     def make(r: int, N: int, _: float) -> Any:
-        return realisations(N - N % periods, count, low, high, seed, periods=periods)[r]
+        return realisations(N - N % periods, count, low_v, high_v, seed, periods=periods)[r]
 
     collect_each(
         (
-            Played("bla", partial(make, r), details | {"realisation": r}, seconds, default)
+            Played("bla", partial(make, r), details | {"realisation": r}, seconds, *how)
             for r in range(count)
         ),
         run,
@@ -226,11 +364,15 @@ class Played(NamedTuple):
     seconds: float | None
     default_levels: bool = False
     """True if the user chose neither --low nor --high."""
+    is_bare: bool = False
+    """True if the user gave voltages without the name of the input."""
     is_validation: bool = False
     """True if the recording validates the models of the previous recording."""
 
 
-def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> list[Played]:
+def chosen_inputs(
+    experiment: str, choice: InputChoice, run: _Run, pace: Pace | None = None
+) -> list[Played]:
     """Return the runs to play; refuse wrong options before the connection to a rig."""
     from armrig.excitation.named_signals import SEEDED, details_of, named_signal
 
@@ -246,9 +388,10 @@ def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> lis
             f"({', '.join(SEEDED)}), or collect twice"
         )
     if file is not None:
-        return [_from_file(experiment, file, choice.seconds, Ts)]
-    low, high, default = _levels(choice.low, choice.high)
-    figures = {"a": choice.a, "low": low, "high": high}
+        return [_from_file(experiment, file, choice.seconds, run)]
+    low, high, *how = _levels(choice.low, choice.high, run, pace)
+    a, usual = (pace.switch, pace.seconds) if pace else (SWITCHING, SECONDS)
+    figures = {"a": a if choice.a is None else choice.a, "low": low, "high": high}
     # A wrong value is refused here, before the rig is armed.
     named_signal(name, 3, 0.01, seed=choice.seed, **figures)
 
@@ -257,8 +400,8 @@ def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> lis
             kind,
             lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
-            SECONDS if choice.seconds is None else choice.seconds,
-            default,
+            usual if choice.seconds is None else choice.seconds,
+            *how,
         )
 
     first = played(experiment, choice.seed)
@@ -266,14 +409,22 @@ def chosen_inputs(experiment: str, choice: InputChoice, Ts: float | None) -> lis
     return [first, second] if choice.validation else [first]
 
 
-def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | None) -> Played:
+def _from_file(experiment: str, file: Path, seconds: float | None, run: _Run) -> Played:
+    from armrig.excitation.from_file import is_named
+
     if seconds is not None:
         raise InputError(f"--seconds {seconds:g}: a file has its own length; leave out --seconds")
     file.stat()  # a missing file is refused here
-    if Ts is not None:
-        armrig.from_csv(file, Ts)
+    named = is_named(file)
+    own: Any = {"input": _input_of(run)} if named else {}
+    if run.Ts is not None:
+        armrig.from_csv(file, run.Ts, **own)
     details = {"input": "csv", "file": file.name}
-    return Played(experiment, lambda _, Ts: armrig.from_csv(file, Ts), details, None)
+
+    def make(_: int, Ts: float) -> Any:
+        return armrig.from_csv(file, Ts, **own)
+
+    return Played(experiment, make, details, None, is_bare=not named)
 
 
 def _experiment_name(experiment: str, name: str) -> str:
@@ -310,7 +461,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     plans = [
         Plan(
             experiment=_experiment_name(p.experiment, run.name),
-            **fields_of(p, "make details seconds default_levels"),
+            **fields_of(p, "make details seconds default_levels is_bare"),
             **fields_of(run, "Ts pacing"),
             owner=this_user() or "armrig collect" if run.owner is None else run.owner,
             dead_man=run.dead_man or None,
@@ -330,7 +481,11 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
         facts = {"recording": done.path} | fields_of(done, "samples Ts synced rehearsal")
         facts["verdict"] = verdict.facts() if verdict else None
         print_result(facts, str(done.path), json=run.json)
-        kept = f"{done.synced} samples are on the disk; " if done.synced else ""
+        kept = (
+            f"{plural(done.synced, 'sample is', 'samples are')} on the disk; "
+            if done.synced
+            else ""
+        )
         if verdict is None:
             where = "the recording is on the daemon's machine; run `armrig info` there to show its"
             inform(f"{kept}{where} contents")
@@ -343,12 +498,16 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    again = ""
+    from armrig.recordings.files.origin import Origin
+
+    again, origin = "", None
     if kind == "step":
         with suppress(FileError, OSError):  # the verdict is printed already: this is only a hint
-            again = step_again(armrig.load(first))
+            recording = armrig.load(first)
+            again = step_again(recording)
+            origin = Origin.of_run(first, recording.manifest)
     if again:
-        say_next("collect step again", again=f"{rig}{again}")
+        say_next("collect step again", origin, rig=rig, again=again)
     else:
         say_next(OF_KIND.get(kind, "plot"), file=typed(first))
 
@@ -360,7 +519,7 @@ class _Remote:
     source: str | None = chosen(
         None,
         "zenoh endpoint of the daemon or a router, such as tls/HOST:7447.",
-        "[client] connect, or for one rig the daemon on this machine",
+        "the configuration's [client] connect, otherwise the daemon on this machine (one rig only)",
         names="--from --connect ENDPOINT",
     )
     rigs: list[str] | None = chosen(None, "Id of a rig; repeatable.", "1", names="--rig")
@@ -368,12 +527,10 @@ class _Remote:
     out: Path | None = chosen(
         None,
         "File to write; for several rigs, folder for the files.",
-        "RIG-remote-TIME.mcap, here",
+        "RIG-remote-TIME.mcap in this folder",
         names="-o FILE",
     )
-    seconds: float | None = chosen(
-        None, "Length of the recording, in s.", "until Ctrl-C", metavar="S"
-    )
+    seconds: float | None = chosen(None, "Length of the recording, in s.", "no limit", metavar="S")
     json: Json = False
 
     def __post_init__(self) -> None:
@@ -452,7 +609,11 @@ def _finish(recording: RemoteRecording, ended: Ending) -> None:
         raise
     finally:
         if recording.done and ended.code != OutcomeCode.COMPLETE:
-            more = f", the last of {len(recording.done)} files" if len(recording.done) > 1 else ""
+            more = (
+                f", the last of {plural(len(recording.done), 'file')}"
+                if len(recording.done) > 1
+                else ""
+            )
             tell(f"recorded up to the error: {recording.done[-1].path}{more}")
 
 
@@ -471,7 +632,7 @@ def _recorded_facts(file: Any) -> dict[str, Any]:
 
 
 def _recorded_line(file: Any) -> str:
-    return f"{file.path}: {file.samples} samples, {file.missing} missing, {file.outcome}"
+    return f"{file.path}: {plural(file.samples, 'sample')}, {file.missing} missing, {file.outcome}"
 
 
 def default_name(rig: str) -> str:
@@ -510,7 +671,8 @@ def record_many(remote: _Remote, ended: SignalPipe) -> None:
     if failed:
         names = ", ".join(one.rig for one in failed)
         raise OperationError(
-            f"the recording ended early for rig {names}, of {len(recorded)} rigs; see above"
+            f"the recording ended early for rig {names}, of {plural(len(recorded), 'rig')}; see "
+            "above"
         )
     if not files:
         msg = f"no rig at {where} published a sample: there is nothing to record; "
@@ -530,7 +692,7 @@ def play(
     loop: bool = chosen(False, "Repeat the recording until Ctrl-C."),
     wait: bool = chosen(False, "Begin when the first listener connects."),
     listen: str | None = chosen(
-        None, "zenoh endpoint to publish at.", "a socket of this user's", metavar="ENDPOINT"
+        None, "zenoh endpoint to publish at.", "a new socket of this user", metavar="ENDPOINT"
     ),
     json: Json = False,
 ) -> None:
@@ -563,7 +725,8 @@ def play(
         facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
         print_result(
             facts | {"seconds": seconds},
-            f"{rig} at {where}: {len(run)} messages in {seconds:.3g} s; Ctrl-C ends it",
+            f"{rig} at {where}: {plural(len(run), 'message')} in {digits(seconds, 3)} s; Ctrl-C "
+            "ends it",
             f"in a second terminal: armrig watch{naming(rig, listen)}",
             json=json,
         )
@@ -575,6 +738,8 @@ def play(
             if not loop:
                 break
             rest(run, speed=speed)
-    print_result({"rig": rig, "published": count}, f"published {count} messages", json=json)
+    print_result(
+        {"rig": rig, "published": count}, f"published {plural(count, 'message')}", json=json
+    )
     if not json:
         say_next("info", file=typed(file))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -16,7 +17,15 @@ from armrig_core.process.printable import printable
 import armrig
 from armrig import plots
 from armrig.cli import physics, recorded_data, results
-from armrig.cli.next_step import REASONS, after_validate, chassis, say_handout, say_next, typed
+from armrig.cli.next_step import (
+    REASONS,
+    after_validate,
+    chassis,
+    listed_paths,
+    say_handout,
+    say_next,
+    typed,
+)
 from armrig.cli.options import CalibrationFile, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     echo,
@@ -63,7 +72,6 @@ def validate(
     """
     from armrig.cli.model_output import error_facts, lags_outside, residual_facts
     from armrig.models.equation import input_and_output
-    from armrig.plots.captions import signature
     from armrig.validation.answer import simulation, tests_sentence
     from armrig.validation.figures import COLUMN_WIDTH, ROW_HEIGHT
     from armrig.validation.linearity import in_open_loop
@@ -93,8 +101,8 @@ def validate(
         known = [str(n) for n in data.signals().valid.sum(axis=0)]
         say(
             f"{input_and_output(fit)}; estimated from {listed([*dict.fromkeys(counts)])} samples, "
-            f"validated on {listed([*dict.fromkeys(known)])} samples of {typed(file)} "
-            f"({signature(data.source)}); {simulated.note}",
+            f"validated on {listed([*dict.fromkeys(known)])} samples of {typed(file)}; "
+            f"{simulated.note}",
             dim=True,
         )
         for line in tests.lines(every=True) if out.verbose else tests.pair_lines():
@@ -169,7 +177,7 @@ def compare(
         None, "Model file written by identify --save; repeatable.", metavar="JSON"
     ),
     horizon: int | None = chosen(
-        None, "Prediction horizon, in samples.", "none: the models are simulated", min=1
+        None, "Prediction horizon, in samples.", "none, the models are simulated", min=1
     ),
     given: physics.Given = None,
     part: recorded_data.Part,
@@ -331,7 +339,7 @@ def check(
             say_next("report", file=typed(file))
         elif signals.read[0].manifest.kind == "greybox":
             say_next("integrate")
-        elif alone := chassis():
+        elif alone := chassis(signals.origin):
             say_next("greybox", file=alone)
         else:
             inform(_CHASSIS)
@@ -408,9 +416,9 @@ def report(
     output: Path = chosen(Path("report.pdf"), "PDF to write.", names="-o --output PDF"),
     signal: list[str] | None = chosen(
         None,
-        "Output of the models, theta_1 or alpha; repeatable, for models of both outputs. The "
-        "orders apply to theta_1; na, nb and nf of a model of alpha are one less.",
-        "theta_1",
+        "Output of the models; repeatable, for models of several outputs. The orders apply to "
+        "theta_1 of the arm; na, nb and nf of a model of alpha are one less.",
+        "the first channel",
         metavar="NAME",
     ),
     orders: ModelOrders,
@@ -440,13 +448,13 @@ def report(
     Steps and staircases are not used for the models. Of the other recordings, the first is used for
     estimation and the second for validation. A single other recording is cut into halves.
 
-    A report covers complete runs.
+    A report always covers complete runs, so there is no option --from or --to.
     """
     files, outputs = files or [], ",".join(signal or ())
     if questions is not None:
         _write_questions(questions)
         if not json:
-            _say_next_answers(questions)
+            _say_next_answers(files, questions)
         return
     of_handout = {"--answers": answers, "--set": given}
     _check_options(files, outputs, handout, of_handout)
@@ -470,16 +478,16 @@ def report(
     if answers or not all(r.description.arm for r in recordings):
         say_next("open", file=quote(str(output)))
     else:
-        _say_next_answers(REASONS)
+        _say_next_answers(files, REASONS)
 
 
-def _say_next_answers(path: Path) -> None:
+def _say_next_answers(files: Sequence[Path], path: Path) -> None:
     """Print the next command: the file of the questions, or the report with the answers."""
     if path.exists():
         inform(f"fill in {path} before the next command")
-        say_handout(path)
+        say_handout(files, path)
     else:
-        say_next("questions", questions=quote(str(path)))
+        say_next("questions", files=listed_paths(files), questions=quote(str(path)))
 
 
 def _check_options(
@@ -530,7 +538,7 @@ def _study_report(
     recordings = recorded_data.loaded(files, calibration)
     _report_ignored(recordings)
     with estimating("na, nb and nf"):
-        done = study(recordings, orders=Orders(**orders), outputs=outputs)
+        done = study(_of_files(recordings), orders=Orders(**orders), outputs=outputs)
     remarks = []
     if done.validation.digest == done.estimation.digest:
         tell(OWN_DATA)
@@ -554,9 +562,16 @@ def _handout_report(
 
     said = Answers() if answers is None else read_answers(answers)
     recordings = recorded_data.loaded(files, calibration, one_plant=False)
+    for recording in recordings:
+        recorded_data.require_arm(recording)
     with estimating("na, nb and nf"):
-        done = handout_study(recordings, orders=Orders(**orders), **problem)
+        done = handout_study(_of_files(recordings), orders=Orders(**orders), **problem)
     return recordings, partial(handout_report, done, answers=said)
+
+
+def _of_files(recordings: Sequence[armrig.Recording]) -> list[armrig.Recording]:
+    """Return the recordings with the names of their files, because a PDF outlives the @names."""
+    return [replace(r, name=r.path.name) for r in recordings]
 
 
 def _report_ignored(recordings: Sequence[armrig.Recording]) -> None:
@@ -566,6 +581,6 @@ def _report_ignored(recordings: Sequence[armrig.Recording]) -> None:
     excited = [r for r in recordings if r.manifest.kind not in NO_MODEL]
     for r in excited[2:]:
         tell(
-            f"{r.path.name} is only listed in the report: the models are estimated from "
-            f"{excited[0].path.name} and validated on {excited[1].path.name}"
+            f"{r.name} is only listed in the report: the models are estimated from "
+            f"{excited[0].name} and validated on {excited[1].name}"
         )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+from armrig_core.commands.commands import LONGEST_TS
 from armrig_core.errors import InputError, ParameterError
 from msgspec import Meta
 from starlette.applications import Starlette
@@ -22,6 +23,7 @@ from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.dashboard.experiments import Experiment, plan_of, previewed
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Connections
+from armrig.dashboard.page_json import page_json
 from armrig.dashboard.stream import Stream, TooManyViewersError, Viewer
 from armrig.rig.session import RigError
 
@@ -47,7 +49,7 @@ class _Stopped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class _Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     owner: _Owner
-    Ts: Annotated[float, Meta(gt=0, le=1)] | None = None
+    Ts: Annotated[float, Meta(gt=0, le=LONGEST_TS)] | None = None
 
 
 class _Wanted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -117,7 +119,7 @@ class RigRoutes:
         try:
             await loop.run_in_executor(self._stopping, self._driver.stop, by or asked.owner)
         except RigError as err:
-            return error(502, str(err))
+            return error(502, self._feed.trouble or str(err))
         return value({"stopped": True})
 
     def _arm(self, body: bytes) -> Any:
@@ -133,7 +135,7 @@ class RigRoutes:
         asked = msgspec.json.decode(body, type=Experiment)
         if self._feed.status is None:
             raise RigError(self._feed.trouble)
-        return previewed(asked, self._feed.status)
+        return previewed(asked, self._feed.status, self._feed.description)
 
     async def _run(self, request: Request) -> Response:
         asked_s = time.monotonic()  # read here: a start may wait for a thread, a stop does not
@@ -181,12 +183,12 @@ def answered(does: Callable[[bytes], Any]) -> Answer:
 
 def value(found: Any) -> Response:
     """Return a response with a value as JSON."""
-    return Response(msgspec.json.encode(found), media_type="application/json")
+    return Response(page_json(found), media_type="application/json")
 
 
 def error(status: int, why: str) -> Response:
     """Return a response with an error as a line of JSON."""
-    body = msgspec.json.encode({"error": " ".join(why.split())})
+    body = page_json({"error": " ".join(why.split())})
     return Response(body, status, media_type="application/json")
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import ceil, degrees, inf, log10
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from math import ceil, degrees, inf, log10, nan
+from types import MappingProxyType
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from armrig_core.rig.channels import symbol
-from armrig_core.rig.description import COUNTS, Description, shipped
+from armrig_core.commands.commands import OutputRange
+from armrig_core.process.printable import with_degrees
+from armrig_core.rig.channels import COUNTS, symbol
+from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry.telemetry import Sample
+from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
 Rows = NDArray[np.float64]
@@ -26,8 +31,21 @@ _STEPS = 1024  # of the Uno's converter
 _CENTRED = 0.1  # a range is symmetric if its middle is nearer to 0 than this part of its width
 TURN = 360.0
 """A turn in °."""
+COLUMNS = 6
+"""Number of columns of the samples: see `signals`."""
+_RUN = int(Flag.RUN)
 _CLOCK_S = 1e-6  # resolution of the times, in s
 _MAX_ROWS_BEFORE = 1000  # most earlier rows for a rate; a rig at 1 kHz needs 200
+
+
+class OwnScale(NamedTuple):
+    """The input's own value: offset + per_volt · u."""
+
+    per_volt: float
+    offset: float
+    unit: str
+    rest_v: float
+    """Voltage at which the actuator does nothing, in V."""
 
 
 class Signal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -39,7 +57,7 @@ class Signal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Name for people, such as θ₁."""
     unit: str
     """Unit of the values that the page shows; angles are in °."""
-    kind: Literal["input", "value", "turning", "rate"]
+    kind: Literal["input", "value", "turning", "rate", "turned"]
     channel: int = 0
     """Number of the channel that the signal belongs to."""
     scale: float = 1.0
@@ -49,21 +67,45 @@ class Signal(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     is_symmetric: bool = False
     """True if the range of the signal is drawn symmetrically about 0."""
     limits: tuple[float, float] = (-inf, inf)
-    """Values below and above which a run stops; JSON has null for an infinite one."""
-    per_volt: tuple[float, str] | None = None
-    """Value of the input for people at 1 V, and its unit; None if the unit is V."""
+    """Smallest and largest value that a run may have; JSON has null for an infinite one."""
+    own: OwnScale | None = None
+    """Scale of the input for people; None if it is the voltage at the pin."""
 
 
-def signals_of(description: Description) -> tuple[Signal, ...]:
-    """Return the signals of a rig in the order of the values in a row."""
+def signals_of(
+    description: Description,
+    ranges: Mapping[str, OutputRange] = MappingProxyType({}),
+    volts: tuple[float, float] = (0.0, U_MAX_V),
+) -> tuple[Signal, ...]:
+    """Return the signals of a rig in the order of the values in a row.
+
+    `ranges` are the limits that the rig's daemon reports; they narrow those of the description.
+    `volts` is the range of the input. If the daemon limits the rotation in a run, this rotation is
+    a signal, too.
+    """
     given = description.input
-    per_volt = None if given.unit == "V" else (given.per_volt, given.unit)
-    found = [Signal(key="u", label=symbol(given.name), unit="V", kind="input", per_volt=per_volt)]
+    own = OwnScale(given.per_volt, given.offset, given.unit, given.rest_v)
+    found = [
+        Signal(
+            key="u",
+            label=symbol(given.name),
+            unit="V",
+            kind="input",
+            own=own if given.is_scaled or given.rest_v else None,
+            # The ends of the axis need no line.
+            limits=(volts[0] or -inf, volts[1] if volts[1] < U_MAX_V else inf),
+        )
+    ]
     for number, channel in enumerate(description.channels):
         output = description.outputs[channel.name]
-        scale, unit = (degrees(1.0), "°") if channel.unit == "rad" else (1.0, channel.unit)
+        scale, unit = 1.0, with_degrees(channel.unit)
+        if unit == "rad":
+            scale, unit = degrees(1.0), "°"
         ends = output.value(0), output.value(COUNTS - 1)
         step = abs(ends[1] - ends[0]) / _STEPS * scale
+        limit = ranges.get(channel.name, OutputRange())
+        low = max(output.low, -inf if limit.low is None else limit.low)
+        high = min(output.high, inf if limit.high is None else limit.high)
         value = Signal(
             key=channel.name,
             label=symbol(channel.name),
@@ -73,9 +115,20 @@ def signals_of(description: Description) -> tuple[Signal, ...]:
             scale=scale,
             step=step,
             is_symmetric=abs(sum(ends)) < _CENTRED * abs(ends[1] - ends[0]),
-            limits=(output.low * scale, output.high * scale),
+            limits=(low * scale, high * scale),
         )
         found.append(value)
+        if limit.turns:
+            turned = Signal(
+                key=f"{channel.name}_turned",
+                label=f"turns of {value.label}",
+                unit="turns",
+                kind="turned",
+                channel=number,
+                is_symmetric=True,
+                limits=(-limit.turns, limit.turns),
+            )
+            found.append(turned)
         if channel.turns or channel.rate:
             rate = Signal(
                 key=channel.rate or f"{channel.name}_rate",
@@ -94,12 +147,42 @@ ARM_SIGNALS = signals_of(shipped("arm"))
 """Signals of the arm, the default rig."""
 
 
-def signals(samples: Sequence[Sample], drawn: Sequence[Signal] = ARM_SIGNALS) -> Rows:
-    """Return an array (n, 5): k, t in s, u in V, and both channels; NaN if unknown."""
+class RunRotation:
+    """Rotation of the first channel since the start of the run, counted as the device does it."""
+
+    def __init__(self) -> None:
+        """Begin without a sample."""
+        self._before: Sample | None = None
+        self._counts = nan
+
+    def add(self, samples: Sequence[Sample]) -> list[float]:
+        """Return the rotation at each sample, in turns; NaN without a run, or without its start."""
+        turns = []
+        for sample in samples:
+            before, self._before = self._before, sample
+            if before is None or not sample.flags & _RUN:
+                self._counts = nan
+            elif not before.flags & _RUN:
+                self._counts = 0.0
+            else:
+                change = sample.counts_0 - before.counts_0
+                self._counts += (change + COUNTS // 2) % COUNTS - COUNTS // 2
+            turns.append(self._counts / COUNTS)
+        return turns
+
+
+def signals(
+    samples: Sequence[Sample],
+    drawn: Sequence[Signal] = ARM_SIGNALS,
+    turned: Sequence[float] | None = None,
+) -> Rows:
+    """Return an array (n, 6): k, t in s, u in V, both channels, and `turned`; NaN if unknown."""
     found = np.array(
-        [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.value_0, s.value_1) for s in samples],
+        [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.value_0, s.value_1, nan) for s in samples],
         np.float64,
-    ).reshape(-1, 5)
+    ).reshape(-1, COLUMNS)
+    if turned is not None:
+        found[:, -1] = turned
     for signal in drawn:
         found[:, 3 + signal.channel] *= signal.scale
     return found
@@ -112,7 +195,7 @@ def rate(before: Rows, now: Rows, *, channel: int = 0, wraps: bool = True) -> Ro
     time between the two values. The older value is the newest known value at least `RATE_S` before
     the row. If the channel wraps, the two angles are assumed to differ by less than half a turn.
 
-    `before` (m, 5) contains the samples before `now` (N, 5), both from `signals`: see
+    `before` (m, 6) contains the samples before `now` (N, 6), both from `signals`: see
     `needed_before`. The rate is NaN for a sample without a value, and if the older value is more
     than 2 `RATE_S` before the sample and not in the previous sample.
     """
@@ -146,7 +229,7 @@ def columns_of(before: Rows, now: Rows, drawn: Sequence[Signal]) -> Rows:
         [
             rate(before, now, channel=signal.channel, wraps=signal.channel in turning)
             if signal.kind == "rate"
-            else now[:, 2 if signal.kind == "input" else 3 + signal.channel]
+            else now[:, {"input": 2, "turned": -1}.get(signal.kind, 3 + signal.channel)]
             for signal in drawn
         ]
     )

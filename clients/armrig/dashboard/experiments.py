@@ -8,9 +8,11 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from armrig_core.commands.commands import Rehearsal, StatusReport, rehearsal_sentence
+from armrig_core.commands.commands import LONGEST_TS, Rehearsal, StatusReport, rehearsal_sentence
 from armrig_core.commands.rehearsal import rehearse, rehearse_outputs
 from armrig_core.errors import InputError
+from armrig_core.rig.description import Description
+from armrig_core.rig.volts import U_MAX_V
 from msgspec import Meta
 from numpy.typing import NDArray
 
@@ -23,12 +25,17 @@ from armrig.excitation.named_signals import (
     step_at,
     up_and_down,
 )
+from armrig.excitation.pace import pace_inside
 from armrig.excitation.physical_experiment_design import arm_deviations
 from armrig.rig.collection import Plan, planned_input
 
 _SECONDS = {"step": 5.0}  # default lengths of experiments that do not have `_DEFAULT_S`
 _DEFAULT_S = 30.0
+_SHARE = 0.9  # of a lower limit of the voltage, the upper level
 _DEAD_MAN_S = 1.0  # if the dashboard ends, the motor must stop, as with `armrig collect`
+
+# Suggestions for each rig so far.
+_known: dict[tuple[bytes, bool, float], dict[str, Any]] = {}
 
 _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
 
@@ -38,7 +45,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     kind: Literal["step", "blackbox", "greybox", "staircase", "csv"]
     seconds: Annotated[float, Meta(gt=0, le=86_400)] | None = None
-    Ts: Annotated[float, Meta(gt=0, le=1)] | None = None
+    Ts: Annotated[float, Meta(gt=0, le=LONGEST_TS)] | None = None
     low: Annotated[float, Meta(ge=0, le=5)] = 0.5
     high: Annotated[float, Meta(ge=0, le=5)] = 4.5
     at: Annotated[float, Meta(ge=0)] = 1.0
@@ -46,6 +53,8 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     input: Literal["telegraph", "prbs", "white", "multisine", "chirp"] = "telegraph"
     a: Annotated[float, Meta(gt=0, le=1)] = 0.05
     seed: Annotated[int, Meta(ge=0, le=2**53)] = 1
+    named: bool = False
+    """True if a person gave the levels as values of the input, from which these voltages are."""
     name: _Name = ""
     file: Annotated[str, Meta(max_length=200)] = ""
     """Name of the user's CSV file."""
@@ -73,6 +82,7 @@ def plan_of(experiment: Experiment, owner: str) -> Plan:
         owner=owner,
         dead_man=_DEAD_MAN_S,
         without_arm=experiment.kind == "greybox",
+        is_bare=not experiment.named,
     )
 
 
@@ -104,6 +114,26 @@ def _input_of(
     )
 
 
+def suggested(described: Description, u_max: float) -> dict[str, Any]:
+    """Return sampling time, lengths and levels of experiments that suit a rig; {} for the arm."""
+    key = described.text, described.system is not None, u_max
+    if key not in _known:
+        _known[key] = _suggested(described, u_max)
+    return _known[key]
+
+
+def _suggested(described: Description, u_max: float) -> dict[str, Any]:
+    pace = pace_inside(described, u_max)
+    if pace is None:
+        high = float(f"{_SHARE * u_max:.2g}")
+        return {"low": float(f"{high / 9:.2g}"), "high": high} if u_max < U_MAX_V else {}
+    seconds = {"blackbox": pace.seconds, "step": pace.step_s, "staircase": 11 * pace.step_s}
+    levels = {"low": pace.low, "high": pace.high}
+    rounded = {name: float(f"{volts:.3g}") for name, volts in levels.items()}
+    more = {"Ts": pace.Ts, "at": float(f"{pace.step_s / 6:.3g}"), "a": float(f"{pace.switch:.2g}")}
+    return {"seconds": seconds, **rounded, **more}
+
+
 class Preview(msgspec.Struct, frozen=True, kw_only=True):
     """Preview of an experiment."""
 
@@ -120,12 +150,16 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     notes: list[str]
 
 
-def previewed(experiment: Experiment, status: StatusReport) -> Preview:
+def previewed(
+    experiment: Experiment, status: StatusReport, described: Description | None = None
+) -> Preview:
     """Return the preview of an experiment: its input, and the response of the rig's model.
+
+    A description that was read on this machine may have a model in a file.
 
     Raises ValueError if the experiment is not possible; the message contains the allowed values.
     """
-    notes: list[str] = []
+    notes, described = list[str](), described or status.described
     plan = plan_of(experiment, "preview")
     Ts = plan.Ts or status.Ts
     u = planned_input(plan, Ts, notes.append)
@@ -136,7 +170,6 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
             f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, the range of "
             f"rig {status.rig}"
         )
-    described = status.described
     if plan.without_arm and not (status.arm_removed and described.arm):
         body = described.channels[0].body or "arm's first part"
         text = f"this experiment needs the {body} alone, but the rig has its arm: the experiment "
@@ -146,17 +179,18 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
     told = "not rehearsed: the description of this rig has no [model]"
     if described.arm:
         found, deviations = rehearse(u, Ts, arm_removed=alone), arm_deviations(u, Ts, alone=alone)
-    elif described.system:
+    elif described.system or described.equations:
         found = rehearse_outputs(u, Ts, described)
     elif described.model:
         told = "not rehearsed here: only the daemon reads the file of the model, at the start"
+    is_rehearsed = described.arm or described.system or described.equations
     return Preview(
         experiment=plan.experiment,
         N=u.size,
         seconds=u.size * Ts,
         Ts=Ts,
         curve=drawn(Ts * np.arange(u.size, dtype=np.float64), u),
-        rehearsal=rehearsal_sentence(found) if described.arm or described.system else told,
+        rehearsal=rehearsal_sentence(found) if is_rehearsed else told,
         deviations=deviations,
         notes=notes,
     )

@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 from armrig_core.commands.commands import StatusReport
-from armrig_core.rig.description import shipped
-from armrig_core.rig.emulated import is_emulated
+from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
 
 from armrig.dashboard.bins import (
     ARM_SIGNALS,
+    COLUMNS,
     Rows,
+    RunRotation,
     Signal,
     binned,
     coarser,
@@ -74,19 +75,21 @@ class Timing:
     last_gap: str = ""
     """Reason for the last gap."""
     report: dict[str, float] = field(default_factory=dict)
-    """Values from the daemon's newest timing report, by name, such as `late_p99_us`."""
+    """Values from the daemon's newest timing report, by name, such as `wake_p99_us`."""
 
 
 class Feed:
     """Data that the listener's thread writes and the server's thread reads, protected by a lock."""
 
-    def __init__(self) -> None:
-        """Begin without data."""
+    def __init__(self, local: Description | None = None) -> None:
+        """Begin without data; a `local` description may have a model in a file."""
+        self._local = local
         self._lock = threading.Lock()
         self._rows: deque[Rows] = deque()  # in pieces, as they came
         self._kept = 0
         self._pieces = 0  # so far
-        self._tail = np.zeros((0, 5))
+        self._tail = np.zeros((0, COLUMNS))
+        self._rotation = RunRotation()
         self._newest: Sample | None = None
         self._came_s = -np.inf
         self._late: deque[tuple[int, list[int]]] = deque(maxlen=_LATE_S)
@@ -94,24 +97,26 @@ class Feed:
         self._timing = Timing()
         self._phase = ""  # of the newest state heard
         self._states: deque[tuple[int, str]] = deque(maxlen=_MOST_STATES)  # time in ns, phase
-        self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns
+        self._notes: deque[tuple[int, str]] = deque(maxlen=_MOST_NOTES)  # time in ns, text
         self.status: StatusReport | None = None
         """Newest status of the daemon."""
         self.description = shipped("arm")
         """Description of the rig; until a daemon reports it, that of the arm."""
         self.signals: tuple[Signal, ...] = ARM_SIGNALS
         """Signals of the rig, in the order of the values in a row."""
-        self._emulated = False
         self.trouble = "looking for the rig's daemon"
         """Reason why no daemon is connected; "" if a daemon is connected."""
 
     def take_status(self, status: StatusReport) -> None:
         """Take the status of a daemon that answers; discard the rows of another rig."""
         self.status, self.trouble = status, ""
-        described = status.described
-        if described.text != self.description.text:
+        local = self._local
+        is_local = local is not None and local.text == status.described.text
+        described = local if local is not None and is_local else status.described
+        drawn = signals_of(described, status.limits, (status.u_min, status.u_max))
+        if described.text != self.description.text or drawn != self.signals:
             with self._lock:
-                self.description, self.signals = described, signals_of(described)
+                self.description, self.signals = described, drawn
                 self._forget_rows()
 
     def add_samples(self, samples: Sequence[Sample], *, live: bool = True) -> None:
@@ -119,7 +124,7 @@ class Feed:
         with self._lock:
             newest = self._newest if live and samples else None
             # The rig's machine, and therefore its monotonic clock, may have been restarted.
-            if newest is not None and samples[0].t_host_ns < newest.t_host_ns - _BACK_NS:
+            if newest is not None and self._is_of_another_clock(samples[0], newest):
                 self._forget_rows()
                 self._forget_marks_after(samples[0].t_host_ns)
             newest_ns = self._newest.t_host_ns if self._newest else -1
@@ -127,7 +132,7 @@ class Feed:
             if not samples:
                 return
             self._note_gaps(samples)
-            found = signals(samples, self.signals)
+            found = signals(samples, self.signals, self._rotation.add(samples))
             made = binned(self._tail, found, self.signals)
             self._tail = needed_before(np.concatenate([self._tail, found]))
             self._newest = samples[-1]
@@ -158,40 +163,35 @@ class Feed:
     def add_events(self, events: Sequence[Any]) -> None:
         """Add events of the daemon's log; each note is marked once."""
         with self._lock:
-            for t_ns in (e.t_host_ns for e in events if is_note(e)):
-                if t_ns not in self._notes:
-                    self._notes.append(t_ns)
+            for note in ((e.t_host_ns, e.message) for e in events if is_note(e)):
+                if note not in self._notes:
+                    self._notes.append(note)
 
-    def marks(self) -> list[tuple[float, str]]:
-        """Return the time in s and the kind of each recent mark: start, end, trip or note."""
+    def marks(self) -> list[tuple[float, str, str]]:
+        """Return time in s, kind (start, end, trip or note) and text of each recent mark.
+
+        Only a note has a text.
+        """
         with self._lock:
             oldest_s = self._newest.t_host_ns / 1e9 - HISTORY_S if self._newest else -np.inf
             states = sorted(self._states, key=itemgetter(0))
-            marks = [(t_ns / 1e9, "note") for t_ns in self._notes]
+            marks = [(t_ns / 1e9, "note", text) for t_ns, text in self._notes]
         for (_, before), (t_ns, phase) in pairwise(states):
             if kind := _mark(before, phase):
-                marks.append((t_ns / 1e9, kind))
+                marks.append((t_ns / 1e9, kind, ""))
         return sorted(mark for mark in marks if mark[0] >= oldest_s)
 
     def add_report(self, report: Any) -> None:
         """Add the daemon's timing report of one second."""
-        late = report.wake_lateness_us
+        wake = report.wake_lateness_us
         self._timing.report = {
-            "late_p50_us": late.p50,
-            "late_p99_us": late.p99,
-            "late_max_us": late.max,
-            "device_p99_us": report.device_tick_error_us.p99,
+            "wake_p50_us": wake.p50,
+            "wake_p99_us": wake.p99,
+            "wake_max_us": wake.max,
+            "jitter_p99_us": report.device_tick_error_us.p99,
             "link_p99_us": report.link_round_trip_us.p99,
             "cpu_pressure_percent": report.cpu_pressure_percent,
         }
-
-    def is_emulated(self) -> bool:
-        """Return whether the rig is emulated, also while its device is silent and has no uid."""
-        if (status := self.status) is not None:
-            uid = str(status.device.get("uid", ""))
-            found = is_emulated(uid=uid, port=status.line)
-            self._emulated = found if uid else found or self._emulated
-        return self._emulated
 
     def history(self) -> Rows:
         """Return the rows of the last five minutes; rows older than `FINE_S` are in wider bins."""
@@ -228,6 +228,16 @@ class Feed:
                 self._timing.late = [sum(column) for column in zip(*counts, strict=True)]
             return self._timing
 
+    def _is_of_another_clock(self, sample: Sample, newest: Sample) -> bool:
+        """Return True if a sample is too old, and its number does not fit its time.
+
+        A daemon that was frozen sends samples that the dashboard has read among the kept ones.
+        """
+        Ts = self.status.Ts if self.status else 0.0
+        elapsed_s = (newest.t_sched_ns - sample.t_sched_ns) / 1e9
+        fits = newest.k > sample.k and abs(elapsed_s - (newest.k - sample.k) * Ts) < Ts
+        return sample.t_host_ns < newest.t_host_ns - _BACK_NS and not fits
+
     def _forget_rows(self) -> None:
         self._rows.clear()
         self._kept, self._newest, self._tail = 0, None, self._tail[:0]
@@ -235,7 +245,8 @@ class Feed:
     def _forget_marks_after(self, t_ns: int) -> None:
         states = [found for found in self._states if found[0] <= t_ns]
         self._states, self._phase = deque(states, maxlen=_MOST_STATES), ""
-        self._notes = deque((note for note in self._notes if note <= t_ns), maxlen=_MOST_NOTES)
+        notes = (note for note in self._notes if note[0] <= t_ns)
+        self._notes = deque(notes, maxlen=_MOST_NOTES)
 
     def _note_gaps(self, samples: Sequence[Sample]) -> None:
         before = self._newest

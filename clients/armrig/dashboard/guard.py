@@ -136,7 +136,7 @@ class Guard:
         if not is_his:
             raise Refusal(
                 403,
-                "the token is missing or wrong: open the address that `armrig dashboard` printed",
+                "the token is missing or wrong: open the address in the dashboard's terminal",
             )
 
     def _opens(self, path: str, given: bytes) -> bool:

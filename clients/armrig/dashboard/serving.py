@@ -13,11 +13,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import uvicorn
+from armrig_core.access.daemon_lock import living_daemon
 from armrig_core.commands.commands import StatusReport
 from armrig_core.process.open_files import raise_limit
+from armrig_core.rig.description import path_of, read_description
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -32,7 +35,7 @@ from armrig.dashboard.share import Certificate, certificate
 from armrig.dashboard.stream import Stream
 from armrig.rig.client import Rig
 from armrig.rig.remote_source import RemoteSource
-from armrig.rig.session import RigError, open_session
+from armrig.rig.session import NoReplyError, RigError, default_endpoint, open_session
 from armrig.rig.telemetry_stream import decoded
 
 HOST = "127.0.0.1"
@@ -72,6 +75,12 @@ class Settings:
     """Id of the rig."""
     connect: str | None = None
     """Endpoint of the rig's daemon; if None, the default of `armrig.Rig`."""
+    command: str = "armrig dashboard"
+    """Command that has started the server, for a person who must start it again."""
+    starts_daemon: bool = False
+    """True if `command` also starts the daemon of the rig."""
+    rig_file: Path | None = None
+    """Description that `command` gave to the daemon, with the file of its model on this machine."""
     port: int | None = None
     """Port on 127.0.0.1; if None, 8807, or any free port if 8807 is in use."""
     share: str | None = None
@@ -103,15 +112,19 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     """
     raise_limit()  # above the limit of connections, so that a stop can be sent
     sys.setswitchinterval(_SWITCH_S)
-    feed = Feed()
+    feed = Feed(read_description(path_of(settings.rig_file)) if settings.rig_file else None)
     driver = Driver(rig=settings.rig, connect=settings.connect)
     recorded = RecordingRoutes(feed, settings.rig)
     listener = Listener(
-        feed, rig=settings.rig, connect=settings.connect, found=driver.be_ready_to_stop
+        feed,
+        rig=settings.rig,
+        connect=settings.connect,
+        found=driver.be_ready_to_stop,
+        restart=settings.command if settings.starts_daemon else "",
     )
     with ExitStack() as open_files:
         own = _Door(_listening(HOST, PORT, settings.port), names=(HOST, "localhost"))
-        stream = Stream(feed, driver, may_command=True)
+        stream = Stream(feed, driver, may_command=True, command=settings.command)
         live = RigRoutes(feed, driver, stream)
         threads = [own.served([*live.commanding(), *recorded.routes()], live, stream)]
         served = Served(url=own.url, browser_url=own.browser_url)
@@ -119,7 +132,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
             made = open_files.enter_context(certificate(settings.share))
             taken = _listening(settings.share, SHARED_PORT, settings.share_port)
             door = _Door(taken, names=(settings.share,), certificate=made)
-            stream = Stream(feed, driver, may_command=False)
+            stream = Stream(feed, driver, may_command=False, command=settings.command)
             threads.append(door.served([], RigRoutes(feed, driver, stream), stream))
             served = replace(served, shared_url=door.url, fingerprint=made.fingerprint)
         listener.start()
@@ -271,10 +284,19 @@ class Listener:
     """Thread that receives the rig's messages and adds them to a feed."""
 
     def __init__(
-        self, feed: Feed, *, rig: str, connect: str | None, found: Callable[[], None]
+        self,
+        feed: Feed,
+        *,
+        rig: str,
+        connect: str | None,
+        found: Callable[[], None],
+        restart: str = "",
     ) -> None:
-        """Prepare to listen to a rig; `found` is called after each connection to the rig."""
-        self._found = found
+        """Prepare to listen to a rig; `found` is called after each connection to the rig.
+
+        `restart` is the command that starts a dead daemon; "" if the error of the client names it.
+        """
+        self._found, self._restart = found, restart
         self._feed = feed
         self._rig = rig
         self._connect = connect
@@ -296,8 +318,21 @@ class Listener:
                 with Rig(self._rig, connect=self._connect) as opened:
                     self._listen(opened)
             except (RigError, ValueError) as err:
-                self._feed.trouble = str(err)
+                self._feed.trouble = self._trouble(err)
             self._ends.wait(_RETRY_S)
+
+    def _trouble(self, err: Exception) -> str:
+        """Return why there is no connection, and what a person does; short, for the page."""
+        if not isinstance(err, NoReplyError):
+            return str(err)
+        if pid := living_daemon(self._connect or default_endpoint(self._rig)):
+            return (
+                f"the rig's daemon (process {pid}) does not answer: `kill -9 {pid}` ends it, then "
+                "the device stops the motor"
+            )
+        if self._restart:
+            return f"the rig's daemon has ended: start it in another terminal by `{self._restart}`"
+        return str(err)
 
     def _listen(self, rig: Rig) -> None:
         """Listen until `end` is called, or until no sample arrives for `_SILENT_S` plus 2 Ts."""

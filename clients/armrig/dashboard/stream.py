@@ -6,6 +6,7 @@ Each viewer has a bounded queue. A viewer that does not receive its messages is 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import time
 from collections.abc import AsyncIterator, Callable
 from math import degrees, isfinite
@@ -16,12 +17,14 @@ import msgspec
 from armrig_core.commands.commands import LastRun, StatusReport
 from armrig_core.errors import OperationError
 from armrig_core.rig.arm import ArmParameters
+from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry.telemetry import Sample
-from msgspec.structs import replace
 
 from armrig.dashboard.bins import Rows, Signal, as_lists, columns_of, signals
 from armrig.dashboard.driver import Driver
+from armrig.dashboard.experiments import suggested
 from armrig.dashboard.feed import LATE_US, Feed, News
+from armrig.dashboard.page_json import page_json
 from armrig.rig.status import status_rows
 
 MOST_VIEWERS = 64
@@ -43,15 +46,6 @@ _STATUS_FIELDS = (
     *("rig", "phase", "fault", "reason", "remedy", "line", "owner", "Ts", "u_min", "u_max"),
 )
 """Fields of the daemon's status that the page receives as they are."""
-_EMULATOR = "continue the emulator if its process is stopped, or start `armrig lab` again"
-_OF_EMULATED = {
-    "link": _EMULATOR,
-    "stale": f"{_EMULATOR}; if this host was late, close other programs (`armrig doctor`)",
-    "reset": "press Reset: the emulator was started again",
-    "request": _EMULATOR,
-    "firmware": _EMULATOR,
-}
-"""Remedy of an emulated rig, by the id of a fault whose usual remedy names a cable or a supply."""
 
 
 class TooManyViewersError(OperationError):
@@ -132,9 +126,16 @@ class Viewers:
 class Stream:
     """Stream of the feed's and the driver's state to all viewers of one listening socket."""
 
-    def __init__(self, feed: Feed, driver: Driver, *, may_command: bool) -> None:
-        """Begin without viewers."""
-        self._feed, self._driver = feed, driver
+    def __init__(
+        self,
+        feed: Feed,
+        driver: Driver,
+        *,
+        may_command: bool,
+        command: str = "armrig dashboard",
+    ) -> None:
+        """Begin without viewers; `command` is the command that has started the server."""
+        self._feed, self._driver, self._command = feed, driver, command
         self.may_command = may_command
         """True if the viewers of this socket may command."""
         self._history = History(feed.history)
@@ -171,7 +172,11 @@ class Stream:
         # From here on, new messages are queued for the viewer. The page ignores repeated rows.
         past = asyncio.create_task(self._offer_past(viewer))
         try:
-            hello = {"may_command": self.may_command, "late_us": LATE_US}
+            hello = {
+                "may_command": self.may_command,
+                "late_us": LATE_US,
+                "command": self._command,
+            }
             # The rig comes first: its signals are the columns of the rows.
             for message in (event("hello", hello), *self._told.values()):
                 yield message
@@ -241,7 +246,7 @@ def encoded(rows: Rows) -> list[bytes]:
 
 def event(name: str, value: Any) -> bytes:
     """Return a server-sent event with a value as JSON, which contains no line breaks."""
-    return b"event: %s\ndata: %s\n\n" % (name.encode(), msgspec.json.encode(value))
+    return b"event: %s\ndata: %s\n\n" % (name.encode(), page_json(value))
 
 
 def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
@@ -259,12 +264,15 @@ def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
 def rig_facts(feed: Feed) -> dict[str, Any]:
     """Return the signals of the rig for the page, and what only the arm has.
 
-    The hash is that of the description, or "" until a daemon has reported the description.
+    The hash is that of the signals and the description, or "" until a daemon has reported them.
     """
     described = feed.description
     body = described.channels[0].body if described.arm else ""
-    known = described.sha256 if feed.status else ""
-    return {"hash": known, "signals": feed.signals, "arm": described.arm, "body": body}
+    text = described.text + msgspec.json.encode(feed.signals)
+    known = hashlib.sha256(text).hexdigest() if feed.status else ""
+    facts = {"hash": known, "signals": feed.signals, "arm": described.arm, "body": body}
+    u_max = feed.status.u_max if feed.status else U_MAX_V
+    return facts | {"suggested": suggested(described, u_max)}
 
 
 def status_facts(feed: Feed) -> dict[str, Any]:
@@ -272,7 +280,6 @@ def status_facts(feed: Feed) -> dict[str, Any]:
     status: StatusReport | None = feed.status
     if status is None:
         return {"trouble": feed.trouble, "rows": []}
-    status = advised(status) if feed.is_emulated() else status
     return {
         "trouble": feed.trouble,
         "rows": status_rows(status),
@@ -283,18 +290,13 @@ def status_facts(feed: Feed) -> dict[str, Any]:
     }
 
 
-def advised(status: StatusReport) -> StatusReport:
-    """Return the status of an emulated rig with advice on its emulator, which has no cable."""
-    line = "the emulator does not answer: " + _EMULATOR if status.line else ""
-    return replace(status, line=line, remedy=_OF_EMULATED.get(status.fault, status.remedy))
-
-
 def _newest(sample: Sample | None, drawn: tuple[Signal, ...]) -> dict[str, float | None] | None:
     if sample is None:
         return None
+    drawn = tuple(s for s in drawn if s.kind not in ("rate", "turned"))
     columns = columns_of(signals([]), signals([sample], drawn), drawn)
     values = zip(drawn, columns[0].tolist(), strict=True)
-    return {s.key: round(y, 3) if isfinite(y) else None for s, y in values if s.kind != "rate"}
+    return {s.key: round(y, 3) if isfinite(y) else None for s, y in values}
 
 
 def _run_facts(last: LastRun | None) -> dict[str, Any] | None:

@@ -23,6 +23,7 @@ from armrig.numerics.polynomial import (
     stable,
     without_integrator,
 )
+from armrig.numerics.quantities import digits, plural
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -67,15 +68,16 @@ class PredictedStd:
             times = self._times_longer(name, std)
             verdict = "is long enough" if times <= 1 else "is too short"
             lines.append(
-                f"{name}: {self.seconds:.3g} s give a standard deviation of {got:.3g}, {std:.3g} "
-                f"is wanted: {self.seconds:.3g} s {verdict}, about {self.seconds * times:.3g} s "
-                "are needed"
+                f"{name}: {digits(self.seconds, 3)} s give a standard deviation of "
+                f"{digits(got, 3)}, {digits(std, 3)} is wanted: {digits(self.seconds, 3)} s "
+                f"{verdict}, about {digits(self.seconds * times, 3)} s are needed"
             )
         if len(wanted) > 1:
             needed = self.seconds_for(**wanted)
             verdict = "is long enough" if needed <= self.seconds else "is too short"
             lines.append(
-                f"together: {self.seconds:.3g} s {verdict}, about {needed:.3g} s are needed"
+                f"together: {digits(self.seconds, 3)} s {verdict}, about {digits(needed, 3)} s "
+                "are needed"
             )
         return "\n".join(lines)
 
@@ -92,10 +94,10 @@ class PredictedStd:
 
     def __repr__(self) -> str:
         """Describe the prediction in a few lines."""
-        lines = [f"predicted for {self.N} samples in {self.seconds:.4g} s:"]
+        lines = [f"predicted for {plural(self.N, 'sample')} in {self.seconds:.4g} s:"]
         for name, value, std in zip(self.names, self.theta, self.std, strict=True):
-            share = f" ({100 * std / abs(value):.2g} %)" if value != 0 else ""
-            lines.append(f"  {name} = {value:.5g} ± {std:.2g}{share}")
+            share = f" ({digits(100 * std / abs(value), 2)} %)" if value != 0 else ""
+            lines.append(f"  {name} = {value:.5g} ± {digits(std, 2)}{share}")
         return "\n".join(lines)
 
 
@@ -208,8 +210,8 @@ def predicted_std(
     output_error = model.A.size == model.C.size == model.D.size == 1
     if planned.missing and not output_error:
         raise InputError(
-            f"{planned.missing} samples are missing, but only an output-error model can be planned "
-            "with gaps: plan with the complete input"
+            f"{plural(planned.missing, 'sample is', 'samples are')} missing, but only an "
+            "output-error model can be planned with gaps: plan with the complete input"
         )
     rows = [block for part in planned.experiments() for block in _gradient(model, part, variance)]
     to_full = np.eye(model.theta.size)

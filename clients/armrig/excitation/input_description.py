@@ -14,6 +14,7 @@ from armrig.data.dataset import Dataset
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import triangle
 from armrig.numerics.power_spectrum import power_spectrum
+from armrig.numerics.quantities import digits, plural
 from armrig.numerics.regressors import in_blocks
 from armrig.plots.layout import BLUE, INK, SKY, finish, hertz, stacked
 
@@ -77,13 +78,14 @@ class InputDescription:
         at_least = "at least " if self.order == self.highest_order else ""
         kind = "in each tenth of the range" if self.binned else "at each level"
         times = ", ".join(
-            f"{v:.3g} V {100 * p:.0f} %" for v, p in zip(self.levels, self.shares, strict=True)
+            f"{digits(v, 3)} V {100 * p:.0f} %"
+            for v, p in zip(self.levels, self.shares, strict=True)
         )
         lines = [
-            f"input of {N} samples at {self.Ts:g} s ({N * self.Ts:g} s), "
+            f"input of {plural(N, 'sample')} at {self.Ts:g} s ({N * self.Ts:g} s), "
             f"{self.u.min():.4g} to {self.u.max():.4g} V",
             f"  mean {self.mean:.4g} V, effective value about it {self.std:.4g} V, "
-            f"crest factor {self.crest_factor:.3g}",
+            f"crest factor {digits(self.crest_factor, 3)}",
             f"  persistently exciting of order {at_least}{self.order}: {self._meaning()}",
             f"  time {kind}: {times}",
         ]
@@ -91,7 +93,8 @@ class InputDescription:
             total = np.cumsum(self.spectrum)
             half = float(self.omega[np.searchsorted(total / total[-1], 0.5)])
             lines.append(
-                f"  half of the power below {half:.3g} rad/s (Nyquist {np.pi / self.Ts:.4g} rad/s)"
+                f"  half of the power below {digits(half, 3)} rad/s (Nyquist "
+                f"{np.pi / self.Ts:.4g} rad/s)"
             )
         return "\n".join(lines)
 
@@ -99,8 +102,10 @@ class InputDescription:
         if self.order < 2:
             return "it determines a static gain, but no dynamics; use more switches"
         more = ", and perhaps for more" if self.order == self.highest_order else ""
-        many = f"enough for {self.order} parameters of B and F (or B and A) together{more}"
-        return f"{many}; least power {self.weakest:.2g} times the power of white noise"
+        many = (
+            f"enough for {plural(self.order, 'parameter')} of B and F (or B and A) together{more}"
+        )
+        return f"{many}; least power {digits(self.weakest, 2)} times the power of white noise"
 
 
 def describe_input(u: ArrayLike, Ts: float) -> InputDescription:

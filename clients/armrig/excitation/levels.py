@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.columns import Vector as Vector
 from armrig.numerics.checks import column, require_integers, require_numbers
+from armrig.numerics.quantities import plural
 
 # According to assignment 3.3 of the handout, an input outside this interval destroys the rig.
 LOWEST_V, HIGHEST_V = 0.0, 5.0
@@ -69,7 +70,9 @@ def staircase(
     else:
         stairs = within(levels, low=low, high=high)
     if stairs.size > N:
-        raise InputError(f"{stairs.size} levels need at least as many samples, N={N}")
+        raise InputError(
+            f"{plural(stairs.size, 'level needs', 'levels need')} at least as many samples, N={N}"
+        )
     return stairs[np.arange(N) * stairs.size // N]
 
 

@@ -12,6 +12,7 @@ from armrig_core.process.calls import checked_call
 from armrig.data.columns import interval
 from armrig.excitation.levels import Vector, generator, require_levels, within
 from armrig.numerics.checks import require_integers, require_numbers
+from armrig.numerics.quantities import plural
 
 
 def multisine(
@@ -79,7 +80,8 @@ def multisine(
     P = N // periods
     if P < 3:
         raise InputError(
-            f"a period of N/periods={P} samples has no line; a period needs at least 3 samples"
+            f"a period of N/periods={plural(P, 'sample')} has no line; a period needs at least 3 "
+            "samples"
         )
     l = _lines(lines, P)  # noqa: E741 - the textbook's letter
     X = np.zeros(P // 2 + 1, dtype=np.complex128)

@@ -17,6 +17,7 @@ from typing import IO, cast
 
 import serial
 from armrig_core.errors import OperationError
+from armrig_core.process.printable import plural
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
@@ -227,7 +228,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     if len(unos) == 1:
         return unos[0]
     if unos:
-        msg = f"{len(unos)} boards: {_list(unos)}; choose one by --port"
+        msg = f"{plural(len(unos), 'board')}: {_list(unos)}; choose one by --port"
     elif boards:
         msg = f"no Uno is plugged in, but {_list(boards)}; if it is an Uno, give --port"
     else:

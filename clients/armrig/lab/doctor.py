@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armrig_core.errors import InputError
+from armrig_core.process.printable import plural
 
 from armrig.lab.host import (
     PRIORITY,
@@ -312,9 +313,9 @@ def _virtual(host: Host) -> list[_Found]:
 def _load(host: Host) -> list[_Found]:
     mean, cpus = load(host.root), host.granted.cpus
     if not mean > cpus:  # NaN is not reported
-        return _good(f"{mean:g} on {cpus} processors")
+        return _good(f"{mean:g} on {plural(cpus, 'processor')}")
     return _bad(
-        f"{mean:g} on {cpus} processors",
+        f"{mean:g} on {plural(cpus, 'processor')}",
         "service and subscribers wait for a processor; without FIFO the loop waits, too",
         "end other programs (`top` names them)",
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
@@ -14,10 +15,12 @@ from armrig_core.access.daemon_lock import living_daemon
 from armrig_core.access.endpoint import network_address
 from armrig_core.commands import commands
 from armrig_core.errors import InputError, MalformedReplyError
-from armrig_core.process.standstill import Standstill
+from armrig_core.process.printable import plural
+from armrig_core.process.standstill import Standstill, boot_ns
 from armrig_core.rig.calibration_file import raw_samples, read_calibration
 from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry import topics
+from msgspec.structs import replace
 
 from armrig.rig.replies import (
     BusyError,
@@ -44,15 +47,20 @@ from armrig.rig.session import (
 
 if TYPE_CHECKING:  # a stop waits for all imports of this module
     import numpy as np
+    from armrig_core.rig.description import Input
     from numpy.typing import ArrayLike, NDArray
 
 REPLY_S = 5.0  # longest wait for a reply
-_REPLY_PER_SAMPLE_S = 5e-6  # added: before its reply the daemon checks and rehearses all samples
+_SAMPLE_S, _REMOTE_SAMPLE_S = 5e-6, 2e-5  # time to send a sample: 20 B, over a network 1 MB/s
+_SIGN_S = 1.0  # between two signs of life while a run is rehearsed
+_PREPARATION_S = 120.0  # longest wait for the beginning of a run: the daemon plans for up to 60 s
 _POLL_INTERVAL_S = 0.1
 _REPEAT_INTERVAL_S = 0.02  # between two attempts of a temporarily refused command
 # Time for which a temporarily refused command is repeated. The daemon reports its timing once a
 # second. A stall can spoil two reports; the third report is good again.
 _REPEAT_S = 2.5
+_SHORT_S = 0.01  # sampling time that no description forbids
+_ROUNDING_V = 1e-9  # largest error of a value's voltage
 _R = TypeVar("_R")
 _TIMEOUT = b"Timeout"  # an error of zenoh; the daemon's own errors are JSON
 
@@ -116,7 +124,11 @@ class Rig:
         self._lease = ""
         self._owner = ""
         self._n = 0
-        self._limits_v = (0.0, U_MAX_V)
+        self._ahead_ns: int | None = None  # clock of the daemon minus that of this computer
+        self._limits_v, self._rest_v = (0.0, U_MAX_V), 0.0
+        self._input: Input | None = None
+        self.every = 1
+        """Number of samples of the device in a sampling time, since `arm`."""
         self.last_run: commands.LastRun | None = None
         """Daemon's report on the last run that `run` played."""
 
@@ -161,7 +173,9 @@ class Rig:
         owner : str
             Name of the owner, which other users see; 1 to 80 characters.
         Ts : float, optional
-            Sampling time in s; by default the configured sampling time.
+            Sampling time in s, at most 60; by default the configured sampling time. Above 1 s, or
+            a fifth of the description's `blind_s`, `run` plays each voltage in several samples.
+            The recording contains all samples; its datasets contain the instants of Ts.
 
         Returns
         -------
@@ -184,14 +198,21 @@ class Rig:
         >>> granted.Ts, granted.u_min, granted.u_max
         (0.005, 0.0, 5.0)
         """
-        granted = self._ask_again(commands.Arm(owner=owner, Ts=Ts), commands.LeaseGranted)
-        self._lease, self._n, self._owner = granted.lease, 0, owner
-        self._limits_v = (granted.u_min, granted.u_max)
-        return granted
+        every = 1
+        if Ts is not None and Ts > _SHORT_S:
+            every = commands.samples_of(Ts, self.status().described.longest_sample_s)
+        asked = commands.Arm(owner=owner, Ts=None if Ts is None else Ts / every)
+        granted = self._ask_again(asked, commands.LeaseGranted)
+        self._lease, self._n, self._owner, self.every = granted.lease, 0, owner, every
+        # The reply came after the daemon read its clock: an order is rather refused than late.
+        self._ahead_ns = granted.now_ns - boot_ns() if granted.now_ns else None
+        self._limits_v, self._rest_v = (granted.u_min, granted.u_max), granted.rest_v
+        self._input = None
+        return msgspec.structs.replace(granted, Ts=every * granted.Ts)
 
     def run(
         self,
-        u: ArrayLike,
+        u: ArrayLike | None = None,
         *,
         pacing: Literal["scheduled", "exchange"] = "scheduled",
         experiment: str = "run",
@@ -200,6 +221,7 @@ class Rig:
         accepted: Callable[[commands.RunAccepted], None] | None = None,
         progress: Progress | None = None,
         tell: Callable[[str], None] | None = None,
+        **own: ArrayLike,
     ) -> Path:
         """Play `u`, wait until the run is recorded, and return the recording's path.
 
@@ -208,16 +230,17 @@ class Rig:
 
         Parameters
         ----------
-        u : array_like, shape (N,)
-            Motor voltage at each sample, in V, inside the limits that `arm` returned. N is at least
-            1 and at most 4 000 000.
+        u : array_like, shape (N,), optional
+            Voltage at the pin at each sample, in V, inside the limits that `arm` returned. N is at
+            least 1 and at most 4 000 000.
         pacing : {"scheduled", "exchange"}
             Clock that triggers each sample: the device's timer ("scheduled"), or the host
             ("exchange"). With "exchange", the data contain the jitter of the host.
         experiment : str, default "run"
             Kind of experiment, part of the recording's name; allowed are a-z, 0-9 and -.
         details : mapping, optional
-            Settings of the experiment, such as its seed; the recording contains them.
+            Settings of the experiment, such as its seed; the recording contains them. The name
+            "every" is that of the samples with each voltage, for a Ts above 1 s.
         dead_man : float, optional
             Time in s, 0.5 to 60. If this process sends no sign of life for this time, the daemon
             stops the run, because the process may have been killed, frozen or disconnected. By
@@ -233,6 +256,9 @@ class Rig:
             Called with a sentence if this computer slept, if a run with a `dead_man` loses its
             link, and when the rig answers again. Until the dead-man's time is over, the client
             tries to reach the rig.
+
+        **own : array_like, shape (N,)
+            Values of the input in its own unit, by its name instead of u, as for `set`.
 
         Returns
         -------
@@ -263,18 +289,21 @@ class Rig:
         >>> abs(armrig.load(path).u - u).max() < 0.005  # a step of the motor's driver
         np.True_
         """
-        voltage = self._allowed(u)
+        if commands.EVERY in (details or {}):
+            raise InputError(f"details: {commands.EVERY!r} is the name of the samples per voltage")
+        made = {commands.EVERY: self.every} if self.every > 1 else {}
+        voltage = self._allowed(u, own).repeat(self.every)
         request = commands.Run(
-            **self._stamp(),
+            **self._stamp(REPLY_S + self._sending_s(voltage.size)),
             u=voltage.tolist(),
             pacing=pacing,
             experiment=experiment,
-            details=dict(details or {}),
+            details=dict(details or {}) | made,
             dead_man=dead_man,
         )
         run = None
         try:
-            run = self._ask(request, commands.RunAccepted)
+            run = self._wait_for_beginning(request)
             if accepted is not None:
                 accepted(run)
             progress, tell = progress or (lambda done, total: None), tell or (lambda sentence: None)
@@ -290,6 +319,29 @@ class Rig:
         self._lease = ""
         return complete_recording(last, voltage.size)
 
+    def _wait_for_beginning(self, request: commands.Run) -> commands.RunAccepted:
+        """Send a run, and wait until it begins; the daemon gets a sign of life each second."""
+        (key, payload), replies = self._query(request), _Replies()
+        self._connected().get(
+            key,
+            handler=replies.handler,
+            payload=payload,
+            encoding="application/json",
+            timeout=_PREPARATION_S,
+        )
+        ends_s = time.monotonic() + _PREPARATION_S
+        sign_s = _SIGN_S + self._sending_s(len(request.u))
+        while (found := replies.wait(sign_s)) is None:
+            sign_s = _SIGN_S
+            stamp = self._stamp(min(REPLY_S, ends_s - time.monotonic()))
+            with suppress(RefusedError):  # the run has just begun
+                self._ask(commands.Renew(**stamp), commands.Done)
+        return self._read(request.name, found, commands.RunAccepted)
+
+    def _sending_s(self, samples: int) -> float:
+        """Return the time to wait for a run on its way, during which nothing else may arrive."""
+        return samples * (_REMOTE_SAMPLE_S if self._name else _SAMPLE_S)
+
     def _finished(
         self,
         request: commands.Run,
@@ -303,7 +355,10 @@ class Rig:
             # If other clients send many commands, the daemon may refuse this request. The run
             # continues. The next sign of life must not wait, so each request is sent only once.
             with suppress(BusyError):
-                what = f"rig {self.rig}: link lost after {done} or more of {len(request.u)} samples"
+                what = (
+                    f"rig {self.rig}: link lost after {done} or more of "
+                    f"{plural(len(request.u), 'sample')}"
+                )
                 status = self._status_over_link(what, until_s, tell)
                 wait_s = _POLL_INTERVAL_S
                 last = status.last_run
@@ -360,13 +415,16 @@ class Rig:
                 return status
             time.sleep(_POLL_INTERVAL_S)
 
-    def set(self, u: float) -> None:
+    def set(self, u: float | None = None, **own: float) -> None:
         """Hold a voltage until the next `set`, for at most the time `period_s` that `arm` returned.
 
         Parameters
         ----------
-        u : float
-            Motor voltage in V, inside the limits that `arm` returned.
+        u : float, optional
+            Voltage at the pin in V, inside the limits that `arm` returned.
+        **own : float
+            Value of the input in its own unit, by its name in the rig's description instead of u:
+            ``rig.set(power=60)``. A rig whose rest is not 0 V takes only this value.
 
         Raises
         ------
@@ -386,7 +444,8 @@ class Rig:
         >>> print(f"{sample.u_applied_v:.1f} V")
         2.0 V
         """
-        (volts,) = self._allowed([u])
+        given = None if u is None else [u]
+        (volts,) = self._allowed(given, {name: [value] for name, value in own.items()})
         self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
 
     def stop(self, by: str = "") -> None:
@@ -472,7 +531,12 @@ class Rig:
         >>> was_in_fault
         False
         """
-        return self._ask_again(commands.Reset(), commands.Done).done
+        status = self.status()
+        request = commands.Reset()
+        if status.now_ns:
+            until_ns = status.now_ns + round(REPLY_S * 1e9)
+            request = commands.Reset(fault=status.fault, valid_until_ns=until_ns)
+        return self._ask_again(request, commands.Done).done
 
     def calibrate(self, path: str | Path) -> None:
         """Make the daemon use a calibration from a TOML file until the daemon ends.
@@ -507,7 +571,12 @@ class Rig:
         the calibration does not say how it was made; `armrig calibrate` makes one
         """
         found = read_calibration(Path(path))
+        status = self.status()
         request = commands.Calibrate(calibration=found, raw=raw_samples(found))
+        if status.now_ns:
+            until_ns = status.now_ns + round(REPLY_S * 1e9)
+            replaces = status.calibration_sha256
+            request = replace(request, replaces=replaces, valid_until_ns=until_ns)
         self._ask_again(request, commands.Done)
 
     def disarm(self) -> None:
@@ -558,11 +627,23 @@ class Rig:
 
         return arrivals(self._connected(), topics.stream_key(self.rig, name))
 
-    def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:
-        """Return the voltages (N,); raise ValueError if a voltage is outside the limits."""
+    def _allowed(self, u: ArrayLike | None, own: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """Return the voltages (N,), of u or of the input's own values by its name.
+
+        Raises ValueError if a voltage is outside the limits, or the values have a wrong name.
+        """
         import numpy as np
 
-        volts = np.asarray(u, dtype=np.float64)
+        if own or self._rest_v:
+            self._input = given = self._input or self.status().described.input
+            if u is not None or [*own] != [given.name]:
+                raise InputError(self._wrongly_named(u, own, given))
+            volts = given.volts(np.asarray(own[given.name], dtype=np.float64))
+            # The conversion may have a rounding error at a limit.
+            for limit in self._limits_v:
+                volts = np.where(np.abs(volts - limit) < _ROUNDING_V, limit, volts)
+        else:
+            volts = np.asarray(u, dtype=np.float64)
         if volts.ndim != 1 or volts.size == 0:
             raise InputError(
                 f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage per sample"
@@ -577,11 +658,30 @@ class Rig:
             )
         return volts
 
-    def _stamp(self) -> dict[str, Any]:
+    def _wrongly_named(
+        self, u: ArrayLike | None, own: Mapping[str, ArrayLike], given: Input
+    ) -> str:
+        """Return what is wrong with values that are not those of the input by its name."""
+        rest = f"{given.name}={given.value(given.rest_v):g}"
+        if own:
+            both = "u and " * (u is not None)
+            return (
+                f"{both}{', '.join(own)}: the input of rig {self.rig} is {given.name}: give {rest}"
+            )
+        return (
+            f"a number without a name is a voltage at the pin, and rig {self.rig} rests at "
+            f"{given.rest_v:g} V: give the value in {given.unit}, such as {rest} for rest"
+        )
+
+    def _stamp(self, wait_s: float = REPLY_S) -> dict[str, Any]:
+        """Return lease, number and time of validity of a command that waits `wait_s` seconds."""
         if not self._lease:
             raise RefusedError(f"rig {self.rig} is not armed by this client: call arm(owner) first")
         self._n += 1
-        return {"lease": self._lease, "n": self._n}
+        stamp: dict[str, Any] = {"lease": self._lease, "n": self._n}
+        if self._ahead_ns is not None:
+            stamp["valid_until_ns"] = boot_ns() + self._ahead_ns + round(wait_s * 1e9)
+        return stamp
 
     def _connected(self) -> zenoh.Session:
         if self._session is None:
@@ -600,6 +700,14 @@ class Rig:
             time.sleep(_REPEAT_INTERVAL_S)
 
     def _ask(self, request: commands.Request, answer: type[_R]) -> _R:
+        key, payload = self._query(request)
+        replies = self._connected().get(
+            key, payload=payload, encoding="application/json", timeout=REPLY_S
+        )
+        return self._read(request.name, replies, answer)
+
+    def _query(self, request: commands.Request) -> tuple[str, bytes]:
+        """Return the key and the payload of a command."""
         key = topics.command_key(self.rig, request.name, self._name)
         payload = msgspec.json.encode(request)
         if self._name and len(payload) > commands.MOST_REMOTE_BYTES:
@@ -608,24 +716,32 @@ class Rig:
                 f"{commands.MOST_REMOTE_BYTES} B are allowed: play the input in parts, or on the "
                 "rig's own machine"
             )
-        replies = self._connected().get(
-            key, payload=payload, encoding="application/json", timeout=longest_reply_s(request)
-        )
+        return key, payload
+
+    def _read(self, name: str, replies: Iterable[zenoh.Reply], answer: type[_R]) -> _R:
+        """Return the answer in the replies to a command."""
         try:
             for reply in replies:
                 if reply.ok is not None:
-                    return reply_of(request.name, reply.ok.payload.to_bytes(), answer)
+                    return reply_of(name, reply.ok.payload.to_bytes(), answer)
                 if reply.err is None or (error := reply.err.payload.to_bytes()) == _TIMEOUT:
                     continue
-                raise refused(refusal_of(request.name, error))
+                raise refused(refusal_of(name, error))
         except MalformedReplyError as err:
             raise no_daemon(self.rig, self.endpoint, str(err)) from err
         if self._name:
-            raise not_permitted(self.rig, self.endpoint, self._name, request.name)
+            raise not_permitted(self.rig, self.endpoint, self._name, name)
         raise no_reply(self.rig, self.endpoint)
 
 
-def longest_reply_s(request: commands.Request) -> float:
-    """Return the longest time, in s, to wait for the reply to a command."""
-    samples = len(request.u) if isinstance(request, commands.Run) else 0
-    return REPLY_S + _REPLY_PER_SAMPLE_S * samples
+class _Replies:
+    """Replies to a query, collected by a thread of zenoh."""
+
+    def __init__(self) -> None:
+        self._replies: list[zenoh.Reply] = []
+        self._has_ended = threading.Event()
+        self.handler = zenoh.handlers.Callback(self._replies.append, self._has_ended.set)
+
+    def wait(self, timeout: float) -> list[zenoh.Reply] | None:
+        """Return all replies; None if more may come after `timeout` s."""
+        return self._replies if self._has_ended.wait(timeout) else None

@@ -5,23 +5,28 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from math import floor, isclose, isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from armrig_core.commands.commands import (
+    LONGEST_SAMPLE_S,
     MOST_SAMPLES,
+    UNTIL,
     LastRun,
     Rehearsal,
     RunAccepted,
     rehearsal_sentence,
+    samples_of,
 )
 from armrig_core.errors import ParameterError
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.rig.calibration import BODY
+from armrig_core.rig.description import Input
 from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
@@ -29,7 +34,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from armrig.numerics.quantities import number
+from armrig.numerics.quantities import number, plural
 from armrig.recordings.files.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig
@@ -41,6 +46,7 @@ from armrig.rig.session import (
     ServiceStoppedError,
     service_has_stopped,
 )
+from armrig.rig.settling import Settling
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
 """Function of rig, kind of experiment and N.
@@ -48,11 +54,10 @@ Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
 It returns a context manager that yields a progress callback.
 """
 
-LONGEST_TS = 1.0
-"""Longest sampling time that the daemon allows, in s."""
 LONGEST_OWNER = 80
 DEAD_MAN_S = (0.5, 60.0)
 """Shortest and longest dead-man time that the daemon allows, in s."""
+_LONG_S = 600.0  # a longer run is announced with its end
 _FINISH_TIMEOUT_S = 2.0  # until a stopped run is complete on the disk
 _POLL_INTERVAL_S = 0.05
 _TIMING_WINDOW_NS = 1_000_000_000
@@ -103,6 +108,8 @@ class Plan:
     """Time in s without a sign of life after which the daemon stops the run; None for no limit."""
     default_levels: bool = False
     """True if `low` and `high` in `details` are lowered on a rig whose highest voltage is lower."""
+    is_bare: bool = False
+    """True if a person gave voltages without the name of the input."""
     without_arm: bool = False
     """True if the experiment needs the rig without its arm."""
     of_arm: bool = False
@@ -117,16 +124,15 @@ class Plan:
         if self.dead_man is not None and not low <= self.dead_man <= high:
             allowed = f"must be {low:g} to {high:g} s, or 0 for none"
             raise ParameterError("dead_man", f"{self.dead_man:g}", allowed)
-        if self.Ts is not None and self.Ts > LONGEST_TS:
-            allowed = f"must be at most {LONGEST_TS:g}, in seconds; 10 ms are 0.01"
-            raise ParameterError("Ts", f"{self.Ts:g}", allowed)
+        if self.Ts is not None:
+            samples_of(self.Ts)
         if not 1 <= len(self.owner) <= LONGEST_OWNER:
-            count = f"{len(self.owner)} characters"
+            count = f"{plural(len(self.owner), 'character')}"
             raise ParameterError("owner", f"of {count}", f"must have 1 to {LONGEST_OWNER}")
         if self.seconds is None:
             return
-        if self.Ts is not None or self.seconds > MOST_SAMPLES * LONGEST_TS:
-            number_of_samples(self.seconds, self.Ts or LONGEST_TS)
+        if self.Ts is not None or self.seconds > MOST_SAMPLES * LONGEST_SAMPLE_S:
+            number_of_samples(self.seconds, self.Ts or LONGEST_SAMPLE_S)
 
 
 def number_of_samples(seconds: float, Ts: float) -> int:
@@ -134,12 +140,13 @@ def number_of_samples(seconds: float, Ts: float) -> int:
 
     Raises ValueError if the number is 0, or larger than the largest number of samples of a run.
     """
-    N = floor(seconds / Ts + 0.5)
+    N, every = floor(seconds / Ts + 0.5), samples_of(Ts)
     if N < 1:
         reason = f"too short for a sample of {Ts:g} s; must be at least {Ts:g}"
         raise ParameterError("seconds", f"{seconds:g}", reason)
-    if N > MOST_SAMPLES:
-        most = f"must be at most {MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s ({MOST_SAMPLES} samples)"
+    if N * every > MOST_SAMPLES:
+        longest = MOST_SAMPLES // every * Ts
+        most = f"must be at most {longest:g} s at Ts = {Ts:g} s ({MOST_SAMPLES} samples)"
         raise ParameterError("seconds", f"{seconds:g}", most)
     return N
 
@@ -246,7 +253,7 @@ def collect(
             instead = f"`armrig calibrate {two}`" if plan.of_arm else "`armrig collect blackbox`"
             raise RigError(
                 f"this experiment is for the arm, and rig {status.rig} is "
-                f"'{described.rig.name}': use {instead}"
+                f"'{described.title}': use {instead}"
             )
         if plan.without_arm and not status.arm_removed:
             raise RigError(
@@ -257,14 +264,29 @@ def collect(
             tell("not rehearsed: the description of this rig has no [model]")
         if status.arm_removed and not plan.without_arm:
             tell(f"rig {status.rig} has no arm ([arm] removed): this is the {BODY} alone")
-        if plan.default_levels and status.u_max < plan.details["high"]:
-            plan = _lowered(plan, status.u_max, tell)
+        given = described.input
+        if plan.is_bare and given.rest_v:
+            raise RigError(
+                f"rig {status.rig} rests at {given.rest_v:g} V, so a voltage without a name may be "
+                f"its full reverse: give values in {given.unit} by name, such as --low "
+                f"{given.name}={given.value(given.rest_v):.4g} --high {given.name}="
+                f"{given.value((given.rest_v + status.u_max) / 2):.4g}. In a file, name the column "
+                f"{given.name}"
+            )
+        if plan.default_levels and (given.rest_v or status.u_max < plan.details["high"]):
+            plan = _fitting(plan, given.rest_v, status.u_max, tell)
         armed = False
         try:
             granted = opened.arm(plan.owner, plan.Ts)
             armed = True
             u = planned_input(plan, granted.Ts, tell)
-            path, run_id, rehearsal = _played(opened, plan, u, tell, shown)
+            if given.is_scaled:
+                tell(f"the input is {given.both(float(u.min()), float(u.max()))}")
+            if (seconds := u.size * granted.Ts) > _LONG_S:
+                most = "at most " * (UNTIL in plan.details)
+                end = time.strftime("%a %H:%M", time.localtime(time.time() + seconds))
+                tell(f"the rig is held for {most}{timedelta(seconds=round(seconds))}, until {end}")
+            path, run_id, rehearsal = _played(opened, plan, u, granted.Ts, given, tell, shown)
         except KeyboardInterrupt as err:
             if not armed:
                 raise
@@ -278,14 +300,25 @@ def collect(
     return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal, synced)
 
 
-def _lowered(plan: Plan, u_max: float, tell: Callable[[str], None]) -> Plan:
-    """Return a plan whose voltages are the same shares of `u_max` as before of 5 V."""
-    share = u_max / U_MAX_V
-    low, high = (share * plan.details[name] for name in ("low", "high"))
-    tell(f"the rig allows at most {u_max:g} V: the input is between {low:g} and {high:g} V")
+def _fitting(plan: Plan, rest_v: float, u_max: float, tell: Callable[[str], None]) -> Plan:
+    """Return a plan with levels that are the same shares of the rig's range as before of 5 V.
+
+    Levels of a rig that rests at another voltage than 0 V are on both sides of the rest; those of a
+    step or a staircase begin at rest.
+    """
+    before = plan.details["low"], plan.details["high"]
+    share, middle = u_max / U_MAX_V, 0.0
+    if rest_v:
+        from_rest = plan.experiment.startswith(("step", "staircase"))
+        reach = (u_max - rest_v) if from_rest else min(rest_v, u_max - rest_v)
+        share = 0.8 * (1 if from_rest else 2) * reach / (before[1] - before[0])
+        middle = rest_v - (0.0 if from_rest else 0.8 * reach) - share * before[0]
+    low, high = (middle + share * level for level in before)
+    why = f"the rig rests at {rest_v:g} V" if rest_v else f"the rig allows at most {u_max:g} V"
+    tell(f"{why}: the input is between {low:g} and {high:g} V")
     return replace(
         plan,
-        make=lambda N, Ts: share * plan.make(N, Ts),
+        make=lambda N, Ts: middle + share * plan.make(N, Ts),
         details={**plan.details, "low": low, "high": high},
     )
 
@@ -299,9 +332,16 @@ def _is_readable(path: Path) -> bool:
 
 
 def _played(
-    rig: Rig, plan: Plan, u: NDArray[Any], tell: Callable[[str], None], shown: Shown
+    rig: Rig,
+    plan: Plan,
+    u: NDArray[Any],
+    Ts: float,
+    given: Input,
+    tell: Callable[[str], None],
+    shown: Shown,
 ) -> tuple[Path, str, Rehearsal | None]:
     """Play an input and show its progress; return the recording, the run id and the rehearsal."""
+    N = u.size * rig.every
     rehearsal: Rehearsal | None = None
     run_id, taken = "", 0
 
@@ -311,16 +351,20 @@ def _played(
         if rehearsal is not None:
             tell(rehearsal_sentence(rehearsal))
 
-    with shown(rig, plan.experiment, u.size) as progress:
+    until = _until_settled(rig, plan, Ts) if UNTIL in plan.details else nullcontext(bool)
+    with shown(rig, plan.experiment, N) as progress, until as settled:
 
         def counted(done: int, total: int) -> None:
             nonlocal taken
             taken = done
             progress(done, total)
 
+            if settled():
+                raise _SettledError
+
         try:
             path = rig.run(
-                u,
+                **{given.name: given.value(u)} if given.rest_v else {"u": u},
                 pacing=plan.pacing,
                 experiment=plan.experiment,
                 details=plan.details,
@@ -329,14 +373,48 @@ def _played(
                 progress=counted,
                 tell=tell,
             )
+        except _SettledError:
+            path = _after_the_stop(rig, run_id)
+            tell("the outputs have settled: the rig is stopped")
         except NoReplyError as err:
             is_told = isinstance(err, LostLinkError) or service_has_stopped(rig.rig, rig.endpoint)
             if not run_id or is_told:
                 raise
-            msg = f"the run was cut off after {taken} or more of {u.size} samples: {err}; what was "
+            msg = (
+                f"the run was cut off after {taken} or more of {plural(N, 'sample')}: "
+                f"{err}; what was "
+            )
             msg += "recorded is in `armrig ls`; start the rig with the options that it had before, "
             raise NoReplyError(f"{msg}then repeat the command") from err
     return path, run_id, rehearsal
+
+
+class _SettledError(Exception):
+    """The outputs have settled, so that the run may end."""
+
+
+@contextmanager
+def _until_settled(rig: Rig, plan: Plan, Ts: float) -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether the outputs have settled after the plan's step."""
+    channels, at = rig.status().described.channels, float(plan.details["at"])
+    settling = Settling(channels, at, Ts / rig.every)
+    with rig.arrivals("sample") as samples:
+
+        def settled() -> bool:
+            settling.add(samples())
+            return settling.has_settled()
+
+        yield settled
+
+
+def _after_the_stop(rig: Rig, run_id: str) -> Path:
+    """Return the recording of a run that this client has stopped, when it is complete."""
+    until = time.monotonic() + _FINISH_TIMEOUT_S
+    while (last := rig.status().last_run) is None or last.run_id != run_id or not last.finished:
+        if time.monotonic() > until:
+            raise RigError(f"the recording of the run {run_id} is not finished: see `armrig ls`")
+        time.sleep(_POLL_INTERVAL_S)
+    return Path(last.recording)
 
 
 ARM_OFF = (
@@ -356,7 +434,7 @@ def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray
     if not isclose(u.size * Ts, plan.seconds, rel_tol=1e-9):
         tell(
             f"{plan.seconds:g} s is not a whole number of samples of {Ts:g} s: "
-            f"{u.size} samples are played, {u.size * Ts:g} s"
+            f"{plural(u.size, 'sample is', 'samples are')} played, {u.size * Ts:g} s"
         )
     return u
 
@@ -392,9 +470,10 @@ def _interrupted_sentence(rig: Rig, before: LastRun | None) -> str:
             if last is None or (before is not None and last.run_id == before.run_id):
                 return f"{stopped}; nothing was recorded"
             if last.finished:
-                return (
-                    f"{stopped}; the {last.samples} samples before the stop are in {last.recording}"
+                samples = plural(
+                    last.samples, "sample before the stop is", "samples before the stop are"
                 )
+                return f"{stopped}; the {samples} in {last.recording}"
             if time.monotonic() > until:
                 return f"{stopped}; its recording is still being written: {last.recording}"
             time.sleep(_POLL_INTERVAL_S)

@@ -82,9 +82,11 @@ def stop(daemon: subprocess.Popen[bytes]) -> None:
 
 
 def require_running(daemon: subprocess.Popen[bytes], log: Path) -> None:
-    """Raise RigError with the last line of the log if the daemon has ended."""
+    """Raise RigError if the daemon has ended, with the signal or the last line of the log."""
     if daemon.poll() is None:
         return
+    if daemon.returncode < 0:
+        raise RigError(f"the daemon was ended by {signal.Signals(-daemon.returncode).name} ({log})")
     raise RigError(f"the daemon ended with exit code {daemon.returncode}: {_last_line(log)}")
 
 

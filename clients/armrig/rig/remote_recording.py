@@ -18,6 +18,7 @@ import msgspec
 import zenoh
 from armrig_core.commands.codes import CONTINUED, Ending, GapCode, OutcomeCode
 from armrig_core.errors import InputError
+from armrig_core.process.printable import plural
 from armrig_core.recording_file.manifest import Manifest, check_whole_numbers
 from armrig_core.recording_file.part_names import ACTIVE
 from armrig_core.recording_file.recorder import Recording, RecordingError
@@ -101,7 +102,10 @@ class RemoteRecording:
             self.finish(Ending(OutcomeCode.RECORDER, STARTED_ANEW))
             self._state = None
         if piece.lost:
-            self._warn(f"{GapCode.RECORDER_CUT_OFF.sentence}: {piece.lost} messages are lost")
+            self._warn(
+                f"{GapCode.RECORDER_CUT_OFF.sentence}: "
+                f"{plural(piece.lost, 'message is', 'messages are')} lost"
+            )
         for stream, data in piece.past.messages:
             self._take(remote_message(stream, data, self._offset_ns))
         self._hand_over()
@@ -111,8 +115,8 @@ class RemoteRecording:
         if file is None:
             if self._waiting_size > _MAX_WAITING_BYTES:
                 raise RigError(
-                    f"rig {self.rig}: no state came with {len(self._waiting)} messages, so its "
-                    "sampling time is unknown; the sender is not an armrigd"
+                    f"rig {self.rig}: no state came with {plural(len(self._waiting), 'message')}, "
+                    "so its sampling time is unknown; the sender is not an armrigd"
                 )
             return
         file.add(self._taken())
@@ -173,7 +177,10 @@ class RemoteRecording:
             raise RigError(msg + "is not an armrigd")
         self._missing += sample.k - last.k - 1
         if self._missing > MISSING_LIMIT:
-            text = f"{sample.k - last.k - 1} samples are missing after its last sample"
+            text = (
+                f"{plural(sample.k - last.k - 1, 'sample is', 'samples are')} missing after "
+                "its last sample"
+            )
             self.finish(Ending(OutcomeCode.RECORDER, text))
         elif sample.k - first.k >= MOST_ROWS:
             self.finish(CONTINUED)
@@ -195,7 +202,7 @@ class RemoteRecording:
         path = self._free_path()
         manifest = remote_manifest(self.rig, self.endpoint, self._state, self._offset_ns)
         try:
-            self._file = Recording(
+            self._file = Recording.create(
                 path, manifest, {}, t_first_ns=first.t_host_ns, changed=lambda: None
             )
         except RecordingError as err:

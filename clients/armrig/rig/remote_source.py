@@ -17,7 +17,7 @@ from armrig_core.telemetry.topics import history_key
 
 from armrig.rig.session import RigError
 
-_REPLY_TIMEOUT_S = 1.0
+_REPLY_TIMEOUT_S, _FIRST_REPLY_TIMEOUT_S = 1.0, 5.0  # the first answer may wait for a busy machine
 _NO_DAEMON = "the sender is not an armrigd"
 
 
@@ -77,7 +77,7 @@ class RemoteSource:
         for reply in self._session.get(
             self._key,
             payload=question,
-            timeout=_REPLY_TIMEOUT_S,
+            timeout=_REPLY_TIMEOUT_S if self._life else _FIRST_REPLY_TIMEOUT_S,
             # With consolidation, zenoh would choose one of several answers at random.
             consolidation=zenoh.ConsolidationMode.NONE,
         ):

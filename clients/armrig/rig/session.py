@@ -319,7 +319,7 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
         unit = f"`sudo systemctl stop armrigd@{rig}`"
         return NoReplyError(
             f"rig {rig} at {where}: its daemon (process {pid}) runs, but does not answer: "
-            f"{unit if where == _service_endpoint(rig) else f'`kill {pid}`'} ends it, then the "
+            f"{unit if where == _service_endpoint(rig) else f'`kill -9 {pid}`'} ends it, then the "
             "device stops the motor; or use the emergency switch",
             where,
         )

@@ -10,6 +10,7 @@ import msgspec
 import zenoh
 from armrig_core.commands.commands import Status, StatusReport
 from armrig_core.errors import MalformedReplyError
+from armrig_core.process.printable import plural
 from armrig_core.telemetry.topics import EVERY_RIG, alive_key, command_key, rig_of_alive
 
 from armrig.rig.replies import refusal_of, reply_of
@@ -124,22 +125,35 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
             if report.reason
         ),
         *([("device", silent)] if silent else []),
-        ("motor", report.motor or "not known"),
+        ("motor" if report.described.arm else "input", report.motor or "not known"),
         ("owner", report.owner or "nobody"),
         (
             "last run",
             "none"
             if last is None
-            else f"{last.recording}, {last.samples} samples, "
+            else f"{last.recording}, {plural(last.samples, 'sample')}, "
             + (last.outcome if last.finished else f"running; {last.synced} are on the disk"),
         ),
         ("recordings", report.recordings),
         ("Ts", f"{report.Ts:g} s"),
-        ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
+        ("limits", "; ".join(_limit_texts(report))),
         *_rig_rows(report),
         ("host", "; ".join(scheduling_sentences(report.host))),
         *([("device", device)] if not silent else []),
     ]
+
+
+def _limit_texts(report: StatusReport) -> Iterable[str]:
+    """Yield the limits of the voltage and of each output as text."""
+    given = report.described.input
+    volts = f"{report.u_min:g} to {report.u_max:g} V"
+    yield given.both(report.u_min, report.u_max) if given.is_scaled else volts
+    units = {channel.name: channel.unit for channel in report.described.channels}
+    for name, limit in report.limits.items():
+        ends = (("at least", limit.low), ("at most", limit.high))
+        parts = [f"{side} {end:g} {units.get(name, '')}" for side, end in ends if end is not None]
+        parts += [f"less than {limit.turns:g} turns in a run"] if limit.turns else []
+        yield f"{name} {', '.join(parts)}"
 
 
 def _rig_rows(report: StatusReport) -> list[tuple[str, str]]:
@@ -164,3 +178,12 @@ def scheduling_sentences(host: dict[str, Any]) -> list[str]:
         f"not allowed: {what}" for what in (refused if isinstance(refused, list) else [refused])
     ]
     return sentences
+
+
+def scheduling_line(host: dict[str, Any]) -> str:
+    """Return the daemon's report on real-time scheduling as one line, without the remedies."""
+    scheduling, *refused = scheduling_sentences(host)
+    if not refused:
+        return scheduling
+    settings = plural(len(refused), "setting")
+    return f"{scheduling}: the host refuses {settings}; `armrig doctor` shows the remedies"

@@ -1,5 +1,7 @@
 // A uPlot chart of least and largest values in the page's colours, with zoom and cursor.
 
+import { placedNames, ROWS } from "./marks.js";
+
 const colours = new Map(); // colours of the theme; reading the style 30 times a second would be slow
 
 function colour(name) {
@@ -39,40 +41,83 @@ function drawnPath(u, series, from, to, stepped) {
   return path;
 }
 
+const REACH = 1; // of a range of values, in its width
+const NAME_PIXELS = 11; // height of the names of marks and limits
+
 // Return the least round number that is at least x.
 function roundedUp(x) {
   const power = 10 ** Math.floor(Math.log10(x));
   return power * [1, 2, 3, 4, 6, 8, 10].find((step) => step * power >= x * (1 - 1e-9));
 }
 
-// Draw a vertical line at each event in u.marks, which are {x, kind}.
-function drawMarks(u) {
-  const { left, top, width, height } = u.bbox;
+const markColour = (kind) => colour(kind === "trip" ? "bad" : kind === "start" ? "good" : "soft");
+
+// Call `does` with a pen for texts of `size` pixels.
+function withPen(u, size, does) {
   u.ctx.save();
   u.ctx.textBaseline = "alphabetic";
-  u.ctx.font = `${11 * devicePixelRatio}px system-ui, DejaVu Sans, sans-serif`;
-  for (const { x, kind } of u.marks ?? []) {
-    const at = u.valToPos(x, "x", true);
-    if (at < left || at > left + width) continue;
-    u.ctx.fillStyle = colour(kind === "trip" ? "bad" : kind === "start" ? "good" : "soft");
-    u.ctx.fillRect(at, top, devicePixelRatio, height);
-    if (!u.namesMarks) continue;
-    const isAtEnd = at > left + width - 40 * devicePixelRatio;
-    u.ctx.textAlign = isAtEnd ? "right" : "left";
-    u.ctx.fillText(kind, at + (isAtEnd ? -4 : 4) * devicePixelRatio, top + 11 * devicePixelRatio);
-  }
+  u.ctx.textAlign = "left";
+  u.ctx.font = `${size * devicePixelRatio}px system-ui, DejaVu Sans, sans-serif`;
+  does(u.ctx, size * devicePixelRatio);
   u.ctx.restore();
 }
 
-// Draw a horizontal line at each value at which a run stops.
-function drawLimits(u, limits) {
+// Draw a vertical line at each event in u.marks, which are {x, kind, text}. Their names are above
+// the plot, where they hide no curve.
+function drawMarks(u, size) {
   const { left, top, width, height } = u.bbox;
-  for (const y of limits ?? []) {
-    const at = y === null ? NaN : u.valToPos(y, "y", true);
-    if (!(at >= top && at <= top + height)) continue;
-    u.ctx.fillStyle = colour("bad");
-    u.ctx.fillRect(left, at, width, devicePixelRatio);
-  }
+  withPen(u, size, (pen, high) => {
+    for (const { x, kind } of u.marks ?? []) {
+      const at = u.valToPos(x, "x", true);
+      if (at < left || at > left + width) continue;
+      pen.fillStyle = markColour(kind);
+      pen.fillRect(Math.round(at), top, devicePixelRatio, height);
+    }
+    if (!u.namesMarks) return;
+    const at = (x) => u.valToPos(x, "x", true) - left;
+    for (const { text, x, row, kind } of placedNames(u.marks ?? [], { width, at, widthOf: (words) => pen.measureText(words).width })) {
+      pen.fillStyle = markColour(kind);
+      pen.fillText(text, left + x, top - high * (0.4 + 1.2 * row));
+    }
+  });
+}
+
+// Draw a red line with its name at each limit. A limit outside the plot has a dashed line at the edge.
+function drawLimits(u, limits, size) {
+  const { left, top, width, height } = u.bbox;
+  withPen(u, size, (pen, high) => {
+    for (const { y, isUpper, text } of limits) {
+      const at = u.valToPos(y, "y", true);
+      const seen = Math.round(Math.max(top, Math.min(top + height - devicePixelRatio, at)));
+      const isInside = at >= top - devicePixelRatio && at <= top + height;
+      pen.fillStyle = colour("bad");
+      const dash = isInside ? width : 6 * devicePixelRatio;
+      for (let x = 0; x < width; x += 2 * dash) pen.fillRect(left + x, seen, Math.min(dash, width - x), devicePixelRatio);
+      const words = isInside ? text : `${text} ${at < top ? "↑" : "↓"}`;
+      if (!text) continue;
+      // The text is on the inner side of the line, on a ground of its own.
+      const below = at < top || (isUpper && isInside);
+      const base = seen + (below ? 1.15 : -0.35) * high;
+      pen.fillStyle = colour("card");
+      pen.fillRect(left + 4, base - high, pen.measureText(words).width + 4, 1.25 * high);
+      pen.fillStyle = colour("bad");
+      pen.fillText(words, left + 6, base);
+    }
+  });
+}
+
+// Return the limits of a signal as {y, isUpper, text}.
+export function limitsOf({ limits = [], kind, unit }) {
+  const [least, most] = kind === "turned" ? ["", "less than"] : ["at least", "at most"];
+  const text = (y, side) => side && `limit: ${side} ${+y.toPrecision(4)} ${unit}${kind === "turned" ? ", either way" : ""}`;
+  return limits.flatMap((y, i) => (y === null ? [] : [{ y, isUpper: i === 1, text: text(y, i ? most : least) }]));
+}
+
+// Return a range of values with the limits that are near to it: within `REACH` of its width.
+function withNear([low, high], limits) {
+  const reach = REACH * (high - low);
+  const near = limits.map(({ y }) => y).filter((y) => y >= low - reach && y <= high + reach);
+  return [Math.min(low, ...near), Math.max(high, ...near)];
 }
 
 // Handle the wheel: it zooms the time axis at the pointer. With Shift it moves in time; with Alt it
@@ -108,11 +153,12 @@ const fifths = ([low, high]) => [0, 1, 2, 3, 4].map((i) => low + ((high - low) *
 const clock = (s) => new Date(1000 * s).toTimeString().slice(0, 8);
 
 // A chart of least and largest values in the page's colours.
-export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, compares, width = where.clientWidth, size = 12 }) {
+export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, compares, namesMarks, width = where.clientWidth, size = 12 }) {
   const ink = () => colour("soft");
   const stroke = () => colour(signal.colour);
   const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: `${size}px system-ui, DejaVu Sans, sans-serif` };
   const series = { stroke, width: size / 8, points: { show: false } };
+  const limits = limitsOf(signal);
   const range = (u, least, largest) => {
     if (u.wantedY) return u.wantedY;
     if (u.most) {
@@ -123,19 +169,25 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
     if (least === null || !Number.isFinite(least)) return [-signal.least, signal.least];
     if (signal.isSymmetric) {
       const half = roundedUp(Math.max(signal.least / 2, -least, largest));
-      return [-half, half];
+      const [low, high] = withNear([-half, half], limits);
+      const widest = roundedUp(Math.max(-low, high));
+      return [-widest, widest];
     }
     const middle = (least + largest) / 2;
     const half = Math.max(signal.least / 2, ((largest - least) / 2) * 1.1);
-    return [middle - half, middle + half];
+    const seen = [middle - half, middle + half];
+    const [low, high] = withNear(seen, limits);
+    return [low === seen[0] ? low : low - half / 10, high === seen[1] ? high : high + half / 10];
   };
   // The least and the largest values are one path; only the first of the two series draws it.
+  const names = size > 12 ? 0.8 * size : NAME_PIXELS;
   const pair = (one) => [{ ...one, paths: (u, i, from, to) => ({ stroke: drawnPath(u, i, from, to, stepped), fill: null }) }, { ...one, paths: () => null }];
   const withUnit = (u, splits) => splits.map((y, i) => `${+y.toPrecision(6)}${i === splits.length - 1 ? ` ${signal.unit}` : ""}`);
   const made = new uPlot(
     {
       width: width || 300,
       height,
+      padding: [namesMarks ? Math.round(names * 1.2 * ROWS + 6) : null, null, null, null],
       legend: { show: false },
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false }, y: false, sync: sync ? { key: sync, setSeries: false } : undefined },
       scales: { x: { time: false, range: (u, a, b) => u.wanted || [a, b] }, y: { range } },
@@ -145,7 +197,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
       ],
       series: [{}, ...pair(series), ...(compares ? pair({ ...series, stroke: () => colour("bad"), dash: [6, 4] }) : [])],
       hooks: {
-        draw: [drawMarks, (u) => drawLimits(u, signal.limits)],
+        draw: [(u) => drawMarks(u, names), (u) => drawLimits(u, u.isDifference ? [] : limits, names)],
         ready: [(u) => u.over.addEventListener("wheel", (event) => wheel(u, event, onZoom), { passive: false })],
         destroy: [(u) => charts.delete(u)],
         setSelect: [
@@ -161,6 +213,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
     where,
   );
   made.isStepped = stepped;
+  made.namesMarks = namesMarks;
   charts.add(made);
   return made;
 }

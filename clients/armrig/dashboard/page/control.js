@@ -1,7 +1,8 @@
 // Commands to the rig: arm, release, and an experiment with its preview.
 
 import { chart } from "./chart.js";
-import { askJson, attempt, byId, make, notice, owner, setText, show } from "./elements.js";
+import { askJson, attempt, byId, make, notice, owner, plural, setText, show } from "./elements.js";
+import { scaleText } from "./signals.js";
 import { duration, isStale } from "./status.js";
 
 const LEVELS = ["low", "high"];
@@ -10,7 +11,7 @@ const KINDS = {
   blackbox: { title: "black box: a random input to the whole rig", fields: RANDOM, seconds: 30 },
   greybox: { fields: RANDOM, seconds: 30 },
   step: { title: "step: time constant, delay, gain", fields: ["seconds", "at", ...LEVELS], seconds: 5 },
-  staircase: { title: "staircase: static gain and friction", fields: ["seconds", "levels", ...LEVELS], seconds: 30 },
+  staircase: { title: "staircase: the static curve", fields: ["seconds", "levels", ...LEVELS], seconds: 30 },
   csv: { title: "an input of your own, from a CSV file", fields: ["file"] },
 };
 const FIELDS = {
@@ -35,6 +36,8 @@ let newest = { is_going: false, experiment: "" }; // run of this page
 let going = false;
 let status = {};
 let look = () => {};
+let suggestion = {}; // sampling time, lengths and levels that suit the rig
+let scale = null; // scale of an input that rests at another voltage than 0 V: levels are its own values
 
 export function setUpControl(lookAt) {
   look = lookAt;
@@ -62,7 +65,8 @@ export function setUpControl(lookAt) {
 }
 
 // Offer the experiments of a rig; the grey box is for a rig with a body that moves alone.
-export function describeRig({ signals, body }) {
+export function describeRig({ signals, body, suggested = {} }) {
+  suggestion = suggested;
   const kind = byId("kind");
   const option = [...kind.children].find(({ value }) => value === "greybox");
   option.hidden = !body;
@@ -71,10 +75,31 @@ export function describeRig({ signals, body }) {
     kind.value = "blackbox";
     chooseKind();
   }
-  const [{ label, per_volt }] = signals;
-  show("input-unit", Boolean(per_volt));
-  if (per_volt) setText("input-unit", `1 V is ${per_volt.join(" ")} of ${label}.`);
+  const [{ label, own }] = signals;
+  show("input-unit", Boolean(own));
+  scale = own?.[3] ? own : null;
+  if (own) setText("input-unit", `${label} is ${scaleText(own)}${scale ? `. Levels are values of ${label}, and ${ownValue(own[3])} ${own[2]} is rest` : ""}.`);
+  if (scale) describeLevels(own);
+  for (const [name, value] of Object.entries(suggestion)) {
+    if (name in FIELDS && name !== "seconds") byId(`field-${name}`).value = scale && LEVELS.includes(name) ? ownValue(value) : value;
+  }
+  chooseKind();
 }
+
+function describeLevels(own) {
+  setText("arm", "Arm at rest");
+  for (const level of LEVELS) {
+    const { label: text, min, max } = FIELDS[level];
+    const input = byId(`field-${level}`);
+    byId(`label-${level}`).replaceChildren(text.replace("[V]", `[${own[2]}]`), input);
+    [input.min, input.max] = [ownValue(min), ownValue(max)].sort((a, b) => a - b);
+    input.value = ownValue(level === "low" ? 0.2 * own[3] : own[3] + 0.8 * (max - own[3]));
+  }
+}
+
+// Return the value of the input at a voltage of the pin, and the voltage of a value.
+const ownValue = (volts) => +(scale[1] + scale[0] * volts).toPrecision(6);
+const voltsOf = (value) => +((value - scale[1]) / scale[0]).toFixed(9);
 
 function field(name) {
   const { label, options, ...how } = FIELDS[name];
@@ -91,7 +116,7 @@ function field(name) {
 function chooseKind() {
   const { fields, seconds } = KINDS[byId("kind").value];
   for (const name of Object.keys(FIELDS)) show(`label-${name}`, fields.includes(name) || ["Ts", "name"].includes(name));
-  if (seconds) byId("field-seconds").value = seconds;
+  if (seconds) byId("field-seconds").value = suggestion.seconds?.[byId("kind").value] ?? seconds;
   forget();
 }
 
@@ -120,6 +145,12 @@ async function asked() {
       experiment[name] = input.type === "number" ? Number(input.value) : input.value;
     }
   }
+  if (scale && kind !== "csv") {
+    experiment.named = true;
+    const levels = LEVELS.filter((level) => level in experiment);
+    const volts = levels.map((level) => voltsOf(experiment[level])).sort((a, b) => a - b);
+    levels.forEach((level, i) => Object.assign(experiment, { [level]: volts[i] }));
+  }
   return experiment;
 }
 
@@ -133,7 +164,7 @@ async function preview() {
   plot = chart(byId("preview-plot"), { signal, height: 130, xLabel: "s", stepped: true });
   plot.wanted = [0, found.seconds];
   plot.setData(found.curve, true);
-  setText("preview-told", unbroken(`${found.experiment}: ${found.N} samples, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`));
+  setText("preview-told", unbroken(`${found.experiment}: ${plural(found.N, "sample")}, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`));
   const lines = [`${found.rehearsal}.`];
   if (found.deviations.length) lines.push(`with the handout's parameters and the noise of the converter, the data would determine ${found.deviations.join(", ")}.`);
   byId("preview-lines").replaceChildren(...[...lines, ...found.notes].map((text) => make("li", { textContent: unbroken(text) })));
@@ -160,7 +191,7 @@ export function withdrawRun() {
 async function arm() {
   const Ts = byId("field-Ts").value;
   await askJson("arm", { owner: owner(), ...(Ts ? { Ts: Number(Ts) } : {}) });
-  notice("armed, at 0 V; without a command the rig is released after 10 s");
+  notice(`armed, at ${scale ? "rest" : "0 V"}; without a command the rig is released after 10 s`);
 }
 
 async function release() {

@@ -2,6 +2,8 @@
 
 export const FIGURES_MS = 200; // numbers that change more often cannot be read
 
+export const plural = (n, noun) => `${n} ${noun}${n === 1 ? "" : "s"}`;
+
 export const byId = (id) => document.getElementById(id);
 
 export function make(tag, properties = {}, ...children) {
@@ -32,6 +34,14 @@ export function show(id, visible) {
   byId(id).hidden = !visible;
 }
 
+let command = "armrig dashboard"; // has started the server
+
+// Keep the command with which a person starts the server again.
+export function useCommand(text) {
+  command = text;
+  setText("again-command", command);
+}
+
 const given = new URLSearchParams(location.hash.slice(1));
 export const token = given.get("token") || (given.has("once") ? await exchanged(given.get("once")) : "");
 
@@ -58,7 +68,7 @@ export async function ask(path, body, signal) {
     answer = await fetch(`api/${path}`, how);
   } catch (error) {
     if (signal?.aborted) throw error;
-    throw Object.assign(new Error("the dashboard's server does not answer: start `armrig dashboard` again"), { isSilent: true });
+    throw Object.assign(new Error(`the dashboard's server does not answer: start \`${command}\` again, and open the address that it prints`), { isSilent: true });
   }
   if (!answer.ok) {
     const told = await answer.json().catch(() => ({}));

@@ -5,15 +5,18 @@ import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
 import { onPlotKey } from "./live_keys.js";
 import { setUpSaving } from "./live_saving.js";
 import { presented, valueText } from "./signals.js";
+import { textNear } from "./marks.js";
 import { KEPT_S, Rows } from "./rows.js";
 import { dated, isStale } from "./status.js";
 import { AXES, originOf } from "./time_axis.js";
 
 const SPANS = [5, 30, 300];
+const [NAMES_PIXELS, AXIS_PIXELS] = [18, 22]; // additional height of the first plot, and of the last
+const LARGE_BORDER = 60; // below the plots, and between them, in the projector view
 const HEAD_PIXELS = 255; // width of the name and value next to a chart in the projector view
 
 // On a wide screen the plots fill the height; on a phone they have the least readable height.
-const heightOf = (last, n) => (innerWidth > 900 ? Math.max(85, Math.min(210, (innerHeight - 360) / n)) : 88) + (last ? 22 : 0);
+const heightOf = (n) => (innerWidth > 900 ? Math.max(85, Math.min(210, (innerHeight - 380) / n)) : 88);
 
 export class LivePlots {
   constructor() {
@@ -34,13 +37,14 @@ export class LivePlots {
       byId("span-choice").append(button);
     }
     this.setSpan(30);
-    this.marks = []; // events {t, kind}; t is on the clock of the samples
+    this.marks = []; // events {t, kind, text}; t is on the clock of the samples
     this.setAxis(localStorage.getItem("armrig-axis") || AXES[0]);
     byId("axis").addEventListener("click", () => this.setAxis(AXES[(AXES.indexOf(this.axis) + 1) % AXES.length]));
     byId("follow").addEventListener("click", () => this.follow());
     byId("charts").addEventListener("dblclick", () => this.follow());
     setUpSaving(this);
-    new ResizeObserver(() => this.#resize()).observe(byId("charts"));
+    const sizes = new ResizeObserver(() => this.#resize());
+    for (const part of ["charts", "fault", "top"]) sizes.observe(byId(part));
     byId("plots").addEventListener("keydown", (event) => onPlotKey(this, event));
   }
 
@@ -57,17 +61,22 @@ export class LivePlots {
     for (const u of this.charts ?? []) u.destroy();
     byId("charts").replaceChildren();
     this.isLarge = isLarge;
-    this.charts = this.signals.map((signal, i) => this.#made(signal, i === this.signals.length - 1));
+    this.charts = this.signals.map((signal, i) => this.#made(signal, i));
     this.toldAt = -FIGURES_MS;
     this.draw();
   }
 
-  #height(last) {
+  #height(i) {
     const n = this.signals.length;
-    return this.isLarge ? Math.max(90, (innerHeight - 220) / n) : heightOf(last, n);
+    const [first, last] = [i === 0 ? NAMES_PIXELS : 0, i === n - 1 ? AXIS_PIXELS : 0];
+    if (!this.isLarge) return heightOf(n) + first + last;
+    // What is above the plots, such as a fault, takes its height.
+    const space = innerHeight - byId("charts").offsetTop - LARGE_BORDER;
+    return Math.max(90, (space - 2 * (NAMES_PIXELS + AXIS_PIXELS)) / n) + 2 * (first + last);
   }
 
-  #made(signal, last) {
+  #made(signal, i) {
+    const last = i === this.signals.length - 1;
     const where = make("div", { className: "chart" });
     where.append(
       make(
@@ -83,11 +92,12 @@ export class LivePlots {
     return chart(where, {
       width,
       signal,
-      height: this.#height(last),
+      height: this.#height(i),
       size: this.isLarge ? 22 : 12,
       xLabel: last ? "s" : "",
       sync: "live",
       stepped: signal.key === "u",
+      namesMarks: signal === this.signals[0],
       onZoom: (from, to) => this.zoom(from, to),
       onCursor: (x, u) => {
         if (u.cursor.event || x !== null || this.cursorAt === null) this.point(x);
@@ -111,7 +121,7 @@ export class LivePlots {
   }
 
   setMarks(marks) {
-    this.marks = marks.map(([t, kind]) => ({ t, kind }));
+    this.marks = marks.map(([t, kind, text]) => ({ t, kind, text }));
     this.wants();
   }
 
@@ -160,10 +170,10 @@ export class LivePlots {
     const began = performance.now();
     const { zero, from, to } = this.seen;
     if (Number.isNaN(zero)) return;
-    const marks = this.marks.map(({ t, kind }) => ({ x: t - zero, kind }));
+    const marks = this.marks.map(({ t, ...mark }) => ({ x: t - zero, ...mark }));
     const origin = originOf(this.axis, zero, this.frozen ? this.shownAt : Date.now(), this.marks);
     this.charts.forEach((u, i) => {
-      Object.assign(u, { wanted: [from, to], marks, origin, namesMarks: i === 0, most: this.signals[i].isRate ? this.rateMost : 0 });
+      Object.assign(u, { wanted: [from, to], marks, origin, most: this.signals[i].isRate ? this.rateMost : 0 });
       const pixels = u.bbox.width / devicePixelRatio;
       u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: this.signals[i].wraps }), true);
     });
@@ -190,19 +200,23 @@ export class LivePlots {
     const row = this.rows.holding(t);
     const texts = this.signals.map((signal, i) => {
       const known = row === null ? "no data" : valueText(signal, this.rows.at(row, 1 + 2 * i), this.rows.at(row, 2 + 2 * i));
+      if (signal.kind === "turned" && !known) return "no run";
       return pointed ? known || "not known" : dated(known);
     });
     this.signals.forEach(({ key }, i) => setText(`value-${key}`, texts[i]));
     if (!pointed) setText("motion", `${this.signals[0].label} ${texts[0]}, ${this.signals[1].label} ${texts[1]}`);
     const frozen = this.frozen ? "the plots are paused; the rig continues. " : "";
-    setText("cursor", `${frozen}${pointed ? `cursor at ${this.cursorAt.toFixed(2)} s` : ""}`);
+    const { from, to } = this.seen;
+    const near = pointed && textNear(this.marks.map((mark) => ({ ...mark, x: mark.t - zero })), this.cursorAt, (to - from) / 100);
+    setText("cursor", `${frozen}${pointed ? `cursor at ${this.cursorAt.toFixed(2)} s` : ""}${near ? `; ${near}` : ""}`);
   }
 
   #resize() {
     const width = byId("charts").clientWidth - (this.isLarge ? HEAD_PIXELS : 0);
-    if (!width || width === this.width) return;
-    this.width = width;
-    this.charts.forEach((u, i) => u.setSize({ width, height: this.#height(i === this.charts.length - 1) }));
+    const heights = this.charts.map((_, i) => this.#height(i));
+    if (!width || (width === this.width && `${heights}` === this.heights)) return;
+    [this.width, this.heights] = [width, `${heights}`];
+    this.charts.forEach((u, i) => u.setSize({ width, height: heights[i] }));
     this.draw();
   }
 }

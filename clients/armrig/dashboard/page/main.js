@@ -3,7 +3,7 @@
 import { ArmDrawing } from "./arm.js";
 import { redrawCharts } from "./chart.js";
 import { allow, describeRig, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
-import { ask, attempt, byId, notice, owner, setText, show, token } from "./elements.js";
+import { ask, attempt, byId, notice, owner, setText, show, token, useCommand } from "./elements.js";
 import { LivePlots } from "./live_plots.js";
 import { setUpNote, takesBlank } from "./note.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
@@ -116,12 +116,13 @@ function begin() {
   });
   setUpRecordings();
   setUpNote();
-  if (!token) notice("open the address that `armrig dashboard` printed: it ends with a token");
+  if (!token) notice("open the address in the dashboard's terminal: it ends with a token");
   stream = new Stream(
     {
       hello: (hello) => {
         plots.rows.begin();
         beginStatus(hello.late_us);
+        useCommand(hello.command);
         document.body.classList.toggle("viewer", !hello.may_command);
         for (const part of document.querySelectorAll("[data-commands]")) part.hidden = !hello.may_command;
       },

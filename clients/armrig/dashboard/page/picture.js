@@ -1,8 +1,11 @@
 // Picture of the visible curves, as SVG and PNG.
 
+import { limitsOf } from "./chart.js";
 import { make, notice } from "./elements.js";
+import { placedNames } from "./marks.js";
 
-const [WIDTH, HEIGHT, LEFT, TOP, GAP] = [1000, 170, 80, 56, 40];
+const [WIDTH, HEIGHT, LEFT, TOP, GAP] = [1000, 170, 80, 84, 40];
+const LETTER = 7.5; // width of a letter, in pixels
 const PNG_SCALE = 2;
 
 const escaped = (text) => String(text).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
@@ -24,9 +27,15 @@ function panel(u, { signal, letter }, top) {
     if (value < x.min || value > x.max) continue;
     out.push(`<path d="M${at(value).toFixed(1)} ${top}v${HEIGHT}" stroke="#ddd"/>`, text(at(value), top + HEIGHT + 16, label ?? "", 'text-anchor="middle"'));
   }
-  for (const { x: t, kind } of u.marks ?? []) {
+  for (const { x: t } of u.marks ?? []) {
     if (t < x.min || t > x.max) continue;
-    out.push(`<path d="M${at(t).toFixed(1)} ${top}v${HEIGHT}" stroke="#888"/>`, text(at(t) + 3, top + 12, kind));
+    out.push(`<path d="M${at(t).toFixed(1)} ${top}v${HEIGHT}" stroke="#888"/>`);
+  }
+  const names = u.namesMarks ? placedNames(u.marks ?? [], { width, at: (t) => at(t) - LEFT, widthOf: (words) => words.length * LETTER }) : [];
+  for (const { text: name, x: left, row } of names) out.push(text(LEFT + left, top - 8 - 14 * (row + 1), name, 'fill="#555"'));
+  for (const { y: value, text: name, isUpper } of limitsOf(signal)) {
+    if (value < y.min || value > y.max) continue;
+    out.push(`<path d="M${LEFT} ${up(value).toFixed(1)}h${width}" stroke="#b00020"/>`, text(LEFT + 6, up(value) + (isUpper ? 13 : -4), name, 'fill="#b00020"'));
   }
   out.push(`<clipPath id="clip-${letter}"><rect x="${LEFT}" y="${top}" width="${width}" height="${HEIGHT}"/></clipPath>`);
   for (const [d, colour, dash] of curves(u, at, up)) out.push(`<path d="${d}" fill="none" stroke="${colour}" stroke-width="1.3" stroke-dasharray="${dash}" clip-path="url(#clip-${letter})"/>`);

@@ -1,7 +1,7 @@
 // One recording: its verdict, its curves with zoom, downloads.
 
 import { chart } from "./chart.js";
-import { ask, askJson, attempt, button, byId, make, notice, setText } from "./elements.js";
+import { ask, askJson, attempt, button, byId, make, notice, plural, setText } from "./elements.js";
 import { aligned, chooser, curvesOf, differenceOf, legendOf, valuesText } from "./compared.js";
 import { identify, report } from "./model.js";
 import { save, savePng, saveSvg } from "./picture.js";
@@ -52,7 +52,7 @@ export async function look(file, list = []) {
     {},
     ...found.findings.filter(([level]) => level !== "good" && !found.usable).map(([level, about, text]) => make("li", { className: level === "unusable" ? "bad-text" : "warn-text", textContent: `${about}: ${text}` })),
   );
-  const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${count} samples missing: ${reason}` }));
+  const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${plural(count, "sample")} missing: ${reason}` }));
   const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
   if (found.more_notes) notes.push(make("li", { textContent: `${found.more_notes} more; \`armrig info --verbose\` lists them` }));
   const where = make("div", { id: "curves" });
@@ -61,7 +61,7 @@ export async function look(file, list = []) {
   const about = [make("h3", { textContent: "Details" }), facts];
   byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { id: "legend", hidden: true }), make("p", { className: "hint", id: "seen" }), where, make("div", { id: "model" }), make("div", { id: "reported" }), replay.element, ...section("Notes", notes), ...about, ...section("Missing samples", gaps));
   charts.push(...signals.map((signal, i) => curve(where, signal, i === signals.length - 1)));
-  charts.forEach((u, i) => Object.assign(u, { marks: found.notes.map(([x]) => ({ x, kind: "note" })), namesMarks: i === 0 }));
+  for (const u of charts) Object.assign(u, { marks: found.notes.map(([x, , text]) => ({ x, kind: "note", text })) });
   where.addEventListener("dblclick", () => attempt(() => zoom(null)));
   own = found.curves;
   draw();
@@ -131,6 +131,7 @@ function curve(where, signal, last) {
     xLabel: last ? "s" : "",
     sync: "recording",
     compares: true,
+    namesMarks: signal === signals[0],
     stepped: signal.key === "u",
     onZoom: (from, to) => attempt(() => zoom([Math.max(0, from), Math.min(seconds, Math.max(to, from + 0.01))])),
     onCursor: (x) => (value.textContent = x === null ? "" : valuesText(signal, own[signal.key], overCurves[signal.key], x)),

@@ -7,19 +7,20 @@ export function presented(signals, isRecorded = false) {
   return signals.map((given) => ({ ...given, name: nameOf(given, isRecorded), colour: colourOf(given), ...axisOf(given, isRecorded) }));
 }
 
-function nameOf({ label, kind, per_volt }, isRecorded) {
-  if (per_volt) return `${label} (${per_volt.join(" ")} per V)`;
+function nameOf({ label, kind, own }, isRecorded) {
+  if (own) return `${label} (${scaleText(own)})`;
   return isRecorded && kind === "turning" ? `${label}, turns counted` : label;
 }
 
 function colourOf({ kind, channel = 0 }) {
   if (kind === "input") return "u";
-  return kind === "rate" ? "rate" : channel ? "second" : "first";
+  return kind === "rate" ? "rate" : channel ? "second" : "first"; // a rotation is of the first output
 }
 
-function axisOf({ kind, step, is_symmetric }, isRecorded) {
+function axisOf({ kind, step, is_symmetric, limits }, isRecorded) {
   const digits = Math.max(0, Math.ceil(-Math.log10(step))); // show a step of the converter
   if (kind === "input") return { range: [0, 5], pad: 0.3, digits: isRecorded ? 3 : 2, splits: [0, 1, 2, 3, 4, 5], fewSplits: [0, 2.5, 5] };
+  if (kind === "turned") return { range: limits, pad: limits[1] / 5, digits, splits: [limits[0], 0, limits[1]] };
   if (isRecorded) return { range: null, least: RECORDED_STEPS * step, digits: kind === "rate" ? digits : digits + 1 };
   if (kind === "turning") return { range: [0, 360], pad: 10, digits, splits: [0, 90, 180, 270, 360], fewSplits: [0, 180, 360], wraps: true };
   return { range: null, least: LIVE_STEPS * step, digits, isSymmetric: is_symmetric, isRate: kind === "rate" };
@@ -29,9 +30,16 @@ function axisOf({ kind, step, is_symmetric }, isRecorded) {
 export const outputsOf = (signals) => signals.filter(({ kind }) => ["value", "turning"].includes(kind));
 
 // Return the least and the largest value as text; "" if they are not known.
-export function valueText({ digits, unit, per_volt }, least, largest) {
+export function valueText({ digits, unit, own }, least, largest) {
   if (Number.isNaN(least)) return "";
   const text = (show) => (least === largest ? show(least) : `${show(least)} … ${show(largest)}`);
   const volts = `${text((x) => x.toFixed(digits))} ${unit}`;
-  return per_volt ? `${volts}, ${text((x) => String(+(per_volt[0] * x).toPrecision(3)))} ${per_volt[1]}` : volts;
+  if (!own) return volts;
+  const [per_volt, offset, ownUnit] = own;
+  return `${text((x) => String(+(offset + per_volt * x).toPrecision(3)))} ${ownUnit}, ${volts} at the pin`;
+}
+
+// Return the scale of an input: its change per volt, and its value at 0 V unless this is 0.
+export function scaleText([per_volt, offset, unit]) {
+  return `${per_volt} ${unit} per V${offset ? `, ${offset} ${unit} at 0 V` : ""}`;
 }

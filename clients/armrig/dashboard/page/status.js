@@ -1,9 +1,10 @@
 // State of the rig: phase, owner, fault, age of the data, timing.
 
-import { FIGURES_MS, attempt, askJson, byId, make, notice, setText, show } from "./elements.js";
+import { askJson, attempt, byId, FIGURES_MS, make, notice, plural, setText, show } from "./elements.js";
 
 const CLOCK_DRIFT = 2e-4; // largest relative drift between the clocks of two machines
-const FIRST = ["phase", "fault", "to do", "motor", "owner", "Ts", "arm"];
+const DRIVE = ["motor", "input"]; // of the arm, and of another rig
+const FIRST = ["phase", "fault", "to do", ...DRIVE, "owner", "Ts", "arm"];
 
 let status = { rows: [], trouble: "" };
 let edges = [];
@@ -48,7 +49,7 @@ function showState() {
   if (stale) {
     const what = total() === null ? "No data from the rig yet" : `No data from the rig for ${seconds(total())}`;
     setText("stale-what", status.phase ? `${what}; the last phase was ${status.phase}.` : `${what}.`);
-    setText("stale-why", lost || status.trouble || status.line || "");
+    setText("stale-why", lost || (status.trouble ? `${status.trouble}; the page reconnects by itself` : status.line || ""));
   }
   if (rowsOf !== status || rowsStale !== stale) showRows();
 }
@@ -56,7 +57,7 @@ function showState() {
 // Without data from the rig, the voltage of the motor is not known.
 function showRows() {
   [rowsOf, rowsStale] = [status, stale];
-  const text = ([name, value]) => (name === "motor" && stale ? "not known" : value);
+  const text = ([name, value]) => (DRIVE.includes(name) && stale ? "not known" : value);
   const rows = (wanted) => status.rows.filter(([name]) => FIRST.includes(name) === wanted).flatMap((row) => [make("dt", { textContent: row[0] }), make("dd", { textContent: text(row) })]);
   byId("status").replaceChildren(...rows(true));
   byId("status-all").replaceChildren(...rows(false));
@@ -115,11 +116,11 @@ export const isStale = () => stale;
 export function showTiming(timing) {
   const report = timing.report;
   const parts = [];
-  if (report.late_p99_us !== undefined) {
-    parts.push(`host's lateness: p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, max ${micros(report.late_max_us)}`);
-    parts.push(`error of the device's period: p99 ${micros(report.device_p99_us)}; round trip: p99 ${micros(report.link_p99_us)}`);
+  if (report.wake_p99_us !== undefined) {
+    parts.push(`wake-up delay of the daemon's loop p50 ${micros(report.wake_p50_us)}, p99 ${micros(report.wake_p99_us)}, max ${micros(report.wake_max_us)}`);
+    parts.push(`jitter p99 ${micros(report.jitter_p99_us)}`, `round trip p99 ${micros(report.link_p99_us)}`);
   }
-  setText("timing-text", parts.join("; ") || "no report yet");
+  setText("timing-text", parts.length ? `In the last second: ${parts.join("; ")}.` : "no report yet");
   const most = Math.max(1, ...timing.late);
   byId("histogram").replaceChildren(
     ...timing.late.map((count, i) => {
@@ -127,13 +128,13 @@ export function showTiming(timing) {
       // The scale is logarithmic: a single late sample among thousands remains visible.
       bar.style.height = `${count ? 8 + 72 * (Math.log1p(count) / Math.log1p(most)) : 0}%`;
       const edge = i < edges.length ? `${edges[i] / 1000}` : "more";
-      const title = `${count} samples, ${i < edges.length ? `at most ${micros(edges[i])} late` : "later"}`;
+      const title = `${plural(count, "sample")}, ${i < edges.length ? `at most ${micros(edges[i])} late` : "later"}`;
       return make("div", { className: "bar", title }, `${count || ""}`, bar, edge);
     }),
   );
-  const missing = [`missing: ${timing.missing} samples since this dashboard was started`];
+  const missing = [`missing: ${plural(timing.missing, "sample")} since this dashboard was started`];
   if (timing.last_gap) missing.push(`reason of the last gap: ${timing.last_gap}`);
-  if (timing.unheard) missing.push(`${timing.unheard} samples did not reach the dashboard's server, but are in recordings`);
+  if (timing.unheard) missing.push(`${plural(timing.unheard, "sample")} did not reach the dashboard's server, but are in recordings`);
   setText("missing", missing.join("; "));
   byId("missing").className = timing.missing ? "warn-text" : "";
 }
