@@ -22,20 +22,24 @@ import pytest
 from armrig import Dataset, Fit, oe, plots
 from armrig.models.uncertainty import drawn
 from armrig.numerics.polynomial import filtered
-from armrig.plots.captions import in_mathtext, named, named_by_run, signature, symbol
+from armrig.plots.captions import named, named_by_run, signature, symbol
 from armrig.plots.layout import (
     decibels,
+    drawable,
     logarithmic,
     save,
 )
 from armrig.recordings.files.loading import load
 from armrig.recordings.recording import Recording
+from armrig.report.figures import STYLE
 from armrig.report.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.text import Text
+from matplotlib.textpath import text_to_path
 
 from tests.clients.models.made_fits import changed
 
@@ -385,9 +389,9 @@ def test_a_notebook_shows_a_plot_once(
     shown: list[object] = []
     ipython = ModuleType("IPython.display")
     ipython.Image, ipython.display = bytes, shown.append  # type: ignore[attr-defined]
+    figure = recording.plot()  # matplotlib asks a real IPython for hooks when it first draws
     monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
     monkeypatch.setitem(sys.modules, "IPython.display", ipython)
-    figure = recording.plot()
 
     figure._ipython_display_()  # type: ignore[attr-defined]
 
@@ -418,28 +422,41 @@ def test_the_sources_of_a_figure_are_listed_once_by_kind(
     assert signature(*sources, runs={"c3": "0000000b", "d4": ""}) == text
 
 
-def test_symbols_and_powers_of_ten_are_in_mathtext() -> None:
+def test_symbols_and_exponents_are_in_mathtext() -> None:
     written = [symbol(name) for name in ("J_1", "K_lin", "N", "T_c", "J_12")]
 
     assert written == ["$J_1$", "$K_{lin}$", "$N$", "$T_c$", "$J_{12}$"]
-    assert (
-        in_mathtext("(1.2 ± 0.1)·10⁻¹² m, 10³ and 10")
-        == "(1.2 ± 0.1)·$10^{-12}$ m, $10^{3}$ and 10"
-    )
+    shown = drawable("(1.2 ± 0.1)·10⁻¹² m, 10³ s⁻¹ and 10 m²")
+    assert shown == "(1.2 ± 0.1)·$10^{-12}$ m, $10^{3}$ s$^{-1}$ and 10 m²"
     assert [named("theta_1", "rad"), named("flow", "")] == [r"$\theta_1$ [rad]", "flow [–]"]
 
 
-@pytest.mark.parametrize("name", [r"$\frac$", "a_{ $", r"$\alpha_{$"])
-def test_a_bad_formula_in_a_name_is_drawn_as_text(name: str, tmp_path: Path) -> None:
+def test_an_exponent_in_the_text_of_a_report_is_drawn_without_a_warning(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The font of the reports has no glyph of ⁻."""
+    with mpl.rc_context(STYLE):
+        text = drawable("$J_1$ = (1.2 ± 0.1)·10⁻³ kg m² and $w$ [s⁻¹]")
+        text_to_path.get_text_path(FontProperties(), text, ismath=True)
+
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("name", [r"$\frac$", "a_{ $", r"$\alpha_{$", "温度"])
+def test_any_name_is_drawn_without_a_warning(
+    name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     u = np.tile([0.0, 0.0, 1.0, 1.0, 1.0], 40)
     y = filtered([0, 0.1], [1, -0.9], u) + 0.1 * np.random.default_rng(0).standard_normal(200)
     data = Dataset(u=u, y=y, Ts=0.1, output=name, unit=name)
     fits = (armrig.arx(data, na=1, nb=1), armrig.arx(data, na=2, nb=2))
 
-    for figure in (data.plot(), armrig.compare(data, *fits, labels=(name, "b")).plot()):
+    labels = name, rf"$\beta$ {name}"
+    for figure in (data.plot(), armrig.compare(data, *fits, labels=labels).plot()):
         save(figure, tmp_path / "figure.svg")
 
         assert name.replace("$", r"\$") in figure.axes[0].get_ylabel()
+    assert not caplog.records
 
 
 @pytest.mark.parametrize(("name", "text"), [("alpha", "dead band or "), ("light", "")])
