@@ -1,7 +1,7 @@
 """Print the size of the tree with its budget; exit 1 if a figure is over.
 
-`python tests/budget.py`. The table `[tool.armrig.budget]` of pyproject.toml is the budget. A commit
-that raises a figure says what a user gets for it; a figure that is met falls to what stands.
+`python tests/budget.py`. The table `[tool.armrig.budget]` of pyproject.toml is a ceiling
+with room. A commit that raises a figure does so by 500 and says what a user gets for it.
 """
 
 from __future__ import annotations
@@ -41,8 +41,6 @@ def sizes(settings: str) -> dict[str, int]:
     contracts = [table for table in tables if table.lstrip("[").startswith("tool.importlinter")]
     return {
         "source_lines": _lines(source),
-        "source_modules": len(source),
-        "client_modules": len([name for name in source if name.startswith("clients/")]),
         "test_lines": _lines(name for name in tests if name.endswith(".py")),
         "stored_lines": _lines(stored),
         "page_words": sum(len(_text(name).split()) for name in files if name.endswith(".md")),

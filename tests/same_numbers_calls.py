@@ -192,6 +192,8 @@ LEFT_OUT = {
     "rarx *.error": "the first ones rest on parameters that are hardly determined; see errors",
     "compare integrator*overshoot*": "rounding: there is none",
     "*.densest.scale": "LAPACK chooses the signs of its columns",
+    "summary high.zeros*.densest.*": "rounding decides to which of two pairs a draw belongs",
+    "summary high.zeros*.draws.pairs": "rounding decides to which of two pairs a draw belongs",
     "*.draws.reals": "roots of draws in LAPACK's order; the borders rest on them",
     "*.draws.upper": "roots of draws in LAPACK's order; the borders rest on them",
 }

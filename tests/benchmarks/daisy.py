@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from armrig import Dataset, arx, n4sid, search
 from armrig.models.fit import Fit
-from armrig.models.prediction import predicted
+from armrig.models.predictor import predicted
 from scipy.io import loadmat, savemat
 
 ORDERS = range(1, 7)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from armrig.cli.runs import InputChoice, chosen_inputs
+from armrig.cli.runs import InputChoice, _Run, chosen_inputs
 from armrig.excitation import step
 from armrig.recordings.files.recording_summary import VALIDATION_OF
 from armrig_core.commands.commands import Run
@@ -45,7 +45,7 @@ def record_all(
     files, of = [service(Ts, 1).record(run)], ""
     seconds, Ts = random
     both = service(Ts, 2)
-    for one in chosen_inputs("blackbox", InputChoice(seconds=seconds, validation=True), Ts):
+    for one in chosen_inputs("blackbox", InputChoice(seconds=seconds, validation=True), _Run()):
         u = one.make(round(seconds / Ts), Ts).tolist()
         details = one.details | ({VALIDATION_OF: of} if one.is_validation else {})
         experiment = f"{one.experiment}-{name}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -127,19 +128,29 @@ def recorded(
 ) -> bytes:
     """Return a recording of these messages: samples, protobuf messages, or bytes as samples.
 
-    The outcome follows them, or precedes them as in a rewritten file.
+    The manifest contains the hashes of the attachments, unless it has others. The outcome follows
+    the messages, or precedes them as in a rewritten file.
     """
     manifest = manifest or globals()["manifest"]()
+    text = msgspec.json.encode(calibration) if calibration else b""
+    lines = b"" if u is None else "".join(["u_v\n", *(f"{volts!r}\n" for volts in u)]).encode()
+    hashes = {"calibration_sha256": text, "input_sha256": lines}
+    manifest = msgspec.structs.replace(
+        manifest,
+        **{
+            name: getattr(manifest, name) or hashlib.sha256(data).hexdigest()
+            for name, data in hashes.items()
+            if data
+        },
+    )
     out = BytesIO()
     writer = Writer(out, chunk_size=chunk_size, compression=compression, enable_data_crcs=True)
     writer.start(profile="", library="armrig tests")
     writer.add_metadata(RUN, manifest.metadata())
-    if calibration:
-        text = msgspec.json.encode(calibration)
+    if text:
         writer.add_attachment(0, 0, CALIBRATION, "application/json", text)
-    if u is not None:
-        lines = "".join(["u_v\n", *(f"{volts!r}\n" for volts in u)])
-        writer.add_attachment(0, 0, INPUT, "text/csv", lines.encode())
+    if lines:
+        writer.add_attachment(0, 0, INPUT, "text/csv", lines)
     channels = {}
     kinds = {"sample": protobuf.SAMPLE, "gap": protobuf.GAP, "event": protobuf.LOG}
     for stream, name in {

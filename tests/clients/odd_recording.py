@@ -131,7 +131,6 @@ def _about(**changes: Any) -> Manifest:
         "armrig": "0.2.1",
         "device": {"firmware": "uno", "adc_bits": 12, "pwm_bits": 8, "uid": "beef"},
         "host": {"kernel": "6.12.1", "scheduling": "SCHED_FIFO"},
-        "calibration_sha256": "5ca1e",
         "rehearsal": Rehearsal(revolutions=9.0, alpha_rad=0.3, turned_rad=-50.0),
     }
     return manifest(**(fields | changes))

@@ -13,7 +13,7 @@ from tests.clients.described_rig import record_all
 
 PAGE = pages.DOCS / "rigs.md"
 TEXT = PAGE.read_text(encoding="utf-8")
-DESCRIPTION, MODEL = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
+DESCRIPTION, MODEL, *_ = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
 PLANT = """
 [model]
 A = [[-22.0, 0.0], [6.5, -6.5]]

@@ -89,6 +89,8 @@ def test_the_table_of_the_thermistor_follows_its_formula() -> None:
         ("[[1, 2], [2, 2]]", "points: 2 at 1 counts, and then 2: the values must increase, or"),
         ("[[1, 2], [2, 3]]\nper_count = 1.0", "points: give no per_count, zero_counts or turning"),
         ("[]", "per_count = 0.0 must be finite and not 0; without it, give points"),
+        ("[[1, 2], [65537, 3]]", "points: 65537 counts; the converter reads 0 to 65535 counts"),
+        ("[[-1, 2], [65536, 3]]", "points: -1 counts; the converter reads 0 to 65535 counts"),
     ],
 )
 def test_points_that_are_no_conversion_are_refused(points: str, error: str) -> None:
@@ -103,6 +105,7 @@ def test_points_that_are_no_conversion_are_refused(points: str, error: str) -> N
     [
         ("[input]", "[inputs]", "[inputs]: no such table; allowed are [rig], [input], [outputs]"),
         ('[rig]\nname = "heater"\n', "[input]\n", "not a TOML file: Cannot declare ('input',)"),
+        ('"power"', '"details"', "input name = 'details': a name has 1 to 32 letters"),
         ("title =", "label =", "rig: label = 'Heater with two thermometers': no such key; allowed"),
         ('"heater"', '"the heater"', "name = 'the heater': a name has 1 to 32 letters a-z, A-Z"),
         ("Heater with", "\\u001b[2J", "title = '\\x1b[2J two thermometers': at most 80 printable"),
@@ -129,13 +132,20 @@ def test_points_that_are_no_conversion_are_refused(points: str, error: str) -> N
         ("high = 70.0", "turns = 0.005", "turns = 0.005 must be a whole number of hundredths"),
         ("high = 70.0", "turns = 700.0", "outputs.T1: turns = 700.0: expected `float` <= 655"),
         ("high = 70.0", "high = nan", "low = -inf must be below high = nan"),
+        ("high = 70.0", "high = 481.0", "high = 481: no reading is above this limit; the sensor"),
+        ("high = 70.0", "low = -76.0", "low = -76: no reading is below this limit; the sensor"),
+        ("high = 70.0", "high = 448.0\nrail_is_outside = false", "no reading is above this limit"),
+        ("high = 70.0", 'valid_rail = "top"', "outputs.T1: valid_rail = 'top': allowed"),
+        ("offset = [23.0, 23.0]", "offset = [23.0, -80.0]", "the rig reads -80 degC at rest; the"),
+        ("offset = [23.0, 23.0]", "offset = [23.0, -49.7]", "set valid_rail = 'low' if the sensor"),
+        ('"degC"', '"rad"\nturning = true\nvalid_rail = "low"', "reads an end in its dead band"),
         ("high = 70.0", "low = 900.0", "low = 900, high = inf: every reading breaks a limit"),
         ("high = 70.0", "high = 20.0", "outputs.T1: the rig reads 23 degC at rest, outside -inf"),
         ("blind_s = 10.0", "blind_s = 0", "outputs.T1: blind_s = 0: expected `float` > 0"),
         ("blind_s = 10.0", "samples = 0", "outputs.T1: samples = 0: expected `int` >= 1"),
         ("A = [[-0.0058, 0.0011], ", "A = [[-0.0058], ", "A has 2 rows of [1, 2] numbers; with A"),
-        ("B = [[0.010], [0.0]]", "B = [[0.010]]", "B has 1 rows of [1] numbers; with A it must be"),
-        ("C = [[1.0, 0.0], [0.0, 1.0]]", "C = [[1.0, 0.0]]", "model.C has 1 rows; the rig has 2"),
+        ("B = [[0.010], [0.0]]", "B = [[0.010]]", "B has 1 row of [1] numbers; with A it must be"),
+        ("C = [[1.0, 0.0], [0.0, 1.0]]", "C = [[1.0, 0.0]]", "model.C has 1 row; the rig has 2"),
         ("B = [[0.010]", "B = [[inf]", "model: B has a number that is not finite"),
         ("A = [[-0.0058", "A = [[+0.0058", "the rig is unstable; correct A, or set unstable"),
         ("offset = [23.0", "offset = [nan", "model.offset and model.noise must be finite"),
@@ -152,6 +162,45 @@ def test_a_bad_description_is_refused_with_what_is_allowed(
     path.write_text(HEATER.replace(old, new, 1))
 
     with pytest.raises(FileError, match=rf"^{re.escape(str(path))}: .*{re.escape(error)}"):
+        read_description(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "sides"),
+    [
+        ("high = 440", ("", "above")),
+        ("high = 470", ("", "above")),
+        ("high = 70", ("", "")),
+        ("high = 900\nrail_is_outside = true", ("", "above")),
+        ("high = 440\nrail_is_outside = false", ("", "")),
+        ("low = -40\nhigh = 70", ("below", "")),
+        ("high = 495\nzero_counts = 65536\nper_count = -0.0076", ("above", "")),
+    ],
+)
+def test_an_end_of_the_range_near_a_limit_is_outside_this_limit(
+    keys: str, sides: tuple[str, str]
+) -> None:
+    """A reading of 0 counts, then a reading of full scale; T1 is -50 to 448 degC."""
+    text = '[rig]\nname = "oven"\n[outputs.T1]\nunit = "degC"\n' + keys
+    if "per_count" not in keys:
+        text += "\nzero_counts = 6553.6\nper_count = 0.0076"
+    output = Description.of(text.encode()).outputs["T1"]
+
+    assert output.sides_of_rails == sides
+
+
+def test_a_file_with_equations_must_be_python_and_is_part_of_the_hash(tmp_path: Path) -> None:
+    path, equations = tmp_path / "rig.toml", tmp_path / "rig.py"
+    path.write_text(
+        '[rig]\nname = "r"\n[outputs.y]\nunit = "V"\nper_count = 1.0\n[model]\nfile = "rig.py"\n'
+    )
+    equations.write_text("model = 1\n")
+    first = dict(read_description(path).rows())["sha256"]
+    equations.write_text("model = 2\n")
+    assert dict(read_description(path).rows())["sha256"] != first
+
+    equations.write_text("model = (\n")
+    with pytest.raises(FileError, match=r"rig\.py': no Python: '\(' was never closed"):
         read_description(path)
 
 

@@ -22,6 +22,13 @@ def test_no_page_has_a_placeholder() -> None:
     assert {name: gaps for name, gaps in found.items() if gaps} == {}
 
 
+def test_contributing_describes_the_address_that_the_owner_fills_in() -> None:
+    readme, contributing = (ROOT / name for name in ("README.md", "CONTRIBUTING.md"))
+    [address] = re.findall(r"^git clone (\S+)$", readme.read_text(), re.MULTILINE)
+
+    assert f"`{address}` in README.md" in contributing.read_text()
+
+
 @pytest.mark.parametrize("package", FOLDERS)
 def test_the_architecture_page_has_a_line_for_each_package(package: str) -> None:
     page = (ROOT / "ARCHITECTURE.md").read_text()

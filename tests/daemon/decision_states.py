@@ -100,12 +100,16 @@ def heard(bench: Bench, message: Message, state: State | None = None) -> Decided
 
 
 def device_sample(state: State, **fields: int) -> DeviceSample:
-    """Return a SAMPLE of the device that is met, of now on its clock, all else 0."""
+    """Return a SAMPLE of the device that is met, of now on its clock, all else 0.
+
+    The device has taken in every EXCHANGE that was sent.
+    """
     zero = DeviceSample._make([0] * len(DeviceSample._fields))
     known = {
         "seq": ((state.link.device_seq or 0) + 1) & 0xFFFF,
         "state": state.link.device_state,
         "boot": state.device.boot_id & 0xFFFF,
         "t_us": state.t_us & 0xFFFFFFFF,
+        "echo": state.link.sent[-1].seq if state.link.sent else 0,
     }
     return zero._replace(**{**known, **fields})

@@ -131,7 +131,9 @@ def _write(folder: Path, number: int, told: int) -> NoReturn:
     )
     attachments = {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}
     begin_ns = time.monotonic_ns()
-    recording = Recording(path, manifest, attachments, t_first_ns=begin_ns, changed=lambda: None)
+    recording = Recording.create(
+        path, manifest, attachments, t_first_ns=begin_ns, changed=lambda: None
+    )
     os.write(told, b"b")
     for k in range(_N):
         due_ns = begin_ns + k * TS_NS

@@ -16,9 +16,10 @@ from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Tra
 from armrig_daemon.service import admission, client_watchdog, readings
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.host import pressure
+from armrig_daemon.service.plan import checked, one_a_line
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import History
-from armrig_daemon.service.runs import checked, one_a_line, part_samples
+from armrig_daemon.service.runs import part_samples
 from armrig_daemon.service.sentences import (
     endpoint_error,
     network_error,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import threading
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,8 @@ from armrig_core.rig.calibration_file import raw_path, toml_of
 from armrig_daemon.config import Config, load
 from armrig_daemon.pipe import RunStarted, State
 from armrig_daemon.service.runs import Runs
+
+from tests.daemon.service.opened_run import open_run
 
 SAMPLES = b"samples"
 MADE = Made(
@@ -102,14 +103,13 @@ def test_every_recording_carries_the_samples_of_its_calibration(tmp_path: Path) 
 
 
 def _attached(folder: Path, config: Config) -> bytes | None:
-    done = threading.Event()
-    runs = Runs(config, folder, done.set)
-    order, _ = runs.plan(Run(lease="a" * 32, n=1, u=[0.0]), 0.01)
+    runs = Runs(config, folder, lambda: None)
+    order, _ = open_run(runs, Run(lease="a" * 32, n=1, u=[0.0]), 0.01)
     started = RunStarted(t_host_ns=0, run_id=order.run_id, k_first=0, count=1)
     state = State(t_host_ns=0, phase="active", reason="", owner="", ts_us=10_000, device={})
     path = runs.begin(started, state, {}, 0)
     runs.end(COMPLETE)
-    assert done.wait(30)
+    assert runs.finished(30)[0] == "info"
     content = read(path.with_suffix("")) or read(path)
     return content.attachments.get(CALIBRATION_RAW)
 

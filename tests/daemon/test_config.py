@@ -14,7 +14,14 @@ from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.calibration import Calibration, Potentiometer
 from armrig_core.rig.description import shipped
 from armrig_core.rig.volts import code_of
-from armrig_daemon.config import ArmSettings, Config, Limits, load, load_installed
+from armrig_daemon.config import (
+    ArmSettings,
+    Config,
+    Limits,
+    description_of,
+    load,
+    load_installed,
+)
 from armrig_daemon.decisions.state import Rules
 
 
@@ -266,3 +273,97 @@ def test_the_highest_voltage_of_a_description_is_in_force_for_each_rig(
 
     assert config.limits.u_max_v == 2.0
     assert config.arm.removed == (name == "chassis")
+
+
+NARROW = b"""
+[rig]
+name = "narrow"
+
+[input]
+u_max_v = 2.0
+
+[outputs.theta_1]
+unit = "rad"
+per_count = 9.37e-05
+turning = true
+turns = 1.5
+
+[outputs.alpha]
+unit = "rad"
+zero_counts = 32768.0
+per_count = 9.37e-05
+low = -0.5
+high = 0.4
+"""
+
+
+def _of_narrow_rig(tmp_path: Path, limits: str) -> Path:
+    (tmp_path / "narrow.toml").write_bytes(NARROW)
+    (tmp_path / "lab.toml").write_text(f'[rig]\nfile = "narrow.toml"\n[limits]\n{limits}\n')
+    return tmp_path / "lab.toml"
+
+
+@pytest.mark.parametrize(
+    ("key", "wider", "widest", "name"),
+    [
+        ("u_max_v", 2.01, 2.0, "input.u_max_v"),
+        ("revolutions", 1.51, 1.5, "turns of theta_1"),
+        ("alpha_rad", 0.51, 0.5, "low and high of alpha"),
+    ],
+)
+def test_a_limit_cannot_be_wider_than_that_of_the_description(
+    key: str, wider: float, widest: float, name: str, tmp_path: Path
+) -> None:
+    """`[limits] u_max_v = 5` let a shield of 1.25 V have 5 V."""
+    file = _of_narrow_rig(tmp_path, f"{key} = {wider}")
+    said = (
+        rf"limits\.{key} = {wider}: expected at most {widest:g}, as {name} in the description of "
+    )
+
+    with pytest.raises(InputError, match=rf"^{file}: {said}rig narrow; .* leave the key out$"):
+        load([file], {}, {})
+    _of_narrow_rig(tmp_path, f"{key} = {widest}")
+    assert getattr(load([file], {}, {}).limits, key) == widest
+    with pytest.raises(InputError, match=f"^environment: {said}"):
+        load([file], {f"ARMRIG_LIMITS_{key.upper()}": str(wider)}, {})
+    with pytest.raises(InputError, match=f"^command line: {said}"):
+        load([file], {}, {"limits": {key: wider}})
+    _of_narrow_rig(tmp_path, "")
+    with pytest.raises(InputError, match=f"^defaults: {said}"):
+        load([file], {}, {}, below={"limits": {key: wider}})
+
+
+def test_without_a_key_the_limits_of_the_description_are_in_force(tmp_path: Path) -> None:
+    """0 adds no limit, and so removes none; `u_max_v` = 0 allows 0 V only."""
+    for limits in ("", "revolutions = 0\nalpha_rad = 0\nslew_v = 0\nu_min_v = 0"):
+        config = load([_of_narrow_rig(tmp_path, limits)], {}, {})
+        rig = config.limited(description_of(config))
+
+        assert config.limits.u_max_v == 2.0
+        assert (rig.outputs["theta_1"].turns, config.rules(rig).turns) == (1.5, 150)
+        assert (rig.outputs["alpha"].low, rig.outputs["alpha"].high) == (-0.5, 0.4)
+    assert load([_of_narrow_rig(tmp_path, "u_max_v = 0")], {}, {}).limits.u_max_v == 0.0
+    with pytest.raises(InputError, match=r"u_min_v = 3.0 must not be above u_max_v = 2.0"):
+        load([_of_narrow_rig(tmp_path, "u_min_v = 3")], {}, {})
+
+
+def test_a_narrower_limit_narrows_each_end_of_a_range(tmp_path: Path) -> None:
+    limits = "u_max_v = 1.5\nu_min_v = 0.5\nslew_v = 5\nrevolutions = 1\nalpha_rad = 0.45"
+    config = load([_of_narrow_rig(tmp_path, limits)], {}, {})
+    rig = config.limited(description_of(config))
+
+    assert (config.limits.u_min_v, config.limits.u_max_v) == (0.5, 1.5)
+    assert rig.outputs["theta_1"].turns == 1.0
+    assert (rig.outputs["alpha"].low, rig.outputs["alpha"].high) == (-0.45, 0.4)
+
+
+def test_the_description_of_a_rig_may_be_a_shipped_one(tmp_path: Path) -> None:
+    """A file of this name in the folder of the configuration has precedence."""
+    own = tmp_path / "armrig.toml"
+    own.write_text('[rig]\nfile = "rc"\n')
+
+    shipped_one = description_of(load([own], {}, {}))
+    (tmp_path / "rc").write_bytes(shipped("heater").text)
+    beside = description_of(load([own], {}, {}))
+
+    assert (shipped_one.rig.name, beside.rig.name) == ("rc", "heater")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from armrig.lab import pki
+from armrig_core.rig.description import path_of
 from armrig_daemon.command_line import app
 from armrig_daemon.config import EX_CONFIG
 from typer.testing import CliRunner
@@ -46,6 +47,10 @@ def test_a_valid_configuration_file_is_reported_in_one_line(tmp_path: Path) -> N
     ("text", "says"),
     [
         ("[limits]\nu_max_v = 6\n", "limits.u_max_v = 6: expected `float` <= 5.0"),
+        (
+            f'[rig]\nfile = "{path_of(Path("optoshield"))}"\n[limits]\nu_max_v = 5\n',
+            "limits.u_max_v = 5: expected at most 1.25, as input.u_max_v in the description of rig",
+        ),
         ("[limits]\nu_max_v = 4\nu_max_v = 4\n", "line 3: u_max_v = 4: given twice"),
         ("[device]\nprot = 1\n", "device.prot = 1: no such key"),
         ('[recording]\ndirectory = "~nobody-of-that-name/x"\n', "there is no such user"),

@@ -140,7 +140,7 @@ def recorded(directory: Path, disk: Disk) -> Recording | None:
     ):
         path = disk.path(directory / "run.mcap")
         try:
-            recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
+            recording = Recording.create(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
         except RecordingError as err:
             _refused(err, directory)
             return None

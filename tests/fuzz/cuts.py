@@ -85,7 +85,7 @@ def cut(size: int, seed: int, places: Callable[[list[Flushed]], Iterable[int]]) 
 def written(path: Path, size: int, seed: int) -> list[Flushed]:
     """Write a recording as the daemon does; return its content at each flush and at its end."""
     samples, flushes = noisy(10**6, seed), []
-    part = Part(path, _manifest(), {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}, 0)
+    part = Part(path).begin(_manifest(), {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}, 0)
     flushes.append(Flushed(part.size, 0))
     while part.size < size:
         for _ in range(FLUSH):

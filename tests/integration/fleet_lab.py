@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import armrig
@@ -12,15 +12,17 @@ import zenoh
 from armrig.lab import pki
 from armrig.lab.fleet_recorder import FleetRecorder, RigRecorded
 from armrig.lab.router import open_router
+from armrig.rig.client import Rig
 from armrig.rig.session import open_endpoint
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Sample, encode_sample
-from armrig_daemon.config import Access, Config, Rig
+from armrig_daemon.config import Access, Config
+from armrig_daemon.config import Rig as RigTable
 from armrig_daemon.service.access import networks_of
 from armrig_daemon.service.publish import Session
 
 from tests.integration.laboratory import certificates, free_port
-from tests.integration.processes import wait_for
+from tests.integration.processes import Bench, Process, wait_for
 
 RIGS = ("1", "2", "3")
 WITHIN_S = 60
@@ -70,6 +72,24 @@ class FleetLab:
         ]
         return ["router", "--listen", self.endpoint, *given]
 
+    def alice(self) -> Rig:
+        """Return a client of rig 1 at the router, that may drive it."""
+        return Rig("1", connect=self.endpoint, certificate=self.made / "alice.pem")
+
+    def serve(self, bench: Bench) -> Process:
+        """Start a router and the daemon of rig 1; return the router, once it reaches the rig."""
+        bench.configure(more=self.access("1"))
+        bench.emulate()
+        router = bench.start("armrig", *self.router_command())
+        bench.serve()
+        wait_for(self._reaches_the_rig)
+        return router
+
+    def _reaches_the_rig(self) -> bool:
+        with suppress(RuntimeError), self.alice() as rig:
+            return rig.status().phase == "safe"
+        return False
+
     def router(self) -> zenoh.Session:
         """Return a router that is open in this process."""
         files = self.made / "router.pem", self.made / pki.ACCESS_LIST
@@ -79,7 +99,7 @@ class FleetLab:
     def daemon(self, rig: str) -> Iterator[Session]:
         """Give a daemon's session that is connected to the router, or will be."""
         access = Access(router=self.endpoint, certificate=str(self.made / f"rig-{rig}.pem"))
-        ways = networks_of(Config(rig=Rig(id=rig), access=access))
+        ways = networks_of(Config(rig=RigTable(id=rig), access=access))
         where = f"unixsock-stream/{self.folder}/{rig}.sock"
         with Session(where, rig, lambda: None, *ways) as session:
             yield session

@@ -138,10 +138,21 @@ def _become(arguments: list[str], env: dict[str, str], folder: str) -> None:
     faulthandler.register(SHOW_THREADS)
     how, what, *given = arguments
     sys.argv = [how, *given]
+    if (what, *given[:1]) == ("armrig_daemon", "run"):
+        main_thread().guard()
     if how == "-m":
         runpy.run_module(what, run_name="__main__", alter_sys=True)
     else:
         exec(compile(what, "<string>", "exec"), {"__name__": "__main__"})
+
+
+def main_thread() -> Any:
+    """Return the module that watches the main thread of a daemon."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    try:
+        return import_module("main_thread")
+    finally:
+        del sys.path[0]
 
 
 def _load() -> None:

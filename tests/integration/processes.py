@@ -299,7 +299,11 @@ class Bench:
 
     def loop_pid(self, daemon: Process) -> int:
         """Return the process of the loop."""
-        (pid,) = children(daemon.popen.pid)
+        (pid,) = (
+            child
+            for child in children(daemon.popen.pid)
+            if b"armrig_daemon.loop.process" in Path(f"/proc/{child}/cmdline").read_bytes()
+        )
         return pid
 
     def report(self) -> dict[str, str]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import shutil
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +19,7 @@ from armrig_core.rig.description import path_of
 
 from tests.clients import made_recordings
 from tests.integration.driving import bring_to_rest
-from tests.integration.processes import WITHIN_S, Bench
+from tests.integration.processes import WITHIN_S, Bench, freeze
 from tests.integration.watching import Client, begin, recorded, watched
 from tests.tools import needs
 
@@ -156,9 +158,14 @@ def test_the_page_of_a_heater_has_its_signals_and_nothing_of_the_arm(
     bench.emulate()
     bench.serve()
     with watched(bench) as client, opened(browser, client.url) as page:
-        until(page, lambda: "degC" in text(page, "#value-T2"))
+        until(page, lambda: "°C" in text(page, "#value-T2"))
         assert page.locator("#charts .chart").count() == 3
         assert not page.is_visible("#arm-card")
+        suggested = {name: page.input_value(f"#field-{name}") for name in ("Ts", "seconds", "high")}
+        assert suggested == {"Ts": "5", "seconds": "2101", "high": "4.5"}
+        page.select_option("#kind", "step")
+        page.fill("#field-Ts", "0.01")
+        page.fill("#field-at", "0.5")
         run_step(page, bench, "2")
         assert "T1 from 23" in text(page, "#running-told")
         page.click("#look:visible")
@@ -172,6 +179,28 @@ _PLACES_WITH_AND_WITHOUT_NOTICE = """[false, true].map((isHidden) => {
   document.getElementById("notice").hidden = isHidden;
   return ["plots", "show", "tab-live"].map((id) => document.getElementById(id).offsetTop);
 })"""
+_FONT_PIXELS = "(id) => parseFloat(getComputedStyle(document.getElementById(id)).fontSize)"
+# From the top to the bottom of the projector view, each part ends before the next, in the window.
+_OVERLAPPING_PARTS = """() => {
+  const parts = [...document.querySelectorAll("#top, #fault, #charts .chart")];
+  const boxes = parts.map((part) => part.getBoundingClientRect());
+  const ends = [...boxes.slice(1).map(({ top }) => top), innerHeight];
+  const isOver = ({ scrollHeight }, i) =>
+    boxes[i].bottom > ends[i] + 1 || scrollHeight > boxes[i].height + 1;
+  return parts.filter(isOver).map((part) => part.id || part.textContent);
+}"""
+# A line is red in at least a third of the pixels of a row.
+_CHARTS_WITH_RED = """() => {
+  const canvases = [...document.querySelectorAll("#charts canvas")];
+  return canvases.flatMap((canvas, i) => {
+    const { width, height } = canvas;
+    const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+    const isRed = (p) => data[p] > 150 && data[p + 1] < 60 && data[p + 3] > 200;
+    const rows = Array.from({ length: height }, () => 0);
+    for (let k = 0; k < width * height; k += 1) rows[Math.floor(k / width)] += isRed(4 * k);
+    return Math.max(...rows) > width / 3 ? [i] : [];
+  });
+}"""
 _COVERED_CHARTS = """() => {
   const notice = document.querySelector("#notice");
   notice.hidden = false;
@@ -216,10 +245,9 @@ def test_each_button_is_large_enough_for_a_finger(browser: Any, client: Client) 
 def test_a_projector_shows_only_plots_phase_and_stop_button(browser: Any, client: Client) -> None:
     with opened(browser, client.url, WIDE) as page:
         page.click("#projector")
-        size = "(id) => parseFloat(getComputedStyle(document.getElementById(id)).fontSize)"
         for part in ("phase", "stop", "value-u"):
             assert page.is_visible(f"#{part}")
-            assert page.evaluate(size, part) >= 24
+            assert page.evaluate(_FONT_PIXELS, part) >= 24
         for part in ("tab-recordings", "experiment", "timing-text", "owner"):
             assert not page.is_visible(f"#{part}")
         page.click("#projector")
@@ -353,7 +381,7 @@ def test_the_address_on_a_browser_command_line_opens_once(browser: Any, served: 
         late = browser.new_page()
         late.add_init_script(_KEEP_NOTICES)
         late.goto(found.browser_url)
-        until(late, lambda: has_noticed(late, "printed"))
+        until(late, lambda: has_noticed(late, "terminal"))
         late.close()
 
     assert code
@@ -401,6 +429,28 @@ def test_the_page_shows_a_killed_daemon_as_stale_until_it_restarts(
         assert not page.is_visible("#stale")
 
 
+def test_the_page_outlives_a_frozen_daemon(browser: Any, bench: Bench) -> None:
+    bench.emulate()
+    pid = bench.serve().popen.pid
+    with watched(bench) as client, opened(browser, client.url) as page:
+        freeze(pid)
+        until(page, lambda: f"kill -9 {pid} ends it" in text(page, "#stale-why"))
+        assert text(page, "#phase") == "no data"
+        os.kill(pid, signal.SIGCONT)
+        page.wait_for_selector("#stale", state="hidden")
+
+
+def test_each_limit_in_force_is_a_red_line_in_the_plot_of_its_channel(
+    browser: Any, bench: Bench
+) -> None:
+    bench.configure(more="[limits]\nrevolutions = 3\nalpha_rad = 0.5\nu_max_v = 4.5")
+    bench.emulate()
+    bench.serve()
+    with watched(bench) as client, opened(browser, client.url, color_scheme="light") as page:
+        until(page, lambda: text(page, "#value-theta_1_turned") == "no run")
+        until(page, lambda: page.evaluate(_CHARTS_WITH_RED) == [0, 2, 4])  # u, turns, alpha
+
+
 def test_an_undelivered_stop_shows_its_remedy_until_it_is_confirmed(
     browser: Any, client: Client, served: Bench
 ) -> None:
@@ -436,6 +486,11 @@ def test_an_unplugged_device_is_a_fault_that_is_reset(browser: Any, bench: Bench
         assert not page.is_visible("#stale")  # the fault is the one message
         assert text(page, "#fault-reason")
         assert "emulator" in text(page, "#fault-remedy")
+        page.set_viewport_size(WIDE)
+        page.click("#projector")
+        assert page.evaluate(_FONT_PIXELS, "fault-reason") >= 24
+        until(page, lambda: page.evaluate(_OVERLAPPING_PARTS) == [])
+        page.click("#projector")
         assert not re.search("cable|supply", page.inner_text("body"))  # an emulator has none
         bench.emulate()
         client.wait("status", lambda seen: not seen["line"])

@@ -18,7 +18,7 @@ from armrig.rig.client import Rig
 
 from tests.integration.fleet_lab import FleetLab
 from tests.integration.laboratory import Laboratory
-from tests.integration.processes import Bench, wait_for
+from tests.integration.processes import Bench
 
 pytestmark = pytest.mark.timed
 LATE_S = 1.0
@@ -91,30 +91,15 @@ def test_observers_at_a_router_that_never_read_delay_no_stop_and_cost_no_sample(
     bench: Bench,
 ) -> None:
     lab = FleetLab(bench.folder, rigs=("1",))
-    bench.configure(more=lab.access("1"))
-    bench.emulate()
-    router = bench.start("armrig", *lab.router_command())
-    bench.serve()
-
-    def alice() -> Rig:
-        return Rig("1", connect=lab.endpoint, certificate=lab.made / "alice.pem")
-
-    def is_connected() -> bool:
-        try:
-            with alice() as rig:
-                return rig.status().phase == "safe"
-        except RuntimeError:
-            return False
-
-    wait_for(is_connected)
+    router = lab.serve(bench)
     where = lab.endpoint.removeprefix("tls/")
     with (
-        alice() as rig,
+        lab.alice() as rig,
         bench.rig() as local,
         deaf(8, where, "history", credential=lab.made / "bob.pem"),
         rig.arrivals("sample") as heard,
     ):
-        assert slowest_stop_s(rig, alice) < LATE_S
+        assert slowest_stop_s(rig, lab.alice) < LATE_S
         assert slowest_stop_s(local, bench.rig) < LATE_S
         ks = [sample.k for sample in heard()]
     assert ks == list(range(ks[0], ks[-1] + 1))

@@ -77,7 +77,10 @@ class Checks:
         """Longest time to 0 V, by its cause."""
         bits = options.pwm_bits
         self._half_step = FULL_SCALE_V / (1 << bits + 1) if bits else 0.0
+        self._rest_v = FULL_SCALE_V * options.rest / CODE_FULL_SCALE
         self.volts = 0.0
+        self.is_driven = False
+        """The driver is on, and its input is not at rest."""
         self.in_run = False
         self.latches = self.driving_latches = 0
         self.phase, self.reason = "init", ""
@@ -102,7 +105,9 @@ class Checks:
         self._s3_ns = self._limit * 1.0002 + MS
         """The watchdog by an oscillator that is 200 ppm slow, and 1 ms (S3)."""
         self._age_ns = max(50 * MS, 3 * ts_ns)
-        self.outputs = OutputJudge(options.outputs)
+        self.outputs = OutputJudge(
+            options.outputs, options.ts_us, options.rail_ticks, options.turns
+        )
         self._frames: dict[bytes, Frame] = {}
         self._led: set[bytes] = set()
         """Frames that have armed or started the device."""
@@ -127,7 +132,7 @@ class Checks:
         self._end_grant()
 
     def _end_grant(self) -> None:
-        self.lease, self.code, self._n = None, 0, -1
+        self.lease, self.code, self._n = None, self.options.rest, -1
         self.ended_ns: int | None = None
 
     def link_up(self) -> None:
@@ -179,9 +184,14 @@ class Checks:
             elif answer.error.startswith(("link lost", "overtaken by STOP")):
                 self.cut_off = self.offered
             self.offered = None
-        if given is None or answer.error:
+        if given is None:
             return
         given_ns, order = given
+        steps = answer.error.startswith("u steps by") and isinstance(order, pipe.Set)
+        if steps and abs(order.code - self.code) <= self.options.slew:
+            self._wrongly(now_ns, f"refused {order}, {answer.error}, at {self.code}")
+        if answer.error:
+            return
         if isinstance(order, pipe.Arm):
             if self.lease is not None:
                 self._wrongly(now_ns, f"gave the rig to {order.owner}, while another held it")
@@ -219,6 +229,8 @@ class Checks:
             if before != "fault":
                 self.seen[f"trip: {_cause(record.reason)}"] += 1
                 self.outputs.tripped(self.step_ns, record.reason)
+                if record.reason.endswith("not within the limits"):  # each experiment is inside
+                    self._wrongly(now_ns, f"tripped: {record.reason}")
             self.latched = True
             self._close(now_ns)
         elif self.latched:
@@ -307,7 +319,7 @@ class Checks:
         if code is None:
             return
         applied = round(sample.u_applied_v * CODE_FULL_SCALE / FULL_SCALE_V)
-        if applied not in (0, code):
+        if applied not in (self.options.rest, code):
             text = f"sample {sample.k} says code {applied} where the motor got {code}"
             raise Violation("S5", now_ns, text)
 
@@ -331,7 +343,7 @@ class Checks:
         self._old_echoes: dict[int, Frame] = {}
         """Old frames that the device has taken in since the last frame of the host, by seq."""
         self._came: set[bytes] = set()
-        self._u = 0
+        self._u = self.options.rest
         self._part = b""
         self.fed_ns = 0
         """Time at which a frame that feeds the watchdog was accepted, from any sender."""
@@ -408,13 +420,13 @@ class Checks:
             if frame.t_ns < self._configured_ns:
                 raise Violation("S6", t_ns, f"in state {after} by a frame from before its CONFIG")
         if after == DeviceState.RUN:
-            self._u = 0
-            if self.volts > 0:
+            self._u = self.options.rest
+            if self.is_driven:
                 raise Violation("S6", t_ns, f"RUN begins with {self.volts:.3f} V")
 
     def zero_in_time(self, t_ns: int) -> None:
         """Judge how long the motor has been driven without host and without command (S2, S3)."""
-        if not self.volts:
+        if not self.is_driven:
             return
         silent_ns = t_ns - self.fed_ns
         if silent_ns > self._s3_ns:
@@ -446,7 +458,7 @@ class Checks:
         """Judge a code that is about to drive the motor (S5)."""
         self.latches += 1
         self.zero_in_time(t_ns)
-        if code:
+        if code != self.options.rest:
             self.driving_latches += 1
             if scheduled:
                 self._scheduled(t_ns, code, k, seq)
@@ -522,11 +534,12 @@ class Checks:
             raise Violation("S1", t_ns, f"{volts} V at the motor")
         if volts and state != 5:
             raise Violation("S1", t_ns, f"{volts} V in state {state}")
-        if self.volts and not volts:
+        is_driven = state == 5 and abs(volts - self._rest_v) > self._half_step + 1e-9
+        if self.is_driven and not is_driven:
             self.zero_in_time(t_ns)
             if state != 5:
                 self.stopped(t_ns, cause)
-        self.volts = volts
+        self.volts, self.is_driven = volts, is_driven
 
     def stopped(self, t_ns: int, cause: int) -> None:
         """Note how long it took until the motor had 0 V."""

@@ -42,7 +42,7 @@ class Commander:
         self._waits = 0
         self._awaited = -1
         self._grants = 0
-        self._code = 0
+        self._code = options.rest
         self._playing = False
         self._holds_left = 0
 
@@ -136,9 +136,9 @@ class Commander:
     def codes(self) -> list[int]:
         """Return an experiment: steps within the limits; one half is soon at its end."""
         options, rng = self._options, self._rng
-        low, high = max(options.u_min, 1), options.u_max
+        low, high = max(options.u_min, not options.rest), options.u_max
         codes: list[int] = []
-        last = 0
+        last = options.rest
         for _ in range(rng.randint(2, rng.choice([6, 30]))):
             wanted = rng.randint(low, high)
             code = self._near(last, wanted)
@@ -159,7 +159,7 @@ class Commander:
     def _arm(self) -> Arm:
         self._grants += 1
         self._n = 0
-        self._code = 0
+        self._code = self._options.rest
         self._holds_left = self._rng.randint(5, 60)
         self._lease = f"{self._rng.getrandbits(128):032x}"
         return Arm(order=self._next(), owner="a student", lease=self._lease, ts_us=0)
@@ -170,7 +170,7 @@ class Commander:
             return self._await(Disarm(order=self._next(), lease=self._lease, n=self._n))
         self._holds_left -= 1
         options = self._options
-        wanted = self._rng.randint(max(options.u_min, 1), options.u_max)
+        wanted = self._rng.randint(max(options.u_min, not options.rest), options.u_max)
         self._code = self._near(self._code, wanted)
         return Set(order=self._next(), lease=self._lease, n=self._n, code=self._code)
 

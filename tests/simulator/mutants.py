@@ -10,8 +10,8 @@ from typing import Any
 from unittest.mock import patch
 
 from armrig_core.rig.channels import Conversion
-from armrig_daemon.decisions import gaps, orders, output_limits, step, transitions
-from armrig_daemon.decisions.state import Phase, Rules
+from armrig_daemon.decisions import gaps, orders, output_limits, step, stopping, transitions
+from armrig_daemon.decisions.state import ActiveRun, Phase, Rules
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
 from armrig_protocol import cobs, decoder, frame
@@ -46,6 +46,7 @@ def planted(mutant: Mutant) -> Iterator[None]:
 
 _leased, _report_missing, _carry_out = orders._leased, gaps.report_missing, step.carry_out
 _volts, _feed = board.volts, decoder.feed
+_config, _decide, _started = Rules.config, step._decide, transitions._started
 _observe, _watched, _reset = output_limits.observe, output_limits._watched, orders._reset
 
 
@@ -101,15 +102,44 @@ def _wrong_channel(state: Any, limits: Any, sample: Any) -> Any:
     return _observe(state, limits, flipped)
 
 
-def _strict(before: Any, limit: Any, value: float, t_ns: int) -> Any:
-    at_limit = value in (limit.low, limit.high)
+def _strict(before: Any, limit: Any, sample: Any) -> Any:
+    at_limit = (sample.value_0, sample.value_1)[limit.channel] in (limit.low, limit.high)
     high = -inf if at_limit else limit.high
-    return _watched(before, replace(limit, high=high), value, t_ns)
+    return _watched(before, replace(limit, high=high), sample)
 
 
-def _seen_anyway(before: Any, limit: Any, value: float, t_ns: int) -> Any:
-    known = _watched(before, limit, value, t_ns)
-    return output_limits.OutputWatch(known.outside, t_ns, known.value)
+def _seen_anyway(before: Any, limit: Any, sample: Any) -> Any:
+    return replace(_watched(before, limit, sample), valid_ns=sample.t_host_ns)
+
+
+def _other_end(before: Any, limit: Any, sample: Any) -> Any:
+    return _watched(before, replace(limit, sides_of_rails=limit.sides_of_rails[::-1]), sample)
+
+
+def _rests_at_0(self: Rules, *args: Any, **kwargs: Any) -> Any:
+    return _config(self, *args, **kwargs)._replace(u_rest=0)
+
+
+def _0_without_a_command(state: Any, now_ns: int, k: int) -> Any:
+    state, code, done = _decide(state, now_ns, k)
+    return state, 0 if code == state.rules.rest_code else code, done
+
+
+def _0_at_the_start(state: Any, now_ns: int, asked: Any) -> Any:
+    state, done = _started(state, now_ns, asked)
+    return replace(state, code=0) if state.run is not None else state, done
+
+
+def _0_after(decided: Any) -> Any:
+    def after(*args: Any) -> Any:
+        state, done = decided(*args)
+        return replace(state, code=0), done
+
+    return after
+
+
+def _0_before(self: ActiveRun, i: int, rest_code: int) -> int:
+    return self.code(i - 1) if i else 0
 
 
 def _forgotten(state: Any, order: Any) -> Any:
@@ -140,10 +170,23 @@ def _rule(name: str, *puts: tuple[Any, str, Any]) -> Mutant:
     return Mutant(name=name, puts=puts, breaks=frozenset({"O1", "O2"}))
 
 
+def _rest(where: str, *puts: tuple[Any, str, Any]) -> Mutant:
+    """Return the bug that 0 V is the rest of each rig."""
+    broken = frozenset({"S2", "S5", "S6", "A1"})
+    return Mutant(name=f"0 V as the rest in {where}", puts=puts, breaks=broken)
+
+
 MUTANTS = (
     _rule("a limit of the wrong channel", (output_limits, "observe", _wrong_channel)),
     _rule("a limit that is outside", (output_limits, "_watched", _strict)),
     _rule("a blind time restarted by an invalid sample", (output_limits, "_watched", _seen_anyway)),
+    _rule("the wrong end of a range", (output_limits, "_watched", _other_end)),
+    _rule("no blind time", (output_limits, "blind", lambda *_: None)),
+    _rest("CONFIG", (Rules, "config", _rests_at_0)),
+    _rest("a tick without a command", (step, "_decide", _0_without_a_command)),
+    _rest("a stop", (stopping, "stop", _0_after(stopping.stop))),
+    _rest("a trip", (stopping, "trip", _0_after(stopping.trip))),
+    _rest("the first step of a run", (ActiveRun, "code_before", _0_before)),
     _rule("limits forgotten at a reset", (orders, "_reset", _forgotten)),
     _rule("limits in counts", (Conversion, "value", _in_counts)),
     _rule("channels in the wrong order", (Rules, "conversions", property(_swapped))),

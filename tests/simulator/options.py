@@ -123,6 +123,8 @@ class Options:
     real_outbox: bool
     """The pipe to the service is the real one; otherwise only its reader's part."""
     episodes: tuple[Episode, ...]
+    rest: int = 0
+    """Code at which the actuator does nothing."""
     outputs: tuple[Output, ...] = ()
     """Described outputs and their limits; without any, the rig is the arm."""
     stalls: tuple[Episode, ...] = ()
@@ -205,8 +207,10 @@ def draw(
         tolerates_stalls=bool(stalls),
         c_core=c_core,
     )
-    if not uno:
-        return drawn
+    of_rest = Random(seed ^ 0x2E57)
+    if not uno:  # a shield has no enable line, so its rest is 0 V
+        rests = (drawn.u_max // 2, drawn.u_max, max(drawn.u_min, 6_554))
+        return replace(drawn, rest=of_rest.choice(rests)) if of_rest.random() < 0.4 else drawn
     return replace(drawn, uno=uno, pwm_bits=LAYOUTS[uno].pwm_bits, **_UNO)
 
 

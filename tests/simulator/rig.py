@@ -342,7 +342,9 @@ class Rig:
         """Let the service show that it is alive, and again later."""
         self.at(self.now + 100 * MS, self._alive)
         if self.loop is not None:
-            self.order(Alive(order=0))
+            # In every second schedule as if a run were prepared: this renews no held voltage.
+            lease = self.commander.lease if self.options.seed % 2 else ""
+            self.order(Alive(order=0, lease=lease))
 
     # -- the process -----------------------------------------------------------------------------
 
@@ -564,7 +566,7 @@ class Rig:
         if checks.phase == "init":
             raise Violation("T1", self.now, "the device is not known again")
         self._judge_what_is_said()
-        if not options.goes_on and checks.run is None and checks.volts:
+        if not options.goes_on and checks.run is None and checks.is_driven:
             raise Violation("T1", self.now, f"{checks.volts:.2f} V, and nobody commands")
         # Disarmed, but for who has armed since the last stop and trip.
         if checks.lease is not None or checks.is_arming():
@@ -591,10 +593,12 @@ class Rig:
 
 def _rules(options: Options) -> Rules:
     description = described(options.outputs, options.turns) if options.outputs else None
+    in_core = options.rail_ticks if any(o.valid_rail for o in options.outputs) else 0
     turns = options.turns / 100 if description is None else description.outputs["y"].turns
     return Rules(
         described=UNSET if description is None else description.conversions,
-        limits=UNSET if description is None else output_limits(description.outputs),
+        limits=UNSET if description is None else output_limits(description.outputs, in_core),
+        rest_code=options.rest,
         code_min=options.u_min,
         code_max=options.u_max,
         slew=options.slew,
@@ -602,7 +606,7 @@ def _rules(options: Options) -> Rules:
         watchdog_ms=options.watchdog_ms,
         baud=500_000,
         turns=round(turns * 100),
-        rail_ticks=options.rail_ticks,
+        rail_ticks=options.rail_ticks - in_core,
         calibration=Calibration(),
         service_ns=options.service_ns,
         stop_after=options.stop_after,

@@ -42,9 +42,9 @@ class Watching:
         self._waiting: list[bytes] = []
         self._is_opened = False
         super().__init__(settings, 0, self._changed)
-        self._really_latch = self.board.latch
+        self._really_latch, self._really_release = self.board.latch, self.board.release
         # The board is the device's own; its latch is where a code becomes a voltage.
-        self.board.latch = self._latch
+        self.board.latch, self.board.release = self._latch, self._release
 
     # -- the process that emulates it ------------------------------------------------------------
 
@@ -136,6 +136,10 @@ class Watching:
         if fw.state is not before:
             checks.changed(t_ns, before, fw.state, frame)
 
+    def _release(self, now_ns: int, state: State, cause: Cause) -> None:
+        self._really_release(now_ns, state, cause)
+        self.checks.gets(now_ns, 0.0, state, cause)  # 0 V may have been driven
+
     def _latch(self, now_ns: int, code: int, cause: Cause) -> None:
         fw, checks = self._fw, self.checks
         pending = fw.pending
@@ -148,6 +152,7 @@ class Watching:
             seq = fw.u_seq  # of the SETPOINTS that brought what is latched now
         checks.latch(now_ns, code, k, seq, scheduled=scheduled)
         self._really_latch(now_ns, code, cause)
+        checks.gets(now_ns, self.board.volts, _RUN, cause)
         if code:
             checks.latch_done(now_ns, code, k, self.board.code, scheduled=scheduled)
 

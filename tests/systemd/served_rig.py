@@ -69,7 +69,8 @@ class Rig:
 
     def loop_pid(self) -> str:
         """Return the loop's process."""
-        return self.machine.run("pgrep", "-P", self.main_pid()).stdout.strip()
+        command = "pgrep", "-P", self.main_pid(), "-f", "armrig_daemon.loop.process"
+        return self.machine.run(*command).stdout.strip()
 
     def drive(self) -> None:
         """Have a client run the motor at 1 V and 4 V in turn for a minute; it turns."""

@@ -56,5 +56,6 @@ def test_the_signals_of_a_table_are_listed_with_what_is_missing(
     )
 
     assert capsys.readouterr().err == (
+        "armrig: f.csv has 6 samples: models from so few samples are poor; record 300 or more\n"
         "f.csv: 6 samples, 0.25 s apart; outputs p, q; inputs v; 3 values are missing\n"
     )

@@ -8,9 +8,13 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.recordings.files.recording_names import answering_among, short_name
+from armrig.cli.recorded_data import loaded
+from armrig.cli.results import write_plot
+from armrig.plots.captions import sign
+from armrig.recordings.files.recording_names import answering_among, named_path, short_name
 from armrig.recordings.files.recording_summary import summary_of
 from armrig_core.recording_file.manifest import Outcome
+from matplotlib.figure import Figure
 
 from tests.clients.made_recordings import manifest, recorded, sample, written
 
@@ -238,3 +242,38 @@ def test_a_name_in_use_is_refused_before_connecting(
     told = capsys.readouterr().err
     assert said in told
     assert ("no reply" in told) == (outcome == "stopped")
+
+
+@pytest.mark.parametrize(
+    ("typed", "line"),
+    [
+        ("@monday", "@monday: blackbox, 0.1 s, 2026-11-20 13:10:00"),
+        (
+            "@monday/validation",
+            "@monday/validation: blackbox (validation), 0.1 s, 2026-11-20 13:20",
+        ),
+        ("@0000000b", "@0000000b is @monday, blackbox, 0.1 s, 2026-11-20 13:10:00"),
+        ("@last", "@last is @0000000d/validation, blackbox (validation), 0.1 s, 2026"),
+    ],
+)
+def test_an_answer_has_one_name_for_a_recording(
+    folder: Path, typed: str, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", typed]) == 0
+
+    first, *_, last = capsys.readouterr().err.splitlines()
+    assert first.startswith(line)
+    name = line.partition(" is ")[2].partition(",")[0] or typed
+    assert last == f"next: armrig plot {name}"
+
+
+def test_a_warning_and_a_figure_have_the_name_of_the_command_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drawn = Figure().add_subplot()
+
+    [recording] = loaded([named_path("@monday")], None)
+    write_plot(folder / "a.svg", data=lambda ax: sign(drawn, recording.sha256))
+
+    assert "armrig: @monday has 8 samples" in capsys.readouterr().err
+    assert drawn.get_title("right") == "recording @monday"

@@ -19,6 +19,7 @@ from armrig.excitation.named_signals import realisations
 from armrig.rig.collection import Collected, Plan
 from armrig_core.commands import commands
 from armrig_core.commands.commands import Rehearsal
+from armrig_core.rig.description import Input
 from armrig_core.telemetry import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -72,6 +73,53 @@ def test_every_option_of_a_collection_reaches_its_plan(
         assert made[1][0].details["seed"] == 6
     step = made[0][0].make(200, 0.02)
     assert arguments[0] != "step" or (step[:35].max(), step[35:].min()) == (1.25, 3.5)
+
+
+@pytest.mark.parametrize(
+    ("levels", "volts"),
+    [
+        (["--low", "power=20", "--high", "power=80"], (1.0, 4.0)),
+        (["--high", "power=80"], (0.5, 4.0)),
+        (["--low", "power=20", "--high", "3.5"], (1.0, 3.5)),
+        (["--low", "cold=30", "--high", "cold=10"], (2.0, 4.0)),
+    ],
+)
+def test_a_level_with_the_name_of_the_input_is_its_own_value(
+    levels: list[str], volts: tuple[float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An inverting amplifier has its highest value at the lowest voltage."""
+    inverting = Input(name="cold", per_volt=-10.0, offset=50.0)
+    known = inverting if "cold" in levels[1] else Input(name="power", unit="%", per_volt=20.0)
+    plans: list[Plan] = []
+
+    def collected(plan: Plan, **_: object) -> Collected:
+        plans.append(plan)
+        return Collected(Path("a.mcap"), 3, 0.02, None, "run", None)
+
+    monkeypatch.setattr("armrig.rig.collection.collect", collected)
+    monkeypatch.setattr("armrig.cli.runs._input_of", lambda run: known)
+
+    assert main(["collect", "step", *levels]) == 0
+
+    assert (plans[0].details["low"], plans[0].details["high"]) == volts
+
+
+@pytest.mark.parametrize(
+    ("level", "error"),
+    [
+        ("torque=2", "the input of rig 1 is power in %; a number without a name is a voltage"),
+        ("power=", "'power=' is no voltage, such as 2.5, and no value of the input, such as"),
+    ],
+)
+def test_a_level_of_another_name_is_refused(
+    level: str, error: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = Input(name="power", unit="%", per_volt=20.0)
+    monkeypatch.setattr("armrig.cli.runs._input_of", lambda run: known)
+
+    assert main(["collect", "step", "--low", level]) != 0
+
+    assert error in told(capsys)
 
 
 def test_collect_greybox_refuses_a_rig_with_its_arm_on(
@@ -321,7 +369,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_a_wrong_option_is_refused_before_connecting(
+def test_a_wrong_option_is_refused_before_the_rig_is_armed(
     line: str,
     daemon: FakeDaemon,
     where: str,
@@ -335,7 +383,7 @@ def test_a_wrong_option_is_refused_before_connecting(
     assert main(["collect", *shlex.split(line), "--connect", where]) == 1
 
     assert REFUSED[line] in told(capsys)
-    assert daemon.asked == []
+    assert daemon.names() == []  # the state of the rig was asked at most
 
 
 def test_a_length_too_great_for_the_sampling_time_releases_the_rig(

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.cli import demo, demo_rig, main
-from armrig.excitation.demonstration import Experiment, pace_of
+from armrig.cli.demo_files import LIST
+from armrig.excitation.demonstration import Experiment
+from armrig.excitation.pace import pace_of
 from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError
 from armrig.rig.session import RigError
+from armrig.rig.status import scheduling_line
 from armrig_core.commands import commands
 from armrig_core.rig.description import shipped
 
@@ -128,6 +132,29 @@ def test_a_fault_that_remains_is_named_in_the_error(
         demo_rig.wait_until_safe(rig)
 
 
+@pytest.mark.parametrize(
+    ("host", "line"),
+    [
+        ({}, "not known yet"),
+        ({"fifo": 80, "refused": []}, "real-time scheduling at priority 80"),
+        (
+            {"fifo": 0, "refused": ["SCHED_FIFO (…)", "mlockall (…)", "/dev/cpu_dma_latency (…)"]},
+            "no real-time scheduling: the host refuses 3 settings; `armrig doctor` shows the "
+            "remedies",
+        ),
+        (
+            {"fifo": 80, "refused": "mlockall (…)"},
+            "real-time scheduling at priority 80: the host refuses 1 setting; `armrig doctor` "
+            "shows the remedies",
+        ),
+    ],
+)
+def test_the_demonstration_describes_the_scheduling_in_one_line(
+    host: dict[str, Any], line: str
+) -> None:
+    assert scheduling_line(host) == line
+
+
 class LateTrippingDaemon(StallingDaemon):
     """Trips while the rig is given back."""
 
@@ -182,8 +209,82 @@ def _recorded(rig: Rig, left_s: float = 60.0) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "high"), [("arm", 4.5), ("rc", 4.5), ("tclab", 1.1), ("optoshield", 1.1)]
+    ("name", "high"), [("arm", 4.5), ("rc", 4.5), ("tclab", 1.07), ("optoshield", 1.125)]
 )
 def test_the_levels_of_another_rig_keep_its_limits(name: str, high: float) -> None:
-    """1.1 V heats TCLab to 48 °C; its limit is 50 °C."""
+    """1.07 V heats TCLab to 47 °C; its limit is 50 °C."""
     assert pace_of(shipped(name), None).high == high
+
+
+@pytest.mark.parametrize("how", [["--virtual"], ["--rig-file", "rc"], []])
+def test_a_repeated_demonstration_writes_its_own_files_again_and_says_so(
+    how: list[str], short_demo: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", *how]) == 0
+    before = names_in(short_demo)
+    assert "earlier demonstration" not in capsys.readouterr().err
+
+    assert main(["demo", *how]) == 0
+
+    assert "demo: 3 files of an earlier demonstration will be replaced" in capsys.readouterr().err
+    assert names_in(short_demo) == before == ["armrig.toml", "data.svg", LIST, "report.pdf"]
+
+
+@pytest.mark.parametrize("how", [["--virtual"], ["--rig-file", "rc"], []])
+@pytest.mark.parametrize("name", ["report.pdf", "data.svg", "armrig.toml", "demo-x.mcap", LIST])
+@pytest.mark.parametrize("is_changed", [True, False])
+def test_a_demonstration_overwrites_no_file_of_the_user(
+    is_changed: bool,
+    name: str,
+    how: list[str],
+    short_demo: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if is_changed:
+        assert main(["demo", *how]) == 0
+    short_demo.mkdir(exist_ok=True)
+    (short_demo / name).write_text("mine\n")
+    before = names_in(short_demo)
+    capsys.readouterr()
+
+    assert main(["demo", *how]) == 1
+
+    said = capsys.readouterr().err
+    assert f"demo/{name}: is not a file of an earlier demonstration, or was changed" in said
+    assert "--directory FOLDER" in said
+    assert (short_demo / name).read_text() == "mine\n"
+    assert names_in(short_demo) == before
+
+
+def test_an_interrupted_demonstration_can_be_repeated(
+    short_demo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(demo, "_reported", lambda *_: Path("nowhere/report.pdf").read_bytes())
+        assert main(["demo", "--virtual"]) == 1
+    assert "armrig.toml" in names_in(short_demo)
+
+    assert main(["demo", "--virtual"]) == 0
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names of the files in a folder."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture
+def short_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Replace the experiments and the study of a demonstration; give the folder of its files."""
+
+    def report_of(_: list[Path], __: list[str], folder: Path) -> tuple[Any, Path]:
+        for name in ("data.svg", "report.pdf"):
+            (folder / name).write_text(f"{time.monotonic_ns()}")
+        return SimpleNamespace(models=[], recordings=[], of_arm=True), folder / "report.pdf"
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(demo, "_record", lambda *_: "no time")
+    monkeypatch.setattr(demo, "record_in_virtual_time", lambda *_, **__: [])
+    monkeypatch.setattr(demo, "_reported", report_of)
+    monkeypatch.setattr(demo, "_text", lambda *_: "")
+    monkeypatch.setattr("armrig.excitation.demonstration.experiments", lambda *_: [])
+    return tmp_path / "demo"

@@ -57,7 +57,8 @@ def test_a_report_names_its_file_its_recordings_and_a_validation_on_its_own_data
     assert said.out == f"{pdf}\n"
     assert "judged on their own estimation data" in said.err
     assert "judged on their own estimation data" in remarks[0][0]
-    assert said.err.splitlines()[-1] == "next: armrig report --handout --questions reasons.toml"
+    goes_on = f"next: armrig report --handout {path} --questions reasons.toml"
+    assert said.err.splitlines()[-1] == goes_on
     hashes = [armrig.load(path).sha256]
     assert json.loads(capsys.readouterr().out) == {"report": str(pdf), "recordings": hashes}
 

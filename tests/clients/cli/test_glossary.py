@@ -16,6 +16,7 @@ PAGE = (Path(__file__).parents[3] / "docs" / "glossary.md").read_text(encoding="
 
 def test_the_words_of_the_first_outputs_are_explained() -> None:
     words = {"ARX", "OE", "BJ", "MDL", "σ", "robust", "fault", "latched", "validation"}
+    words |= {"daemon", "count", "lease", "lateness"}
 
     assert words <= read_terms(PAGE).keys()
 
@@ -45,7 +46,12 @@ def test_terms_containing_the_word_are_offered_before_similar_terms() -> None:
     with pytest.raises(InputError, match=r"nearest: Static gain, gain of the loop, again$"):
         _found("gain", terms)
     with pytest.raises(InputError, match=r"nearest: train, grain$"):
-        _found("trains", terms)
+        _found("traim", terms)
+
+
+@pytest.mark.parametrize(("typed", "term"), [("counts", "count"), ("Dead Bands", "dead band")])
+def test_a_plural_means_its_term(typed: str, term: str) -> None:
+    assert _found(typed, read_terms(PAGE)) == term
 
 
 def test_the_glossary_without_a_term_lists_all_terms(capsys: pytest.CaptureFixture[str]) -> None:

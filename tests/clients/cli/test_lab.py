@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,11 +20,13 @@ from armrig.cli import rig as of_lab
 from armrig.cli.rig import _between_words, _lines, _page, _sentence, _show
 from armrig.dashboard import serving
 from armrig.rig.client import Rig
+from armrig.rig.local_daemon import running
 from armrig.rig.session import NoReplyError
 from armrig_core.commands.commands import LastRun, StatusReport
 
 from tests.clients.fake_daemon import status_report
-from tests.integration.processes import settled
+from tests.integration.processes import children, freeze, settled, wait_for
+from tests.integration.watching import Client
 from tests.sampling import sampled
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -97,13 +100,40 @@ def test_a_lab_ends_all_its_processes(number: signal.Signals, lab: subprocess.Po
         pass
 
 
+@pytest.mark.real_time
+def test_the_page_of_a_lab_outlives_a_frozen_and_a_killed_daemon(
+    lab: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    """The page names the command of the lab, and shows the rig when a daemon answers again."""
+    said = tmp_path / "said"
+    (url,) = re.findall(r"http://\S+", said.read_text())
+    client = Client(url)
+    (daemon,) = children(lab.pid)
+    assert client.first("hello")["command"] == "armrig lab"
+
+    freeze(daemon)
+    client.wait("status", lambda seen: f"`kill -9 {daemon}` ends it" in seen["trouble"])
+    wait_for(lambda: "does not answer" in said.read_text())
+    os.kill(daemon, signal.SIGCONT)
+    client.wait("live", lambda seen: not seen["is_stale"])
+    os.kill(daemon, signal.SIGKILL)
+    client.wait("status", lambda seen: "another terminal by `armrig lab`" in seen["trouble"])
+    wait_for(lambda: "was ended by SIGKILL" in said.read_text())
+    with running(["--emulate"], rig="1", log=tmp_path / "log"):
+        client.wait("live", lambda seen: not seen["is_stale"])
+        assert lab.poll() is None
+
+    lab.send_signal(signal.SIGINT)
+    assert lab.wait(_PATIENCE_S) == 128 + signal.SIGINT
+
+
 _RIG = '[rig]\nname = "led"\n[outputs.y]\nunit = "V"\nper_count = 1e-4\n'
 
 
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        (_RIG, "rig led cannot be emulated without [model]: give A, B and C, or the file of"),
+        (_RIG, "the rig 'led' cannot be emulated without [model]: give A, B and C, or the file of"),
         (_RIG + "low = 5.0\nhigh = 1.0\n", "outputs.y: low = 5.0 must be below high = 1.0"),
     ],
 )
@@ -139,8 +169,9 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     screen: str, terminal: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served, opened = serving.Served(url="http://page", browser_url="http://token"), list[str]()
+    given: list[serving.Settings] = []
     fakes: dict[str, Any] = {
-        "armrig.dashboard.serving.dashboard": lambda _: nullcontext(served),
+        "armrig.dashboard.serving.dashboard": lambda x: given.append(x) or nullcontext(served),
         "webbrowser.open": opened.append,
         "sys.stdout.isatty": lambda: terminal,
     }
@@ -151,10 +182,11 @@ def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     if screen:
         monkeypatch.setenv(screen, ":0")
 
-    with _page("1") as url:
+    with _page("1", "armrig lab") as url:
         assert url == "http://page"
 
     assert opened == (["http://token"] if terminal and screen else [])
+    assert given == [serving.Settings(command="armrig lab", starts_daemon=True)]
 
 
 READY = ["rig ready, 0 V: /dev/a, rig 7; Ctrl-C ends the lab", "in a browser: U"]
@@ -230,7 +262,7 @@ def test_a_lab_prints_each_change_once(
     fakes: dict[str, Any] = dict.fromkeys(("_LAB_STATUS_INTERVAL_S", "_VIEW_INTERVAL_S"), 0.0)
     for name, fake in fakes.items():
         monkeypatch.setattr(of_lab, name, fake)
-    monkeypatch.setattr("armrig.cli.next_step.next_line", lambda name, **of: f"{name}{of['rig']}")
+    monkeypatch.setattr("armrig.cli.next_step.next_line", lambda name, of: f"{name} {of.rig}")
     monkeypatch.setattr("armrig.rig.local_daemon.require_running", lambda *_: None)
 
     with pytest.raises(KeyboardInterrupt):
@@ -245,7 +277,7 @@ def test_a_lab_prints_each_change_once(
     else:
         assert [said[0], said[-1]] == [
             "not ready: no rig; Ctrl-C ends the lab",
-            "collect step --rig 7",
+            "collect step 7",
         ]
         assert len(said) == 5
 

@@ -129,7 +129,7 @@ REFUSED = [
     ("collect blackbox --connect localhost", "not a zenoh endpoint, such as"),
     ("collect blackbox --low 4.5 --high 0.5", "low=4.5 V must be below high=0.5 V"),
     ("collect blackbox --high 6", "high=6.0 V is outside the rig's 0 to 5 V"),
-    ("collect blackbox --Ts 10", "in seconds; 10 ms are 0.01"),
+    ("collect blackbox --Ts 100", "in seconds; 10 ms are 0.01"),
     ("collect blackbox --input sine", "'telegraph', 'prbs', 'white', 'multisine', 'chirp'"),
     # The physics.
     ("model --set J_2=6e-3kgm2", "give the number alone, in kg m², such as --set J_2=0.0048"),

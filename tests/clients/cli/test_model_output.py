@@ -171,6 +171,7 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
     )
     data_first = "trust σ robust, not σ; correct the data first"
     assert data_first in answer(of, None, None, [_finding("outliers")])
+    assert "; record 300 samples or more first." in answer(of, None, None, [_finding("samples")])
     first, *_ = answer(of, None, None, [_finding("feedback")]).splitlines()
     assert first.endswith(". But the data show feedback, or a direct term: see below.")
     of.findings = [_finding("level")]

@@ -20,8 +20,10 @@ from armrig.cli.next_step import (
     paired,
 )
 from armrig.excitation import telegraph
+from armrig.recordings.files.origin import Origin
 from armrig.rig.collection import Collected
 from armrig_core.recording_file.manifest import Outcome
+from armrig_core.rig.calibration import Calibration, Potentiometer
 
 from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written
 
@@ -67,12 +69,19 @@ def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any)
 
 
 def put(
-    folder: Path, experiment: str, run_id: str, at: str = "140000", outcome: str = "", **of: Any
+    folder: Path,
+    experiment: str,
+    run_id: str,
+    at: str = "140000",
+    outcome: str = "",
+    calibration: Calibration = Calibration(),  # noqa: B008 - frozen
+    **of: Any,
 ) -> None:
     """Write a recording of ten samples under the daemon's name for it."""
     about = manifest(experiment=experiment, run_id=run_id, **of)
     ended = {"outcome": Outcome(outcome=outcome, samples=10, missing=0)} if outcome else {}
-    data = recorded([sample(k) for k in range(10)], manifest=about, **ended)
+    samples = [sample(k) for k in range(10)]
+    data = recorded(samples, manifest=about, calibration=calibration, **ended)
     written(folder, data, f"1-{experiment}-20261120T{at}-{run_id}.mcap")
 
 
@@ -171,12 +180,12 @@ def test_the_report_uses_recordings_of_one_calibration_and_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = [
-        ("00000020", "step-first", ""),
-        ("00000021", "step-again", "ab" * 32),
-        ("00000022", "greybox-chassis", ""),
+        ("00000020", "step-first", Calibration()),
+        ("00000021", "step-again", Calibration(theta_1=Potentiometer(zero_counts=7.0))),
+        ("00000022", "greybox-chassis", Calibration()),
     ]
-    for second, (run_id, experiment, hash_) in enumerate(made):
-        put(pair, experiment, run_id, f"1500{second:02}", calibration_sha256=hash_)
+    for second, (run_id, experiment, calibration) in enumerate(made):
+        put(pair, experiment, run_id, f"1500{second:02}", calibration=calibration)
     Path("reasons.toml").touch()
 
     files = "@first @0000000a @0000000a/validation @chassis"
@@ -251,13 +260,13 @@ def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:
 @pytest.mark.parametrize(
     ("described", "wanted"),
     [
-        ("", "plot @0000000a"),
+        (None, "plot @0000000a"),
         ("ab", "plot @0000000a"),
         ("cd", "collect blackbox --Ts 0.01 --seconds 30 --validation"),
     ],
 )
 def test_the_next_command_names_no_pair_of_another_rig(
-    pair: Path, described: str, wanted: str
+    pair: Path, described: str | None, wanted: str
 ) -> None:
     for path in pair.iterdir():
         path.unlink()
@@ -265,9 +274,10 @@ def test_the_next_command_names_no_pair_of_another_rig(
     put(pair, "blackbox", "0000000a", at="130000", **about)
     details = {"validation_of": "0000000a"}
     put(pair, "blackbox-validation", "0000000b", at="130000", details=details, **about)
-    asked = {"Ts": 0.01, "seconds": 30, "switching": "", "described": described}
+    origin = Origin(rig="1", description_sha256=described)
+    asked: dict[str, Any] = {"Ts": 0.01, "seconds": 30, "switching": ""}
 
-    assert next_line("collect pair", **asked) == f"next: armrig {wanted}"
+    assert next_line("collect pair", origin, **asked) == f"next: armrig {wanted}"
 
 
 @pytest.mark.parametrize(
@@ -279,7 +289,7 @@ def test_a_name_of_another_rig_is_not_given_again(pair: Path, described: str, wa
         path.unlink()
     put(pair, "step-first", "0000000e", description_sha256="ab")
 
-    found = next_line("collect step other", rig="", described=described)
+    found = next_line("collect step other", Origin(rig="1", description_sha256=described))
 
     assert found == f"next: armrig {wanted}"
 

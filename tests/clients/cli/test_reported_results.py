@@ -15,7 +15,8 @@ import pytest
 from armrig import __main__ as program
 from armrig.cli import demo, main
 from armrig.data.finding import warning
-from armrig.excitation.demonstration import Pace, experiments
+from armrig.excitation.demonstration import experiments
+from armrig.excitation.pace import Pace
 from armrig.lab.fleet_recorder import RigRecorded
 from armrig.report.batch.tasks import CHECKS
 from armrig_daemon.config import load
@@ -154,7 +155,7 @@ HINTS: dict[str, Any] = {
     **dict.fromkeys(("structures", "resonances", "antiresonances", "nk_interval"), ()),
     "reasons": ("the first", "the second"),
     **dict.fromkeys(("low_slope", "high_slope"), 0.0),
-    **{"nb": 3, "nf": 5, "nk": 2, "integrator_shown": True, "relative_degree": 4},
+    **{"process": "", "nb": 3, "nf": 5, "nk": 2, "integrator_shown": True, "relative_degree": 4},
 }
 
 

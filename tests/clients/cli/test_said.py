@@ -41,7 +41,7 @@ from tests.sampling import without_slow
 SAID = Path(__file__).parent / "said"
 OF_A_HOST = {"lab", "doctor"}
 AGAIN = "If this is what the command is to say: make stored"
-SLOW = {"hints", "report", "batch", "host", "identify_noise"}
+SLOW = {"hints", "report", "batch", "host", "identify_noise", "several"}
 FILES = sorted(SAID.rglob("*.txt"))
 DATA = Path(__file__).parents[2] / "data" / "0.2.0"
 WHOLE = re.compile(r"--(verbose|json|help)|-v\b|^armrigd?$")

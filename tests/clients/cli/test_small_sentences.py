@@ -11,6 +11,7 @@ import pytest
 from armrig.cli import main, printing
 from armrig.cli.physics import cases, changes, physics_beside
 from armrig.cli.usage_errors import _in_whole_units
+from armrig.numerics.quantities import digits
 from armrig.recordings import overview
 from armrig_core.errors import OperationError
 from armrig_core.rig.arm import ArmParameters
@@ -31,7 +32,8 @@ def test_a_parameter_wrong_by_a_factor_of_100_causes_a_warning(
 
     assert main(["simulate", "--set", given]) == 2
 
-    doubt = f"--set {name}={float(given.partition('=')[2]):g}: this is {times:.2g} times the value"
+    value = float(given.partition("=")[2])
+    doubt = f"--set {name}={value:g}: this is {digits(times, 2)} times the value"
     said = " ".join(capsys.readouterr().err.split())
     assert (doubt in said) == is_doubted
     assert (f"of the handout, {handout:g}; is it in SI units?" in said) == is_doubted

@@ -39,7 +39,7 @@ const sayOf = (chart, text) => {
 class Element {
   constructor(tag = "") {
     Object.assign(this, { tag, children: [], attributes: {}, on: {}, style: {}, dataset: {}, kinds: new Set() });
-    Object.assign(this, { own: "", hidden: false, disabled: false, className: "", title: "", value: "", type: "", clientWidth: 400 });
+    Object.assign(this, { own: "", hidden: false, disabled: false, className: "", title: "", value: "", type: "", clientWidth: 400, offsetTop: 160 });
     this.classList = { toggle: (name, is) => (is ? this.kinds.add(name) : this.kinds.delete(name)) };
   }
   get textContent() {
@@ -214,9 +214,10 @@ globalThis.uPlot = class {
     this.options.hooks.setCursor[0](this);
   }
 };
-// The pen that draws marks: a colour with its place, and a name.
+// The pen that draws marks: a colour with its place, and a name; a letter is 10 wide.
 const pen = () => ({
   drawn: "",
+  measureText: (text) => ({ width: 10 * text.length }),
   save: () => {},
   restore: () => {},
   fillRect(...at) {
@@ -259,6 +260,7 @@ globalThis.fetch = async (path, { method = "GET", body: sent, priority, headers,
 // What a story's lines use.
 const stage = {
   byId,
+  say,
   costs: (ms) => (cost = ms),
   charts,
   replies,

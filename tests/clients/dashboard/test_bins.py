@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from math import inf, radians
+from math import inf, isnan, nan, pi, radians
 
 import msgspec
 import numpy as np
 import pytest
 from armrig.dashboard.bins import (
+    RunRotation,
     as_lists,
     binned,
     coarser,
@@ -16,8 +17,10 @@ from armrig.dashboard.bins import (
     signals,
     signals_of,
 )
+from armrig_core.commands.commands import OutputRange
 from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
+from armrig_protocol.messages import Flag
 
 
 def _samples(theta_1_deg: list[float], Ts: float = 0.001, u: float = 1.0) -> list[Sample]:
@@ -197,10 +200,46 @@ def test_a_described_rig_has_a_column_for_each_output_and_rate() -> None:
     assert coarser(rows, 1.0, drawn).shape == (2, 11)
 
 
+def test_each_limit_of_the_daemon_belongs_to_the_signal_of_its_channel() -> None:
+    """In the page's unit; a limit of turns has a signal of its own, and 0 to 5 V is no limit."""
+    ranges = {"theta_1": OutputRange(turns=3), "alpha": OutputRange(low=-pi / 6, high=pi / 4)}
+
+    drawn = {s.key: s for s in signals_of(shipped("arm"), ranges, (0.0, 4.5))}
+    (_, heated, _) = signals_of(shipped("heater"), {"T1": OutputRange(high=50.0)})
+
+    assert list(drawn) == ["u", "theta_1", "theta_1_turned", "velocity", "alpha"]
+    assert drawn["u"].limits == (-inf, 4.5)
+    assert (drawn["theta_1_turned"].limits, drawn["theta_1_turned"].unit) == ((-3, 3), "turns")
+    np.testing.assert_allclose(drawn["alpha"].limits, (-30, 45))
+    assert heated.limits == (-inf, 50.0)
+
+
+def test_the_rotation_is_counted_as_the_device_counts_it() -> None:
+    """From the first sample of a run, modulo a turn of the readings, in both directions."""
+    run = int(Flag.RUN)
+    counts = [10, 60_000, 60_000, 20_000, 60_000, 30_000, 30_000]
+    flags = [0, run, run, run, run, 0, run]
+    samples = [
+        plain._replace(counts_0=counts_0, flags=flag)
+        for plain, counts_0, flag in zip(_samples([0.0] * 7), counts, flags, strict=True)
+    ]
+
+    turns = RunRotation().add(samples)
+
+    ahead = (20_000 - 60_000 + 65_536) / 65_536
+    np.testing.assert_allclose(turns, [nan, 0, 0, ahead, 0, nan, 0])
+    assert isnan(RunRotation().add(samples[2:3])[0])  # the start of the run is not known
+
+
 def test_a_heater_has_its_input_in_percent_and_no_rate() -> None:
     power, *temperatures = signals_of(shipped("heater"))
 
-    assert (power.key, power.label, power.unit, power.per_volt) == ("u", "power", "V", (20.0, "%"))
+    assert (power.key, power.label, power.unit, power.own) == (
+        "u",
+        "power",
+        "V",
+        (20.0, 0.0, "%", 0.0),
+    )
     assert [(s.key, s.unit, s.limits, s.is_symmetric) for s in temperatures] == [
-        (name, "degC", (-inf, 70.0), False) for name in ("T1", "T2")
+        (name, "°C", (-inf, 70.0), False) for name in ("T1", "T2")
     ]

@@ -91,7 +91,7 @@ def test_a_command_is_forwarded_with_all_its_fields(
     ("path", "body"),
     [
         ("arm", b'{"owner": "", "Ts": 0.01}'),
-        ("arm", b'{"owner": "Ada", "Ts": 1.001}'),
+        ("arm", b'{"owner": "Ada", "Ts": 60.1}'),
         ("arm", b'{"owner": "Ada", "Ts": 0}'),
         ("arm", b'{"owner": "Ada", "ts": 0.01}'),
         ("note", b'{"owner": "%s", "text": "a"}' % (81 * b"x")),
@@ -125,11 +125,17 @@ def test_a_visitor_cannot_choose_the_name_of_a_stop(driver: Any) -> None:
 
 
 def test_an_undelivered_stop_is_reported(driver: Any) -> None:
-    driver.error = RigError("no daemon")
+    """With the reason that the page shows already, if there is one."""
+    driver.error, feed = RigError("no daemon"), Feed()
+    found = []
 
-    found = asked(_app(driver, Feed(), may_command=True), "/api/stop", b"{}")
+    for feed.trouble in ("", "start `armrig lab`"):
+        found.append(asked(_app(driver, feed, may_command=True), "/api/stop", b"{}"))
 
-    assert found == (502, b'{"error":"no daemon"}')
+    assert found == [
+        (502, b'{"error":"no daemon"}'),
+        (502, b'{"error":"start `armrig lab`"}'),
+    ]
 
 
 def test_a_preview_without_a_rig_reports_the_reason(driver: Any) -> None:

@@ -15,6 +15,7 @@ from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.stream import live_facts
 from armrig_core.telemetry.telemetry import Sample
 
+from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import event, gap, note, sample
 
 
@@ -178,16 +179,28 @@ def test_a_restarted_clock_clears_the_history() -> None:
     assert feed.news().newest == sample(2)
 
 
+def test_samples_that_a_frozen_daemon_sends_late_clear_no_history() -> None:
+    """The dashboard has read them already among the samples that the daemon keeps."""
+    feed = Feed()
+    feed.take_status(status_report(Ts=0.01))
+    feed.add_samples(samples(*range(500, 1000)), live=False)
+
+    feed.add_samples(samples(600, 601))
+
+    assert feed.history().shape[0] == 500
+
+
 def test_the_histogram_counts_live_samples_of_the_last_minute(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """62 s with one sample each: 60 samples count."""
-    clock = iter(range(1000, 1062))
-    monkeypatch.setattr(feed_module.time, "monotonic", lambda: next(clock) + 0.5)
+    now = 1000.5  # a thread of another test may read the clock, too
+    monkeypatch.setattr(feed_module.time, "monotonic", lambda: now)
     feed = Feed()
     feed.add_samples(samples(*range(5)), live=False)
 
     for k in range(5, 67):
+        now = 995.5 + k
         feed.add_samples([late(k, 60.0 if k < 7 else 300.0)])
 
     assert sum(feed.timing().late) == 60
@@ -213,7 +226,9 @@ def test_start_end_and_trip_are_marked() -> None:
     told = feed.marks()
     feed.add_samples(samples(31_000))  # 310 s: what is older than five minutes is not shown
 
-    assert told == [(2.0, "end"), (3.0, "start"), (4.0, "end"), (5.0, "start"), (6.0, "trip")]
+    assert [mark[:2] for mark in told] == [
+        *((2.0, "end"), (3.0, "start"), (4.0, "end"), (5.0, "start"), (6.0, "trip")),
+    ]
     assert feed.marks() == []
 
 
@@ -225,7 +240,7 @@ def test_repeated_states_are_marked_once() -> None:
     for part in (states[:4], states, states[4:]):
         feed.add_states(part)
 
-    assert feed.marks() == [(2.0, "start"), (3.0, "end"), (5.0, "start")]
+    assert [mark[:2] for mark in feed.marks()] == [(2.0, "start"), (3.0, "end"), (5.0, "start")]
 
 
 def test_a_restarted_clock_removes_earlier_marks() -> None:
@@ -239,19 +254,19 @@ def test_a_restarted_clock_removes_earlier_marks() -> None:
 
     feed.add_samples(samples(300))
 
-    assert [kind for _, kind in feed.marks()] == ["start", "note"]
-    assert max(t for t, _ in feed.marks()) < 100.0
+    assert [mark[1:] for mark in feed.marks()] == [("start", ""), ("note", "after")]
+    assert max(mark[0] for mark in feed.marks()) < 100.0
 
 
 def test_a_note_is_marked_once_and_does_not_displace_a_start() -> None:
     feed = Feed()
-    notes = [note(k, "note") for k in range(500)]
+    notes = [note(k, f"valve {k}") for k in range(500)]
 
     feed.add_states([SimpleNamespace(t_host_ns=1, phase=p) for p in ("safe", "active")])
     feed.add_events([*notes, *notes[-50:], event(7, "note by Ada: note")])
 
     (start, *marks) = feed.marks()
-    assert start == (1e-9, "start")
-    assert {kind for _, kind in marks} == {"note"}
-    assert marks[-1] == (sample(499).t_host_ns / 1e9, "note")
+    assert start == (1e-9, "start", "")
+    assert {mark[1] for mark in marks} == {"note"}
+    assert marks[-1] == (sample(499).t_host_ns / 1e9, "note", "valve 499")
     assert len(marks) == len(set(marks)) == 100

@@ -58,8 +58,8 @@ def test_the_arrays_are_read_only_copies(make: Make) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"u": [0.0, np.nan, 0.0]}, "u is not finite at 1 samples, first nan at 1"),
-        ({"u": pd.Series([1.0, np.nan, 3.0])}, "u is not finite at 1 samples, first nan at 1"),
+        ({"u": [0.0, np.nan, 0.0]}, "u is not finite at 1 sample, first nan at 1"),
+        ({"u": pd.Series([1.0, np.nan, 3.0])}, "u is not finite at 1 sample, first nan at 1"),
         (
             {"u": pd.Series(["a", "b", "c"])},
             "u is a column of .*; give numbers, see pandas.to_numeric",
@@ -73,7 +73,7 @@ def test_the_arrays_are_read_only_copies(make: Make) -> None:
         ({"u": [0.0, 1.0 + 0j, 2.0]}, "u is complex"),
         (
             {"u": np.ma.masked_equal([0.0, 1.0, 2.0], 1.0)},
-            "u is not finite at 1 samples.*cut these",
+            "u is not finite at 1 sample.*cut these",
         ),
     ],
 )

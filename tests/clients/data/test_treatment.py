@@ -200,6 +200,7 @@ def drifting(seed: int, rate: float, N: int = 1500) -> Dataset:
     return Dataset(u=u, y=y, Ts=0.1, unit="V")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("rate", [0.0, 0.01])
 def test_a_drift_is_separated_from_the_response_to_the_input(rate: float) -> None:
     """|z| of the error exceeds 1.96 in 5 % of 200 runs."""

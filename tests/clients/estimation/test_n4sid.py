@@ -314,7 +314,7 @@ def test_orders_weights_and_horizons_out_of_range_are_refused() -> None:
     assert n4sid(clean).order == 2
     with pytest.raises(ValueError, match="the data show 2 states; lower the order"):
         n4sid(clean, 4)
-    with pytest.raises(ValueError, match="y is always 3, so that it has no model"):
+    with pytest.raises(ValueError, match="y is always 3: give the column that varies"):
         n4sid(Dataset(u=u, y=np.full(300, 3.0), Ts=1.0), 1)
     with pytest.raises(ValueError, match="weights='svd' must be one of"):
         n4sid(clean, 2, "svd")  # type: ignore[arg-type]

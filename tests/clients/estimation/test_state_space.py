@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -116,6 +117,14 @@ def predictor(experiments: int) -> Predictor:
     return Predictor(Abar=A - K @ C, Bbar=B, C=C, D=np.zeros((2, 2)), K=K, x0=x0)
 
 
+def sought(order: int, *, direct: bool, parts: tuple[Part, ...] = ()) -> StateSpaceProblem:
+    return StateSpaceProblem(parts=parts, order=order, direct=direct, noise=True)
+
+
+def gap_problem(parts: Sequence[Part], *, direct: bool) -> GapProblem:
+    return GapProblem(problem=sought(3, direct=direct, parts=tuple(parts)), Lambda=LAMBDA)
+
+
 def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_outputs() -> None:
     rng = np.random.default_rng(7)
     parts = []
@@ -128,7 +137,10 @@ def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_out
         )
     model = predictor(2)
 
-    z, log = GapProblem(parts=tuple(parts), Lambda=LAMBDA, direct=False).errors([model, model])
+    found = [
+        gap_problem(parts, direct=False).errors(model, innovations=only)[:2]
+        for only in (True, False)
+    ]
 
     quadratic = determinant = 0.0
     for part, x0 in zip(parts, model.x0, strict=True):
@@ -143,24 +155,25 @@ def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_out
         quadratic += error @ np.linalg.solve(S, error)
         determinant += np.linalg.slogdet(S)[1]
         determinant -= sum(np.linalg.slogdet(LAMBDA[np.ix_(r, r)])[1] for r in part.rows if r.any())
-    np.testing.assert_allclose(np.sum(z**2, axis=1), quadratic, rtol=1e-9)
-    np.testing.assert_allclose(log * sum(p.rows.sum() for p in parts), determinant, rtol=1e-9)
+    for z, log in found:
+        np.testing.assert_allclose(np.sum(z**2), quadratic, rtol=1e-9)
+        np.testing.assert_allclose(log * sum(p.rows.sum() for p in parts), determinant, rtol=1e-9)
 
 
 def test_the_filter_of_a_subspace_estimate_has_the_errors_of_the_search() -> None:
-    """Its gains and roots whiten the errors in the same way, up to variances of 0.01 %."""
+    """Its gains and roots whiten the errors in the same way."""
     signals, model = data(missing=0.1)[:300], predictor(1)
     measured = [(signals.u, signals.y)]
-    gaps = GapProblem(parts=parts_of(measured, LAMBDA), Lambda=LAMBDA, direct=False)
+    gaps = gap_problem(parts_of(measured, LAMBDA), direct=False)
 
     (part,) = filtered_parts(measured, A, C, K, LAMBDA)
     left = np.where(part.rows, signals.y - model.predicted(part, 0), 0.0)
 
     z = (part.weights @ left[:, :, None])[:, :, 0]
-    expected = gaps.errors([model])[0][0].reshape(2, -1).T
-    np.testing.assert_allclose(z, expected, atol=2e-3)
+    white = gaps.errors(model, innovations=True)[0]
+    np.testing.assert_allclose(z, white.reshape(2, -1).T, atol=1e-9)
     scaled = scaled_errors(part, left, LAMBDA)
-    np.testing.assert_allclose(scaled, gaps.residuals(model)[0], atol=2e-3)
+    np.testing.assert_allclose(scaled, gaps.residuals(white)[0], atol=1e-9)
 
 
 def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps(
@@ -174,16 +187,42 @@ def test_the_covariance_of_the_noise_is_estimated_along_with_the_gaps(
     one, zero = np.ones((1, 1)), np.zeros((1, 1))
     at = Predictor(Abar=0.3 * one, Bbar=one, C=one, D=zero, K=0.4 * one, x0=(np.zeros(1),))
 
-    found = searched([(u, y)], at, 9.0 * one, direct=False)
+    found = searched(sought(1, direct=False), [(u, y)], at, 9.0 * one)
 
-    left = np.vstack(found.problem.residuals(found.predictor))
+    left = np.vstack(found.residuals)
     assert found.converged
     assert found.iterations > 0
     assert found.problem.Lambda[0, 0] == pytest.approx(np.nanmean(left**2), rel=1e-2)
     assert found.problem.Lambda[0, 0] == pytest.approx(1.0, abs=0.5)
 
-    monkeypatch.setattr("armrig.estimation.state_space_gaps._MAX_ROUNDS", 1)
-    assert not searched([(u, y)], at, 9.0 * one, direct=False).converged
+    monkeypatch.setattr("armrig.estimation.state_space_gaps._MAX_STEPS", 1)
+    assert not searched(sought(1, direct=False), [(u, y)], at, 9.0 * one).converged
+
+
+def test_the_slopes_with_gaps_are_the_differences_of_the_errors() -> None:
+    """Those of the innovations, and of the log determinant, in two experiments."""
+    with_gaps = problem(noise=True, direct=True, missing=0.3)
+    gaps = gap_problem(with_gaps.parts, direct=True)
+    at = replace(predictor(2).balanced(), D=0.1 * np.eye(2))
+    by = gaps.directions(at)
+    d, h = len(by.A), 1e-5
+
+    e, _, of_filter = gaps.errors(at, innovations=True)
+    slopes, by_log = gaps.slopes(at, of_filter)
+    z, _, projected = gaps.errors(at)
+    J, by_log_det = gaps.slopes(at, projected)
+
+    np.testing.assert_allclose(by_log_det, by_log, atol=1e-9)
+    np.testing.assert_allclose(J.T @ z, slopes.T @ e, rtol=1e-7, atol=1e-9)
+    for k in range(d + 6):
+        found = []
+        for sign in (1, -1):
+            step = sign * h * np.eye(d + 6)[k]
+            x0 = tuple(x + dx for x, dx in zip(at.x0, step[d:].reshape(2, 3), strict=True))
+            found.append(gaps.errors(replace(by.moved(at, step[:d]), x0=x0), innovations=True)[:2])
+        (z, log), (z_, log_) = found
+        np.testing.assert_allclose(slopes[:, k], (z_ - z) / (2 * h), atol=1e-7)
+        assert by_log[k] == pytest.approx((log - log_) / (2 * h), abs=1e-7)
 
 
 def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
@@ -191,12 +230,12 @@ def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
     linear = whole.linear(A - K @ C, C)
     at = linear.at.balanced()
 
-    gaps = GapProblem(parts=whole.parts, Lambda=LAMBDA, direct=True)
+    gaps = gap_problem(whole.parts, direct=True)
 
-    z, log = gaps.errors([at])
-    np.testing.assert_allclose(z[0], linear.e, atol=1e-9)
+    z, log, _ = gaps.errors(at)
+    np.testing.assert_allclose(z, linear.e, atol=1e-9)
     np.testing.assert_array_equal(log, 0)
-    for found, e in zip(gaps.residuals(at), whole.residuals(linear.at), strict=True):
+    for found, e in zip(gaps.residuals(z), whole.residuals(linear.at), strict=True):
         np.testing.assert_allclose(found, e, atol=1e-9)
 
 

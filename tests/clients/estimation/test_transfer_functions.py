@@ -156,9 +156,12 @@ def test_a_refusal_says_what_is_allowed(options: dict[str, Any], said: str) -> N
         tf(data(), **options)
 
 
-def test_a_plant_too_fast_for_its_sampling_is_refused() -> None:
-    with pytest.raises(InputError, match=r"too fast for Ts 0.1 s \(Nyquist frequency 31.4 rad/s"):
-        tf(data(B=(400.0,), F=(1, 400.0), std=0.0), poles=1)
+def test_a_plant_too_fast_for_its_sampling_has_a_gain_and_a_warning() -> None:
+    fit = tf(data(B=(800.0,), F=(1, 400.0), std=0.01), poles=1)
+
+    gain = fit.quantities()["gain"]
+    assert abs(gain.value - 2) < 4 * gain.std < 0.1
+    assert any("is above the Nyquist frequency, 31.4 rad/s" in text for text in fit.warnings)
 
 
 @pytest.mark.parametrize("kind", ["P4", "PID", "P1DD", "P1U", "p1", None])

@@ -19,6 +19,7 @@ from armrig.excitation import (
     telegraph,
     white_noise,
 )
+from armrig.excitation.from_file import is_named
 from armrig.excitation.named_signals import (
     NAMES,
     check_step_time,
@@ -29,6 +30,7 @@ from armrig.excitation.named_signals import (
     step_at,
     up_and_down,
 )
+from armrig_core.rig.description import Input
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -247,6 +249,8 @@ def test_a_staircase_holds_each_level_equally_long() -> None:
         "u;t\n1;0\n2;0.01\n3;0.02\n",
         "# mine\n5.00 1\n5.01 2\n\n5.02 3",
         "\ufeff1\n2\n3\n",
+        "t [s];u (V)\n0,00;1,0\n0,01;2,0\n0,02;3,0\n",
+        "t\tu\ns\tV\n0,00\t1\n0,01\t2\n0,02\t3\n",
     ],
 )
 def test_a_file_is_read_in_each_common_notation(tmp_path: Path, text: str) -> None:
@@ -259,26 +263,28 @@ def test_a_file_is_read_in_each_common_notation(tmp_path: Path, text: str) -> No
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,u\n0,1\n0.01,2\n0.03,3\n", r"row 4: t=0.03 s, but Ts=0.01 s gives 0.02 s.*0.015 s"),
-        ("0,1\n0.005,2\n0.01,3\n", "row 2: t=0.005 s, but Ts=0.01 s gives 0.01 s"),
-        ("0,1\n0.010101,2\n", "row 2: t=0.010101 s"),
-        ("0,1\nnan,2\n", "row 2: t=nan s"),
-        ("t,u\n0,1\n0.01,-1\n0.02,7\n", r"2 of 3 .* V, first in row 3: u=-1 V"),
-        ("1\n2\nnan\n", "row 3: u=nan V"),
-        ("0,1\n0.01,two\n", "row 2: '0.01 two' must be one number in each column"),
-        ("0,1\n0.01\n", "row 2: 1 columns"),
-        ("0,1,2\n", "row 1: 3 columns"),
-        ("0;1,5\n", "row 1: 3 columns.*with a point, not a comma"),
+        ("t,u\n0,1\n0.01,2\n0.03,3\n", r"line 4: t=0.03 s, but Ts=0.01 s gives 0.02 s.*0.015 s"),
+        ("0,1\n0.005,2\n0.01,3\n", "line 2: t=0.005 s, but Ts=0.01 s gives 0.01 s"),
+        ("0,1\n0.010101,2\n", "line 2: t=0.010101 s"),
+        ("0,1\nnan,2\n", "line 2: t=nan s"),
+        ("t,u\n0,1\n0.01,-1\n0.02,7\n", r"2 of 3 .* V, first in line 3: u=-1 V"),
+        ("1\n2\nnan\n", "line 3: u=nan V"),
+        ("0,1\n0.01,two\n", "line 2, column 2: 'two' is not a number"),
+        ("0,1\n0.01\n", "line 2 has 1 cell"),
+        ("0,1,2\n", "3 columns; give u in V, or t in s and u in V"),
+        ("t;u\n0;1,5\n0,01;9,5\n", "first in line 3: u=9.5 V"),
+        ("t;u\n0;1,234\n1;2,345\n", "may be .* Write 0.5 for a half"),
+        ("t;u [mV]\n0;1\n", "u in mV; give t in s and u in V"),
         ("t\n0\n0.02\n0.04\n", "columns t; name them t and u, or one column u"),
         ("0,5\n1,5\n2,5\n", "a comma separates what may be one number"),
         ("time,voltage\n0,1\n", "columns time, voltage; name them t and u"),
         ("", "no row of numbers"),
-        ("# mine\n\nt,u\n0,1\n# a remark\n0.01,2\n0.03,3\n", "row 7: t=0.03 s"),
-        ("# mine\n\n1\n# a remark\n9\n", r"1 of 2 .* first in row 5: u=9 V \(sample 1\)"),
-        ("t,u\n\n0,1\n0.01,one\n", "row 4: '0.01 one' must be one number"),
+        ("# mine\n\nt,u\n0,1\n# a remark\n0.01,2\n0.03,3\n", "line 7: t=0.03 s"),
+        ("# mine\n\n1\n# a remark\n9\n", r"1 of 2 .* first in line 5: u=9 V \(sample 1\)"),
+        ("t,u\n\n0,1\n0.01,one\n", "line 4, column u: 'one' is not a number"),
     ],
 )
-def test_a_file_that_must_not_be_played_is_refused_by_its_row(
+def test_a_file_that_must_not_be_played_is_refused_by_its_line(
     tmp_path: Path, text: str, message: str
 ) -> None:
     """Handout, 3.2: u and t must agree with the chosen step size."""
@@ -397,3 +403,16 @@ def test_realisations_have_the_seeds_that_follow_each_other() -> None:
     for u, seed in ((first, 7), (second, 8)):
         ratio = (u - 2) / (multisine(400, lines, 1.0, 3.0, seed, periods=2) - 2)
         np.testing.assert_allclose(ratio, ratio[0])
+
+
+def test_a_column_with_the_inputs_name_has_its_own_value(tmp_path: Path) -> None:
+    power = Input(name="power", unit="%", per_volt=20.0)
+    (tmp_path / "own.csv").write_text("t [s],power [%]\n0,0\n0.01,60\n")
+
+    assert from_csv(tmp_path / "own.csv", 0.01, input=power).tolist() == [0.0, 3.0]
+    assert is_named(tmp_path / "own.csv")
+    with pytest.raises(ValueError, match=r"columns t, power; name them t and u"):
+        from_csv(tmp_path / "own.csv", 0.01)
+    (tmp_path / "own.csv").write_text("t,power [V]\n0,0\n0.01,6\n")
+    with pytest.raises(ValueError, match=r"power in V; give t in s and power in %"):
+        from_csv(tmp_path / "own.csv", 0.01, input=power)

@@ -9,6 +9,7 @@ import pytest
 from armrig.excitation import multisine, prbs, staircase, step, telegraph, white_noise
 from armrig.excitation.input_description import describe_input
 from armrig.numerics.power_spectrum import power_spectrum
+from armrig.numerics.quantities import plural
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
@@ -99,7 +100,7 @@ def test_sixteen_samples_have_a_spectrum() -> None:
 def test_every_input_can_be_described_and_shown(u: NDArray[np.float64]) -> None:
     d = describe_input(u, 0.01)
 
-    assert f"input of {u.size} samples at 0.01 s" in repr(d)
+    assert f"input of {plural(u.size, 'sample')} at 0.01 s" in repr(d)
     plt.close(d.plot())
 
 

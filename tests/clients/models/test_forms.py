@@ -10,7 +10,7 @@ import pytest
 from armrig.data.dataset import Signals
 from armrig.data.finding import warning
 from armrig.models.polynomials import Polynomials
-from armrig.models.state_space import StateSpace, predicted
+from armrig.models.state_space import StateSpace
 from armrig.numerics.polynomial import Array, filtered
 from armrig_core.errors import InputError
 
@@ -278,18 +278,23 @@ def noise_free(system: StateSpace, N: int = 60) -> tuple[Signals, Array]:
 def test_without_noise_a_prediction_is_exact_over_missing_samples(
     name: str, horizon: int | None
 ) -> None:
-    """Only before an output is first measured is its prediction not known, except from u alone."""
+    """A prediction is not known before an output is first measured, except from u alone.
+
+    An ARX model, which has a finite memory, also predicts no sample that sets its first state.
+    """
     form: Any = FORMS[name]()
     system = form.realised()
     data, whole = noise_free(system)
 
-    found = predicted(
-        system, data, horizon=horizon, integrating=form.integrators, noise_std=np.ones(2)
-    )
+    found = fit_of_form(form).predict(data, horizon)
 
     unknown = np.cumsum(data.valid, axis=0) == 0
-    assert np.isnan(found).tolist() == (unknown & (horizon is not None)).tolist()
-    np.testing.assert_allclose(found[~unknown], whole[~unknown], atol=1e-4)
+    begun = 10 if name == "joined" else 0
+    lost = np.isnan(found)
+    assert lost[begun:].tolist() == (unknown & (horizon is not None)).tolist()[begun:]
+    assert lost[:begun].any() == bool(begun and horizon)
+    known = ~(lost | unknown)
+    np.testing.assert_allclose(found[known], whole[known], atol=1e-4)
 
 
 def test_a_prediction_ahead_leaves_the_noise_of_its_horizon() -> None:

@@ -64,7 +64,7 @@ def test_the_errors_are_those_of_generalised_least_squares(
     x = prepared(*data(gaps, len(s.nb)), s)
     p = given_polynomials(s)
 
-    part = regression(x, s, A=p["A"], C=C, D=D, F=F)
+    part = regression(x, s, A=p["A"], C=C, D=D, F=F, innovations=True)
     found = errors(x, s, part, **p, C=C, D=D, F=F)
 
     AD = np.convolve(p["A"], D)
@@ -99,7 +99,7 @@ def test_the_derivatives_of_the_errors_equal_finite_differences(
         for group, q in zip(s.groups, of_groups, strict=True):
             for j in group:
                 f[j] = q
-        part = regression(x, s, A=A, C=c, D=d, F=f)
+        part = regression(x, s, A=A, C=c, D=d, F=f, innovations=True)
         return errors(x, s, part, A=A, B=p["B"], C=c, D=d, F=f), part
 
     polynomials = [p["A"], C, D, *(F[group[0]] for group in s.groups)]

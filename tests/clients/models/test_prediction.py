@@ -9,7 +9,8 @@ import pytest
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
 from armrig.models.fit import Fit
-from armrig.models.prediction import prediction_errors, structure_of
+from armrig.models.prediction import structure_of
+from armrig.models.predictor import prediction_errors
 from armrig.numerics.polynomial import Array, filtered
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
@@ -150,7 +151,7 @@ def test_an_equation_error_depends_only_on_the_samples_of_its_row(na: int, nk: i
     u, y = rng.standard_normal((2, 60))
     data = Dataset(u=u, y=y, Ts=0.1, valid=valid)
 
-    found = prediction_errors(fit, data).e
+    found = prediction_errors(fit, data)[0].e[:, 0]
 
     expected, known = sums(fit, data)
     np.testing.assert_array_equal(np.isfinite(found), known)

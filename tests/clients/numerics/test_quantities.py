@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from math import inf, nan
+from pathlib import Path
 
+import numpy as np
 import pytest
 from armrig.numerics.quantities import (
     NBSP,
+    digits,
     near_one,
     p_value,
     percent,
+    plural,
     scaled,
     with_std,
 )
+from hypothesis import given
+from hypothesis.strategies import floats
 
 
 @pytest.mark.parametrize(
@@ -67,3 +74,68 @@ def test_a_quantity_is_written_with_a_unit_prefix(value: float, std: float, text
 )
 def test_a_number_is_formatted_according_to_its_kind(written: str, text: str) -> None:
     assert written.replace(NBSP, " ") == text
+
+
+@pytest.mark.parametrize(
+    ("n", "text"),
+    [(0, "0 samples"), (1, "1 sample"), (2, "2 samples"), (1.0, "1 sample"), (0.5, "0.5 samples")],
+)
+def test_a_number_agrees_with_its_noun(n: float, text: str) -> None:
+    assert plural(n, "sample") == text
+
+
+def test_a_number_agrees_with_its_verb() -> None:
+    found = [plural(n, "value is", "values are") for n in (np.int64(1), np.int64(3))]
+
+    assert found == ["1 value is", "3 values are"]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@given(x=floats(-1e8, 1e8))
+def test_a_number_in_a_sentence_has_no_power_of_ten_above_1(n: int, x: float) -> None:
+    text = digits(x, n)
+
+    assert "e+" not in text
+    assert float(text) == pytest.approx(x, rel=0.51 * 10 ** (1 - n))
+
+
+@pytest.mark.parametrize(
+    ("x", "n", "text"),
+    [
+        (330.4, 2, "330"),
+        (99.4, 2, "99"),
+        (99.5, 2, "100"),
+        (-999.6, 3, "-1000"),
+        (3e-5, 2, "3e-05"),
+        (nan, 2, "nan"),
+        (inf, 2, "inf"),
+        (1e300, 2, "1e+300"),
+    ],
+)
+def test_a_large_number_is_rounded_to_an_integer(x: float, n: int, text: str) -> None:
+    assert digits(x, n) == text
+
+
+COUNT = re.compile(r"(?<! of )(?<! of its )\{([^{}:!'\"]+)\} (samples|states|lags|messages|rows)\b")
+"""A count before a plural noun: the text is wrong for 1."""
+FEW_DIGITS = re.compile(r"(?<!float\()f[\"'][^\"']*:>?\d*\.[123]g\}")
+"""A number with up to three digits, which becomes 3.3e+02 above 330."""
+
+
+def test_no_sentence_writes_a_count_without_its_singular() -> None:
+    counts = {m for line in lines_of("clients", "daemon") for m in COUNT.findall(line)}
+
+    found = {(name, noun) for name, noun in counts if not name.isupper() and "listed" not in name}
+    assert found == {("size", "samples")}  # a text
+
+
+def test_no_sentence_writes_a_large_number_with_a_power_of_ten() -> None:
+    assert [line for line in lines_of("clients") if FEW_DIGITS.search(line)] == []
+
+
+def lines_of(*rooms: str) -> list[str]:
+    """Return the lines of code of packages that contain an f-string, without examples."""
+    root = Path(__file__).parents[3]
+    texts = (path.read_text() for room in rooms for path in sorted((root / room).rglob("*.py")))
+    lines = (line.strip() for text in texts for line in text.splitlines())
+    return [x for x in lines if ('f"' in x or "f'" in x) and not x.startswith((">>>", "... "))]

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
+from armrig.numerics.criteria import mdl
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered, lagged
 from armrig.numerics.whiteness import (
     Whiteness,
+    autoregression,
     default_lags,
     joint_p_value,
     ljung_box,
@@ -161,3 +163,16 @@ def test_a_two_sided_quantile_leaves_out_both_tails(level: float) -> None:
     for wrong in (0.0, 1.0, 95.0, float("nan")):
         with pytest.raises(ValueError, match="must lie between 0 and 1"):
             two_sided(wrong)
+
+
+def test_white_errors_at_a_third_of_the_samples_have_no_autoregression() -> None:
+    """An ARX model of data with gaps has errors where its whole past is known."""
+    rng, orders = np.random.default_rng(1), []
+    for _ in range(60):
+        known = rng.random(400) > 0.3
+        known[2:] &= known[1:-1] & known[:-2]
+        e = np.where(known, rng.standard_normal(400), np.nan)
+        orders.append(autoregression([e], mdl)[0].size - 1)
+
+    assert np.mean(np.array(orders) > 0) < 0.1
+    assert max(orders) < 5

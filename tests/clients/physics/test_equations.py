@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,19 @@ def test_the_truth_is_found_from_starts_within_a_factor_of_3(plant: str, seed: i
         assert abs(fit.values[name] - value) < 4 * fit.std[name] < 0.2 * value
 
 
+def test_slow_noise_is_a_reason_to_distrust_the_deviations() -> None:
+    """Noise 1/(1 - 0.9 q^-1) in 300 samples; white noise of the same size is none."""
+    both, rng = tanks(k=0.5, a=0.4, b=0.3), np.random.default_rng(3)
+    lower = replace(both, output=lambda t, x, u, p: x[1])
+    u, e = np.repeat(rng.uniform(0.5, 3.0, 20), 15), rng.standard_normal(300)
+    y, said = lower.simulate(u, Ts=1.0, values={})[:, 0], []
+    for v in (e, 0.44 * lfilter([1.0], [1.0, -0.9], e)):
+        fit = armrig.greybox(armrig.Dataset(u=u, y=y + 0.05 * v, Ts=1.0), lower)
+        said.append(any("independent ones" in text for text in fit.warnings))
+
+    assert said == [False, True]
+
+
 def test_missing_samples_and_several_experiments_are_used_as_they_are() -> None:
     (first, _), (second, _) = record("pendulum", 2), record("pendulum", 3)
     gap = np.ones(first.N, bool)
@@ -123,7 +137,7 @@ def equations(f: Any, output: Any = lambda t, x, u, p: x[0], **parameters: Any) 
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (equations(lambda t, x, u, p: [x[0]]), r"f returns 1 values; there are 2 states: a, b"),
+        (equations(lambda t, x, u, p: [x[0]]), r"f returns 1 value; the model has 2 states: a, b"),
         (equations(lambda t, x, u, p: [x[1] if x[0] > 0 else 0, u[0]]), "use numpy.where"),
         (equations(lambda t, x, u, p: [p.m * x[0], u[0]]), "f raised AttributeError.*m"),
         (equations(lambda t, x, u, p: x.sort() or [x[0], x[1]]), "must not change its arguments"),
@@ -257,3 +271,26 @@ def test_a_parameter_that_the_liveliest_window_hides_is_found_in_the_whole_recor
     fit = armrig.greybox(armrig.Signals(u=u, y=y, Ts=0.1), own)
 
     assert abs(fit.values["m"] - 1) < 4 * fit.std["m"] < 1e-3
+
+
+def test_equations_see_the_voltage_at_the_pin_of_a_scaled_input() -> None:
+    """A recording of a pump of 0 to 100 % has the percentage; the emulator's file has volts."""
+    model = armrig.Ode(
+        lambda t, x, u, p: [p.k * u[0] - x[0]],
+        output=lambda t, x, u, p: x[0],
+        states=["level"],
+        parameters={"k": armrig.Parameter(1.0)},
+    )
+    rng = np.random.default_rng(5)
+    volts = np.repeat(rng.uniform(0, 5, 20), 10)
+    y = model.simulate(volts, Ts=0.1, values={"k": 3.0})[:, 0] + 0.01 * rng.standard_normal(200)
+    data = armrig.Dataset(
+        u=20 * volts - 7, y=y, Ts=0.1, input="pump", input_unit="%", input_scale=(-7.0, 20.0)
+    )
+
+    fit = armrig.greybox(data, model)
+
+    assert fit.values["k"] == pytest.approx(3.0, abs=4 * fit.std["k"])
+    assert armrig.oe(data, nb=1, nf=1, offset=True).inputs == ("pump",)
+    level = armrig.detrend(data)
+    assert np.ptp(level.signals().volts) == pytest.approx(np.ptp(volts))

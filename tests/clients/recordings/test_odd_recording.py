@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from math import isnan, nan, tau
 from pathlib import Path
@@ -193,7 +194,8 @@ def test_columns_and_summary_contain_the_values_of_the_file(path: Path, odd: Rec
     assert summary.validation_of == "20261119T050000Z-0dad"
     assert (summary.samples, summary.missing, summary.seconds) == (497, 21, pytest.approx(25.9))
     assert (summary.device, summary.pacing, summary.rig) == ("beef", "scheduled", "7")
-    assert (summary.armrig, summary.calibration_sha256) == ("0.2.1", "5ca1e")
+    of_odd = hashlib.sha256(msgspec.json.encode(ODD)).hexdigest()
+    assert (summary.armrig, summary.calibration_sha256) == ("0.2.1", of_odd)
     assert summary.outcome == "stopped by bob"
     names = summary.names(validation=True)
     assert names == {"20261119T050000Z-0dad", "odd", "blackbox-odd"}

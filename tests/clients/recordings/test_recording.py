@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import zstandard
@@ -106,7 +107,8 @@ def test_a_recording_returns_the_recorded_values(tmp_path: Path) -> None:
     np.testing.assert_allclose(rec.u, np.arange(7, 107) / 100)
     np.testing.assert_allclose(rec.alpha, np.arange(7, 107) * radians(352) / 65536)
     assert rec.valid.all()
-    assert rec.manifest == manifest()
+    sha256 = hashlib.sha256(msgspec.json.encode(Calibration())).hexdigest()
+    assert rec.manifest == manifest(calibration_sha256=sha256)
     assert rec.outcome is not None
     assert rec.outcome.outcome == "complete"
     assert not rec.truncated

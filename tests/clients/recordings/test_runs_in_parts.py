@@ -127,7 +127,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
         )
         for _, channel, message in messages
     ]
-    recording = recorder.Recording(
+    recording = recorder.Recording.create(
         path,
         run,
         attached,

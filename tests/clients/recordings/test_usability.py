@@ -11,8 +11,9 @@ import armrig
 import msgspec
 import numpy as np
 import pytest
-from armrig.data.finding import Finding
-from armrig.numerics.quantities import NBSP
+from armrig.cli import main
+from armrig.data.finding import FEW_SAMPLES, Finding
+from armrig.numerics.quantities import NBSP, digits
 from armrig.recordings.files.loading import load
 from armrig.recordings.findings import (
     check_first,
@@ -33,7 +34,9 @@ from armrig.recordings.usability import (
     doubts_of_estimation,
     doubts_of_pair,
     early_ends,
+    warnings_of,
 )
+from armrig.validation.advice import examine_fit_of
 from armrig_core.commands.commands import Rehearsal
 from armrig_core.recording_file.manifest import Outcome
 from armrig_core.rig.calibration import Calibration, Driver
@@ -192,7 +195,33 @@ def test_fewer_than_20_samples_are_unusable(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(19)))
 
     assert not found.usable
-    assert "19 samples are too few" in found.summary
+    assert f"19 samples are too few; record {FEW_SAMPLES} or more" in found.summary
+
+
+@pytest.mark.parametrize("N", [FEW_SAMPLES - 1, FEW_SAMPLES])
+def test_all_verdicts_on_the_number_of_samples_have_one_limit(
+    N: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    u = armrig.telegraph(N, 0.2)
+    recording = load(written(tmp_path, of_the_arm(u, missing=slice(50, 60))))
+    data, table = recording.dataset(), tmp_path / "data.csv"
+    rows = (f"{t:.2f},{u},{y}" for t, u, y in zip(data.t, data.u, data.y, strict=True))
+    table.write_text("\n".join(["t,u,y", *rows]))
+
+    verdicts = [
+        data_verdict(recording).findings,
+        all_doubts([recording]),
+        armrig.advice(data).findings,
+        tuple(examine_fit_of(data, armrig.arx(data, na=1, nb=1))),
+    ]
+    codes = [main([command, str(table)]) for command in ("check", "hints")]
+
+    short = N < FEW_SAMPLES
+    warned = [[f.level for f in found if "samples" in f.numbers] for found in verdicts]
+    assert warned == [["warning"] * short] * len(verdicts)
+    assert codes == [0, 0]
+    assert capsys.readouterr().err.count(f"{N} samples: models from so few") == 2 * short
+    assert len(warnings_of([recording])) == short
 
 
 def test_unusable_findings_precede_warnings(tmp_path: Path) -> None:
@@ -275,7 +304,6 @@ def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
     three, four = (replace(odd, turns_unknown=tuple(range(21, 21 + 20 * n, 20))) for n in (3, 4))
     damaged = replace(odd, truncated=True, damage="a bit has flipped")
 
-    first = odd.description.channels[0]
     [jitter] = check_timing(odd, data, noise=1e-6)
     said = {
         "asleep": [check_first(asleep)],
@@ -287,13 +315,18 @@ def test_each_finding_reports_its_figures(tmp_path: Path) -> None:
         "stopped": check_run(odd),
         "unknown": check_run(replace(odd, outcome=None)),
         "cut": check_run(replace(damaged, cut_off=True)),
-        "quiet": check_signal(first, 0.0299, 0.01, 0.004),
-        "loud": check_signal(first, 0.03, 0.01, 0.004),
-        "nothing": check_signal(first, 0.0029, 0.01, 0.004),
+        "wide": check_signal(replace(odd, u=np.linspace(0.5, 4.5, odd.N)), 0.0299, 0.01, 0.004),
+        "quiet": check_signal(odd, 0.0299, 0.01, 0.004),
+        "loud": check_signal(odd, 0.03, 0.01, 0.004),
+        "nothing": check_signal(odd, 0.0029, 0.01, 0.004),
     }
     texts = {name: next(iter(found)) for name, found in said.items()}
 
     assert f"varies by 51.5{NBSP}µs and moves theta_1 by {moved:.3g}{NBSP}mrad" in jitter.text
+    assert texts["quiet"].text.endswith("; use levels with a larger difference")
+    assert texts["wide"].text.endswith(
+        f"; record longer, such as {digits(4 * odd.N * odd.Ts, 2)} s"
+    )
     assert texts["asleep"].text.startswith("theta_1 is hidden for 1.3 s without a break")
     assert texts["silent"].text.startswith("theta_1 is hidden in ")  # missing, and not hidden
     share = 100 * poor.hidden / 497
@@ -353,7 +386,7 @@ def test_recordings_of_several_calibrations_are_grouped(sound: Recording) -> Non
     def named(name: str, gain: float) -> Recording:
         return replace(
             sound,
-            path=sound.path.with_name(name),
+            name=name,
             calibration=Calibration(driver=Driver(gain=gain)),
         )
 
@@ -362,7 +395,7 @@ def test_recordings_of_several_calibrations_are_grouped(sound: Recording) -> Non
     assert [*different_calibrations([]), *different_calibrations(of_three[::2])] == []
     [two] = different_calibrations(of_three[:3])
     [three] = all_doubts(of_three)
-    other_rigs = all_doubts([changed(r, rig=r.path.name) for r in of_three])
+    other_rigs = all_doubts([changed(r, rig=r.name) for r in of_three])
     assert "with 2 different calibrations (a and c; b): their angles" in two.text
     assert "with 3 different calibrations (a and c; b; d): their angles" in three.text
     assert [found.about for found in other_rigs] == ["rig"] * 3

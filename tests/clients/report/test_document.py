@@ -28,6 +28,7 @@ from armrig.report.study_sections import study_contents
 from armrig.report.typesetting import recorded as recorded_at
 from armrig_core.rig.arm import ArmParameters
 from armrig_core.rig.calibration import Calibration, Made
+from armrig_core.rig.description import shipped
 from matplotlib import figure
 from matplotlib.text import Text
 
@@ -120,6 +121,17 @@ def test_a_report_writes_a_copy_of_each_figure(
     assert {path.name for path in (tmp_path / "source").iterdir()} == {
         *("a.svg", "b.svg", "c.svg", "report.typ", "data.json")
     }
+
+
+def test_the_title_of_a_report_contains_the_title_of_the_rig(done: Study) -> None:
+    titles = []
+    for title in ("Arm 7", ""):
+        rig = msgspec.structs.replace(shipped("arm").rig, title=title)
+        described = replace(shipped("arm"), rig=rig)
+        recordings = tuple(replace(r, description=described) for r in done.recordings)
+        titles.append(study_contents(replace(done, recordings=recordings), ()).title)
+
+    assert titles == ["Arm 7: black-box identification", "arm: black-box identification"]
 
 
 def test_a_report_has_the_date_of_its_newest_recording(done: Study) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,16 @@ from armrig.recordings.recording import Recording
 from armrig.report.document import handout_report, report
 from armrig.report.figures import MIN_SIZE, STYLE, save, write_figures
 from armrig.report.handout_study import handout_study
+from armrig.report.sections import Contents, Section
 from armrig.report.study import Study, best_first, study
 from armrig.report.study_sections import study_contents
-from armrig.report.typesetting import TEMPLATE
+from armrig.report.typesetting import TEMPLATE, typeset
+from armrig_core.rig.description import shipped
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tests.clients import pdf_text
+from tests.clients.described_rig import record_all
 from tests.clients.pages import script
 from tests.clients.report.conftest import section_of
 
@@ -37,6 +41,7 @@ PROBE = """
     kind: repr(f.kind),
     number: counter(figure.where(kind: f.kind)).at(f.location()).first(),
     page: f.location().page(),
+    y: f.location().position().y.pt(),
     label: str(f.at("label", default: <none>)),
   )),
   images: query(image).len(),
@@ -75,6 +80,16 @@ def of_study(done: Study, tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 @pytest.fixture(scope="module")
+def of_circuit(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Give the report of a described rig, which has three models."""
+    folder, rc = tmp_path_factory.mktemp("circuit"), shipped("rc")
+    lengths = {"first": (3.0, 0.01), "random": (10.0, 0.01)}
+    recorded = record_all(folder, rc, "rc", plant=rc, **lengths)
+    found = study([load(path) for path in recorded])
+    return made(lambda *a, **k: report(found, *a, **k), folder)
+
+
+@pytest.fixture(scope="module")
 def of_handout(done: Study, tmp_path_factory: pytest.TempPathFactory) -> Made:
     """Give the handout's report with every recording that it can have."""
     folder = tmp_path_factory.mktemp("handout")
@@ -84,9 +99,15 @@ def of_handout(done: Study, tmp_path_factory: pytest.TempPathFactory) -> Made:
     return made(lambda *a, **k: handout_report(found, *a, **k), folder)
 
 
-@pytest.fixture(params=["of_study", pytest.param("of_handout", marks=pytest.mark.exhaustive)])
+@pytest.fixture(
+    params=[
+        "of_study",
+        "of_circuit",
+        pytest.param("of_handout", marks=pytest.mark.exhaustive),
+    ]
+)
 def either(request: pytest.FixtureRequest) -> Made:
-    """Give each of both reports."""
+    """Give each report."""
     found = request.getfixturevalue(request.param)
     assert isinstance(found, Made)
     return found
@@ -113,9 +134,34 @@ def test_figures_and_tables_are_numbered_in_their_order_and_mentioned(either: Ma
     for kind, n in kinds.items():
         numbers = [f["number"] for f in account["figures"] if f["kind"] == kind]
         assert numbers == list(range(1, n + 1))
+        places = [(f["page"], f["y"]) for f in account["figures"] if f["kind"] == kind]
+        assert places == sorted(places)
     labels = {f["label"] for f in account["figures"]} - {"none"}
     assert len(labels) >= kinds["image"]
     assert labels <= {*account["references"]}
+
+
+def test_no_figure_of_a_study_overtakes_the_figure_before_it(of_circuit: Made) -> None:
+    """A figure that moves to the next page would be overtaken by a figure that does not move."""
+    sections = of_circuit.values["sections"]
+
+    floats = [figure["floats"] for section in sections for figure in section["figures"]]
+
+    assert floats == sorted(floats)
+
+
+def test_no_point_of_a_list_is_on_two_pages(tmp_path: Path) -> None:
+    """Each page has whole points: here each has six lines."""
+    points = ("word " * 110,) * 20
+    contents = Contents(title="", front=Section(), sections=(Section(points=points),))
+
+    pdf, _ = typeset(tmp_path, contents, datetime(2000, 1, 1, tzinfo=UTC))
+
+    (tmp_path / "a.pdf").write_bytes(pdf)
+    inside = [{t.y for t in page if t.y > MARGIN_PT} for page in pdf_text.pages(tmp_path / "a.pdf")]
+    lines = [len(heights) for heights in inside]
+    assert sum(lines) == 6 * len(points)
+    assert all(n % 6 == 0 for n in lines)
 
 
 def test_the_results_are_on_the_first_page_and_the_device_in_the_appendix(of_study: Made) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import getpass
+import inspect
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,12 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.rig import telemetry_stream
-from armrig.rig.client import REPLY_S, Rig, longest_reply_s
+from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import stream
 from armrig_core.commands import commands
 from armrig_core.commands.commands import Rehearsal
+from armrig_core.errors import InputError
+from armrig_core.rig.description import Input
 from armrig_core.telemetry import telemetry
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -50,6 +54,29 @@ def rig(daemon: FakeDaemon, where: str) -> Iterator[Rig]:
 def test_a_rig_id_that_is_not_a_valid_key_is_refused(rig: str) -> None:
     with pytest.raises(ValueError, match="each a-z, 0-9 or -"):
         Rig(rig)
+
+
+def test_no_input_has_the_name_of_an_option_of_a_run() -> None:
+    options = [
+        name for name in inspect.signature(Rig.run).parameters if name not in ("self", "own")
+    ]
+
+    for name in options[1:]:
+        with pytest.raises(InputError, match=f"input name = '{name}'"):
+            Input(name=name)
+    assert Input(name=options[0])  # u, the voltage at the pin
+
+
+def test_a_sampling_time_above_1_s_is_made_by_the_client(daemon: FakeDaemon, rig: Rig) -> None:
+    granted = rig.arm("me", Ts=2.5)
+    rig.run([0.5, 4.5], details={"seed": 3})
+
+    (arm,) = [asked for asked in daemon.asked if isinstance(asked, commands.Arm)]
+    (run,) = [asked for asked in daemon.asked if isinstance(asked, commands.Run)]
+    assert (granted.Ts, arm.Ts) == (2.5, 0.625)
+    assert (run.u, run.details) == ([0.5] * 4 + [4.5] * 4, {"seed": 3, "every": 4})
+    with pytest.raises(InputError, match="'every' is the name of the samples per voltage"):
+        rig.run([0.5], details={"every": 4})
 
 
 def test_the_client_sends_a_whole_run_and_waits_for_its_end(daemon: FakeDaemon, rig: Rig) -> None:
@@ -183,15 +210,13 @@ def test_an_input_that_is_not_a_vector_of_voltages_is_refused(
 
 def test_a_run_without_a_reply_is_stopped(daemon: FakeDaemon, rig: Rig) -> None:
     rig.arm("me")
-    ask = rig._ask
+    prepared = rig._wait_for_beginning
 
-    def interrupted(request: commands.Request, answer: Any) -> Any:
-        answered = ask(request, answer)
-        if isinstance(request, commands.Run):
-            raise KeyboardInterrupt
-        return answered
+    def interrupted(request: commands.Run) -> None:
+        prepared(request)
+        raise KeyboardInterrupt
 
-    rig._ask = interrupted
+    rig._wait_for_beginning = interrupted
     with pytest.raises(KeyboardInterrupt):
         rig.run([1.0])
 
@@ -295,12 +320,31 @@ def test_a_key_without_a_stream_is_refused(key: str) -> None:
         next(stream(key))
 
 
-def test_the_reply_timeout_grows_with_the_run() -> None:
-    """The daemon reads, checks and rehearses the run first: a second per million and more."""
-    short, long = (
-        longest_reply_s(commands.Run(lease="a" * 32, n=1, u=[1.0] * n)) for n in (1, 1_000_000)
-    )
+CENTRED = Input(name="armature", per_volt=4.8, offset=-12.0, rest_v=2.5)
 
-    assert longest_reply_s(commands.Status()) == REPLY_S
-    assert short == pytest.approx(REPLY_S, abs=0.01)
-    assert long > REPLY_S + 4.0
+
+@pytest.mark.parametrize(
+    ("u", "own", "expected"),
+    [
+        (None, {"armature": [0.0, 12.0, -12.0]}, [2.5, 5.0, 0.0]),
+        ([2.5], {}, "voltage at the pin, and rig 1 rests at 2.5 V: give the value in V"),
+        (None, {"power": [1.0]}, "power: the input of rig 1 is armature: give armature=0"),
+        (
+            [1.0],
+            {"armature": [1.0]},
+            "u and armature: the input of rig 1 is armature: give armature=0",
+        ),
+        (None, {"armature": [12.1]}, "V is outside 0 … 5 V"),
+    ],
+)
+def test_a_rig_with_another_rest_takes_its_input_by_name(
+    u: list[float] | None, own: dict[str, list[float]], expected: list[float] | str
+) -> None:
+    rig = Rig("1")
+    rig._rest_v, rig._input = CENTRED.rest_v, CENTRED
+
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=re.escape(expected)):
+            rig._allowed(u, own)
+    else:
+        assert rig._allowed(u, own).tolist() == expected

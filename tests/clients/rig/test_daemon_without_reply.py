@@ -222,8 +222,8 @@ def test_an_unresponsive_daemon_is_reported_with_a_way_to_stop_the_motor(
 
     assert told(capsys) == (
         f"armrig: rig 1 at {default_endpoint('1')}: its daemon (process {FACTS.pid}) runs, but "
-        f"does not answer: `kill {FACTS.pid}` ends it, then the device stops the motor; or use the "
-        "emergency switch\n"
+        f"does not answer: `kill -9 {FACTS.pid}` ends it, then the device stops the motor; or use "
+        "the emergency switch\n"
     )
 
 

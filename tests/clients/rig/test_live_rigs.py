@@ -11,9 +11,10 @@ import pytest
 from armrig.rig import status
 from armrig.rig.session import Connection, NoReplyError
 from armrig.rig.status import ids_alive, live_rigs
+from armrig_core.commands.commands import OutputRange
 from armrig_core.telemetry.topics import alive_key
 
-from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.fake_daemon import FakeDaemon, status_report
 
 
 class _Session:
@@ -119,3 +120,13 @@ def test_an_unreachable_rig_of_this_machine_hides_no_other(
         ("c", "default of c", False, "rig c is gone"),
         ("d", "socket of d", True, ""),
     ]
+
+
+def test_the_row_of_the_limits_names_each_limited_output() -> None:
+    ranges = {"theta_1": OutputRange(turns=3), "alpha": OutputRange(low=-0.5, high=0.5)}
+
+    rows = dict(status.status_rows(status_report(u_max=4.5, limits=ranges)))
+
+    assert rows["limits"] == (
+        "0 to 4.5 V; theta_1 less than 3 turns in a run; alpha at least -0.5 rad, at most 0.5 rad"
+    )

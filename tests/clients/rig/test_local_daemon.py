@@ -77,6 +77,9 @@ def test_the_last_line_of_an_ended_daemon_is_quoted(tmp_path: Path, log: str, qu
     with pytest.raises(RigError, match=f"^the daemon ended with exit code 78: {quoted}"):
         require_running(ended, path)
     require_running(SimpleNamespace(poll=lambda: None), path)  # type: ignore[arg-type]
+    killed: Any = SimpleNamespace(poll=lambda: -9, returncode=-9)
+    with pytest.raises(RigError, match=r"^the daemon was ended by SIGKILL"):
+        require_running(killed, path)
 
 
 class _Child:

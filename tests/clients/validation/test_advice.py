@@ -253,14 +253,6 @@ def test_a_pole_that_another_channel_needs_is_not_superfluous(nf: int, superfluo
     assert len(cancelled) == superfluous
 
 
-def test_a_constant_output_has_no_drift() -> None:
-    u = np.sign(np.random.default_rng(1).standard_normal(400))
-
-    found = armrig.advice(Dataset(u=u, y=np.ones(400), Ts=0.01))
-
-    assert "drift" not in {f.about for f in found.findings}
-
-
 def test_pulses_of_another_input_are_no_outliers() -> None:
     rng = np.random.default_rng(2)
     u = np.column_stack([rng.standard_normal(1000), np.zeros(1000)])

@@ -17,9 +17,9 @@ from armrig.data.treatment import difference
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import armax, bj, oe
 from armrig.excitation import telegraph
+from armrig.models.predictor import parameters_of
 from armrig.numerics.polynomial import filtered
 from armrig.validation.comparison import compare
-from armrig.validation.projection import _to_free
 from armrig.validation.residuals import residuals
 from scipy.stats import chi2
 
@@ -139,7 +139,7 @@ def test_the_covariance_of_the_free_parameters_determines_that_of_all_coefficien
     for k in range(3):
         by_free[3 + k : 5 + k, 3 + k] = [1.0, -1.0]
 
-    J = _to_free(fit)
+    J = parameters_of(fit)
     free = J @ fit.covariance_robust @ J.T
 
     scale = np.sqrt(np.outer(np.diag(fit.covariance_robust), np.diag(fit.covariance_robust)))

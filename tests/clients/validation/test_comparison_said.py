@@ -95,7 +95,7 @@ def test_differences_are_relative_to_the_physics_in_any_order() -> None:
 
         assert [line.partition(";")[0] for line in lines] == [
             "bandwidth: fit 4.200 ± 0.040, physics 4.000 ± 0.030 (+5 %)",
-            "overshoot: fit 8.000 ± 0.040, physics −8.000 ± 0.030 (−2e+02 %)",
+            "overshoot: fit 8.000 ± 0.040, physics −8.000 ± 0.030 (−200 %)",
         ]
     last = row("last", 1.0, figures(std=1.0))
     assert explanation([fit, last])[1:] == [

@@ -19,6 +19,7 @@ from armrig.validation.feedback_and_delay.lag_tests import _least_without_one, l
 from armrig_core.errors import InputError
 from armrig_core.rig.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.stats import f
 
 from tests.clients.validation.plants import two_outputs
@@ -456,3 +457,25 @@ def test_each_channel_of_several_signals_has_separate_hints() -> None:
         ("y2", "u2"): (1, 1, 1),
     }
     assert found.explain().startswith("u1 to y1:\n- integrator: ")
+
+
+@pytest.mark.parametrize("nk", [45, 50, 51, 60, 150, 200])
+def test_a_dead_time_of_many_samples_is_found(nk: int) -> None:
+    """The first model has 50 lags; its last lag also represents later lags."""
+    rng, N = np.random.default_rng(nk), max(10 * nk, 800)
+    u = armrig.telegraph(N, 0.1, seed=nk)
+    late = np.concatenate([np.full(nk - 1, u[0]), u[: N - nk + 1]])
+    y = lfilter([0.0, 0.2], [1, -0.9], late) + 0.1 * rng.standard_normal(N)
+
+    assert armrig.delay(armrig.Dataset(u=u, y=y, Ts=1.0)).interval == (nk, nk)
+
+
+def test_the_last_tested_lag_is_no_answer() -> None:
+    """An eighth of the samples is tested, so that a dead time of 300 is beyond the range."""
+    rng, N, nk = np.random.default_rng(2), 1600, 300
+    u = armrig.telegraph(N, 0.1, seed=2)
+    y = lfilter([0.0, 0.2], [1, -0.9], np.concatenate([np.full(nk, u[0]), u[: N - nk]]))
+    data = armrig.Dataset(u=u, y=y + 0.1 * rng.standard_normal(N), Ts=1.0)
+
+    with pytest.raises(InputError, match="the data do not determine the delay"):
+        armrig.delay(data)

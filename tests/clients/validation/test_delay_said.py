@@ -8,32 +8,34 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
+from armrig import telegraph
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.numerics.polynomial import Array, filtered
 from armrig.validation.feedback_and_delay.delay import (
     _hidden_s,
+    delay,
     determined_lags,
 )
-from armrig.validation.feedback_and_delay.lag_tests import LagTests, _averaged, possible
+from armrig.validation.feedback_and_delay.lag_tests import LEVEL, LagTests, _averaged, possible
 from armrig.validation.feedback_and_delay.open_loop import _is_exact, _remarks, open_loop
 from armrig.validation.feedback_and_delay.sims import FUTURE, sims
 from armrig_core.errors import InputError
+from scipy.special import ndtr
 
 
 def of_lags(p_values: Any, coefficient: Any, std: Any, answer: Any, first: int = 0) -> LagTests:
     arrays = [np.array(x, float) for x in (p_values, coefficient, std, answer)]
     return LagTests(
         first=first, p_values=arrays[0], p_without_one=arrays[0], coefficient=arrays[1],
-        std=arrays[2], loss=np.ones(len(p_values)), response=arrays[3], na=2, N=100,
+        std=arrays[2], loss=np.ones(len(p_values)), response=arrays[3], A=np.ones(1),
+        effect=np.diag(1 / arrays[2]), N=100,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("first", [0, 1])
 def test_the_bound_of_an_overlooked_coefficient_is_a_share_of_later_ones(first: int) -> None:
     """At lag k the bound is the largest of g(k + n)/(1 + 3 n), if the onset is not smoother."""
-    from scipy.special import ndtr
-
     p, b, std = [0.5, 0.4, 1e-6, 1e-9], [0.01, 0.02, 1.0, 4.0], [0.1, 0.2, 0.1, 0.1]
     g = [0.0] * (2 + first) + [2.0, 3.0, 16.0, 1.0]
     tests = of_lags(p, b, std, g, first)
@@ -63,6 +65,34 @@ def test_lags_are_ruled_out_in_turn_below_the_first_significant_lag() -> None:
     assert (later.shown, later.least()) == (3, 1)
     nothing = of_lags([0.5, 0.001], [0.0] * 2, [1.0] * 2, [0.0] * 4)
     assert (nothing.shown, nothing.none_shown) == (2, True)
+
+
+def test_an_onset_that_no_single_lag_rules_out_is_ruled_out_by_all_of_them() -> None:
+    tests = of_lags([0.5, 0.4, 0.3, 1e-6], [0.0, 0.0, 0.0, 4.0], [0.35] * 4, [0.0] * 3 + [4.0] * 3)
+
+    # s = 4, 8, 12 from lag 3 on: the onset at lag 1 is 4 ((j/3)^d), d = log(2)/log(4/3).
+    d = np.log(2) / np.log(4 / 3)
+    mean = 4 * np.diff([0, (1 / 3) ** d, (2 / 3) ** d]) / 0.35
+    assert min(tests.before(k).p_value for k in (0, 1, 2)) > LEVEL
+    assert tests._p_value_of_onset(1) == pytest.approx(float(ndtr(-np.linalg.norm(mean))))
+    assert tests.least() == 2
+
+
+def test_the_interval_of_a_dead_time_is_short_and_contains_the_truth() -> None:
+    inside = short = 0
+    for seed in range(20):
+        rng = np.random.default_rng([187, seed])
+        nk, poles = int(rng.integers(1, 80)), rng.uniform(0.3, 0.9, 2)
+        u = telegraph(1500, 0.1, seed=seed)
+        late = np.concatenate([np.full(nk, u[0]), u[:-nk]]) - u.mean()
+        y = filtered(np.array([1.0, 0.5]), np.poly(poles), late)
+        y += np.std(y) / 5 * rng.standard_normal(u.size)
+        first, last = delay(Dataset(u=u, y=y, Ts=1.0)).interval
+        inside += first <= nk <= last
+        short += last - first < 3
+
+    assert inside >= 19
+    assert short >= 12  # 8 if each lag is tested alone
 
 
 @pytest.mark.parametrize(

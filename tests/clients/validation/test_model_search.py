@@ -293,7 +293,7 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
 def test_poles_and_delay_suggest_a_process() -> None:
     """A plant of first order with dead time has three parameters, also if samples are missing."""
     data = delayed(delay=1.23, B=(2.0,), F=(1, 0.8))
-    y = np.where(np.arange(data.N) == 50, np.nan, data.y)
+    y = np.where(np.arange(data.N) == 60, np.nan, data.y)
     data = Dataset(u=data.u, y=y, Ts=data.Ts)
     found = search(data, orders=(1, 2))
 

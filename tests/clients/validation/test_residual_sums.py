@@ -14,12 +14,12 @@ from armrig.data.merging import merge
 from armrig.estimation.arx import arx
 from armrig.estimation.polynomial_structures import oe
 from armrig.models.fit import Fit
-from armrig.models.prediction import prediction_errors
+from armrig.models.predictor import parameters_of, prediction_errors
 from armrig.numerics.covariance import pairwise_covariance
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.whiteness import joint_p_value, portmanteau
 from armrig.validation.output_whiteness import _white, white_by_output
-from armrig.validation.projection import parts_of, projection
+from armrig.validation.projection import projection
 from armrig.validation.residuals import residuals
 from scipy.stats import chi2
 
@@ -58,22 +58,22 @@ def lagged_inputs(part: Dataset, mean: float, L: int) -> Array:
 
 def written_out(fit: Fit, judged: Dataset, *, own: bool) -> tuple[Array, Array, float]:
     """Return s_k, k = -L … L, its covariance M, and the scale of a correlation."""
-    known = [prediction_errors(fit, part) for part in judged.experiments()]
-    e = np.concatenate([np.nan_to_num(r.e) for r in known])
+    known = prediction_errors(fit, judged)
+    e = np.concatenate([np.nan_to_num(r.e[:, 0]) for r in known])
     Z = []
     for part, r in zip(judged.experiments(), known, strict=True):
         lagged = lagged_inputs(part, float(np.mean(judged.u)), L)
-        lagged[~np.isfinite(r.e)] = 0.0
-        Z.append(np.column_stack([r.unknown.without(column) for column in lagged.T]))
+        lagged[~r.known[:, 0]] = 0.0
+        Z.append(lagged - r.S[:, 0] @ (r.S[:, 0].T @ lagged))
     (quality,) = fit.quality
     assert len(quality.autoregression) == 1  # white: R_e is s² I, and on other data s² as estimated
     s2 = fit.noise_variance
-    whole, Psi = np.vstack(Z), np.vstack([r.Psi for r in known])
+    whole, Psi = np.vstack(Z), np.vstack([r.Psi[:, 0] for r in known])
     scale = float(np.sqrt(np.sum(whole[:, L] ** 2) * (e @ e)))
     s = whole.T @ e
     if own:
         Q = np.linalg.qr(Psi)[0]
-        estimated = Psi.shape[1] + sum(r.unknown.span.shape[1] for r in known)
+        estimated = Psi.shape[1] + sum(r.S.shape[2] for r in known)
         N = np.count_nonzero(np.isfinite(np.concatenate([r.e for r in known])))
         s2 = (e @ e) / (N - estimated)
         whole = whole - Q @ (Q.T @ whole)
@@ -116,8 +116,7 @@ def test_no_pair_of_residuals_spans_two_experiments() -> None:
 
     tested = residuals(fit, judged, lags=L)
 
-    parts = [prediction_errors(fit, part).e for part in judged.experiments()]
-    parts = [e[np.isfinite(e)] for e in parts]
+    parts = [r.e[r.known] for r in prediction_errors(fit, judged)]
     N = sum(e.size for e in parts)
     pairs = np.array([sum(e.size - k for e in parts) for k in range(L + 1)])
     R = np.array([sum(float(e[k:] @ e[: e.size - k]) for e in parts) for k in range(L + 1)]) / pairs
@@ -131,8 +130,8 @@ def test_the_whiteness_test_accounts_for_the_estimated_parameters(own: bool) -> 
     """By its projection on the estimation data, by its covariance on other data."""
     judged = two_experiments()
     fit = oe(judged if own else data(1, 100), nb=2, nf=2)
-    known = [prediction_errors(fit, part) for part in judged.experiments()]
-    signals = [r.e for r in known], [r.Psi for r in known], [r.unknown.span for r in known]
+    known = prediction_errors(fit, judged)
+    signals = [[getattr(r, name)[:, 0] for r in known] for name in ("e", "Psi", "S")]
 
     tested = residuals(fit, judged, lags=L)
 
@@ -192,7 +191,7 @@ def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> 
     """Rows with orders of their own and correlated noise are weighted together."""
     data = two_outputs(0)
     fit: Any = armrig.arx(data, na=[[2, 1], [0, 1]], nb=[[2, 1], [1, 2]])  # type: ignore[arg-type]
-    (part,), _ = parts_of(fit, data)
+    (part,) = prediction_errors(fit, data, own=True)
     projected = projection([part], own=True)
     B = np.concatenate([part.S, projected.T[0]], axis=2)
     WB = part.weighted(B)
@@ -301,7 +300,7 @@ def test_sums_and_deviations_of_each_pair_are_those_of_its_signals() -> None:
     found = armrig.residuals(fit, data, 5)
 
     e, u = np.nan_to_num(found.e), data.u - data.u.mean(axis=0)
-    (part,), _ = parts_of(fit, data)
+    (part,) = prediction_errors(fit, data)
     WS = part.weighted(part.S)
     for i, j, k in ((0, 1, 3), (1, 0, -4), (0, 0, 0), (1, 1, 5)):
         late, early = max(k, 0), max(-k, 0)
@@ -318,7 +317,7 @@ def test_given_weights_of_the_outputs_are_those_of_the_projection() -> None:
     """The estimator minimised the sum of w_i e_i²."""
     fit = replace(oe_of_two_outputs(0), output_weights=(2.0, 8.0))
 
-    (part,), _ = parts_of(fit, two_outputs(0))
+    (part,) = prediction_errors(fit, two_outputs(0), own=True)
 
     weights = np.einsum("tij,tik->tjk", part.G, part.G)
     np.testing.assert_allclose(weights, np.broadcast_to(np.diag([2.0, 8.0]), weights.shape))
@@ -329,7 +328,7 @@ def test_the_test_of_several_outputs_is_for_one_output_the_portmanteau_test(own:
     """With few samples, to the digits, on the estimation data and on others."""
     fitted, judged = data(1, 50), data(1 if own else 11, 50)
     fit = oe(fitted, nb=2, nf=2)
-    parts, J = parts_of(fit, judged)
+    parts, J = prediction_errors(fit, judged, own=own), parameters_of(fit)
     projected = projection(parts, own=own)
     of_theta = None if own else J @ fit.covariance_robust @ J.T
     Lambda = pairwise_covariance(np.vstack([part.e for part in parts]))

@@ -41,7 +41,7 @@ def begun(
     """Begin a recording; `about` replaces fields of `MANIFEST`."""
     event = changed or threading.Event()
     filled = replace(MANIFEST, **about)
-    return Recording(
+    return Recording.create(
         path,
         filled,
         dict(files),

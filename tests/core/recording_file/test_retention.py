@@ -119,7 +119,7 @@ def test_a_run_in_parts_is_removed_as_a_whole(tmp_path: Path) -> None:
     _aged(parts[1], 31)
     (removal,) = _retention(tmp_path).apply(NOW_S)
 
-    assert removal.text.startswith(f"{parts[1]} and the 1 parts before it: removed")
+    assert removal.text.startswith(f"{parts[1]} and the 1 part before it: removed")
     assert _names(tmp_path) == {"1-b.mcap"}
 
 

@@ -134,7 +134,7 @@ def test_a_sample_is_converted_to_the_units_of_the_telemetry(
     calibration = state.rules.calibration
     taken = device_sample(state, y0=20_000, y1=30_000, u_k=40_000, flags=int(flags))
 
-    sample = converted(calibration.channels, taken, 11, 22, 33, 44, 55_000)
+    sample = converted(state.rules, taken, 11, 22, 33, 44, 55_000)
 
     assert (sample.k, sample.t_sched_ns, sample.t_host_ns, sample.t_device_us) == (11, 22, 33, 44)
     assert (sample.u_cmd_v, sample.u_applied_v) == (volts_of(55_000), volts_of(40_000))

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
+from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_core.telemetry import protobuf
-from armrig_daemon.decisions.faults import REMEDIES, Id, of_device
+from armrig_daemon.config import Config, Device
+from armrig_daemon.decisions.faults import (
+    REMEDIES,
+    REMEDIES_OF_EMULATED,
+    Fault,
+    Id,
+    of_device,
+    remedy,
+)
+from armrig_daemon.decisions.outcomes import report_state, unanswered
+from armrig_daemon.decisions.stopping import trip
 from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_protocol.messages import Cause
+from msgspec.structs import replace
 
 from tests.daemon.virtual_bench import Bench
 
@@ -23,6 +37,37 @@ def driven() -> Bench:
 
 def test_every_fault_has_its_remedy() -> None:
     assert set(REMEDIES) == set(Id)
+
+
+@pytest.mark.parametrize("fault", Id)
+def test_the_remedy_for_an_emulated_rig_names_no_cable(fault: Id) -> None:
+    said = remedy(fault, is_emulated=True)
+
+    assert not re.search(r"cable|\bplug|unplug|supply|baud|wire|flash", said)
+    assert remedy(fault, is_emulated=False) == REMEDIES[fault]
+
+
+@pytest.mark.parametrize(
+    ("port", "uid", "wanted"),
+    [
+        ("unix:/run/emulator", 1, REMEDIES_OF_EMULATED[Id.STALE]),
+        ("/dev/pts/3", EMULATOR_UID, REMEDIES_OF_EMULATED[Id.STALE]),
+        ("/dev/ttyACM0", 1, REMEDIES[Id.STALE]),
+    ],
+)
+def test_the_port_or_the_device_decides_whether_the_remedy_is_that_of_an_emulated_rig(
+    port: str, uid: int, wanted: str, driven: Bench
+) -> None:
+    rules = Config(device=Device(port=port)).rules()
+    state = replace(driven.loop.state, rules=rules, device_uid=uid)
+
+    tripped, actions = trip(state, 0, Fault(Id.STALE, "silent"))
+    gone = replace(tripped, device=None)  # the device is unknown after the fault
+
+    assert any(wanted in str(action) for action in actions)
+    assert wanted in str(report_state(gone, 0))
+    is_real = wanted == REMEDIES[Id.STALE]
+    assert ("plugged in" in unanswered(replace(gone, link=None))) == is_real
 
 
 @pytest.mark.parametrize(

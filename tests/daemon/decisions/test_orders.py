@@ -129,6 +129,21 @@ def test_a_sign_of_life_of_the_service_only_updates_its_time() -> None:
     assert decided.state == changed(bench.loop.state, service_ns=bench.ports.now)
 
 
+def test_a_sign_of_life_for_a_lease_renews_only_a_rig_that_is_armed_at_0_v() -> None:
+    """S2: a held voltage needs a command of its holder."""
+    alive = Alive(lease=LEASE)
+    bench = armed()
+    decided = ordered(bench, alive)
+    assert decided.state.lease.renewed_ns == bench.ports.now
+    assert decided.state.lease.n == bench.loop.state.lease.n
+
+    other = ordered(bench, Alive(lease="f" * 32))
+    turning, rest = driven(), rested()
+    assert other.state.lease == bench.loop.state.lease
+    assert ordered(turning, alive).state.lease == turning.loop.state.lease
+    assert ordered(rest, alive).state.lease is None
+
+
 def test_a_repeated_quit_order_sends_no_second_stop() -> None:
     bench = driven()
     once = ordered(bench, Quit(reason="SIGTERM"))

@@ -10,7 +10,7 @@ import pytest
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.volts import code_of
-from armrig_daemon.config import ArmSettings, Config, Limits, Timing, load
+from armrig_daemon.config import ArmSettings, Config, Device, Limits, Timing, load
 from armrig_daemon.decisions.output_limits import blind, observe
 from armrig_daemon.decisions.state import OutputLimit, Phase, Rules
 from armrig_daemon.pipe import Log, Reset, Run, RunEnded, Set
@@ -179,8 +179,8 @@ def test_only_a_valid_sample_inside_begins_the_count_again(values: list[float], 
     assert known.outside == count
     valid = [i for i, value in enumerate(values) if value == value] or [0]
     assert known.valid_ns == valid[-1] * MS
-    assert blind((LIMIT,), state.watch, (valid[-1] + 100) * MS) is None
-    assert blind((LIMIT,), state.watch, (valid[-1] + 100) * MS + 1) is not None
+    assert blind((LIMIT,), state.watch, (valid[-1] + 100) * MS, 0) is None
+    assert blind((LIMIT,), state.watch, (valid[-1] + 100) * MS + 1, 0) is not None
 
 
 def test_a_rig_that_is_not_driven_is_observed_without_a_trip() -> None:
@@ -216,7 +216,7 @@ def test_the_rules_of_a_described_rig_reach_the_process_of_the_loop() -> None:
 
 def test_limits_of_the_configuration_are_limits_of_the_arms_channels() -> None:
     config = Config(limits=Limits(revolutions=2.5, alpha_rad=0.8))
-    alpha = OutputLimit(1, "alpha", "rad", -0.8, 0.8, 2, 0)
+    alpha = OutputLimit(1, "alpha", "rad", -0.8, 0.8, 2, 1000 * MS, blind_grows=True)
 
     assert (config.rules().limits, config.rules().turns) == ((alpha,), 250)
     narrower = shipped("arm").text.replace(b"turning", b"turns = 1.5\nturning")
@@ -255,5 +255,50 @@ def test_a_description_without_limits_gives_the_core_none() -> None:
     heater = Config().rules(shipped("heater")).limits
     assert heater == (
         OutputLimit(0, "T1", "degC", None, 70.0, 2, 10_000 * MS),
-        OutputLimit(1, "T2", "degC", None, 70.0, 2, 0),
+        OutputLimit(1, "T2", "degC", None, 70.0, 2, 1000 * MS, blind_grows=True),
     )
+
+
+FULL = """
+[rig]
+name = "full"
+[outputs.T1]
+unit = "mm"
+per_count = 1.0
+high = 64000
+[outputs.T2]
+unit = "K"
+per_count = -1.0
+valid_rail = "low"
+"""
+
+
+@pytest.mark.parametrize(
+    ("readings", "rail_ticks", "cause"),
+    [
+        ((65_535, 30_000), 0, "T1 reads the end of its range, which counts as above 64000 mm"),
+        ((0, 30_000), 0, "T1 has had no valid sample for "),
+        ((0, 30_000), 7, "T1 read an end of its range in 7 samples"),
+        ((30_000, 0), 7, ""),
+        ((30_000, 65_535), 0, ""),
+        ((30_000, 65_535), 7, "T2 read an end of its range in 7 samples"),
+    ],
+)
+def test_each_end_of_a_range_is_what_the_description_says(
+    readings: tuple[int, int], rail_ticks: int, cause: str
+) -> None:
+    """Only a limit's own end is outside, and a valid end never stops the motor."""
+    config = Config(device=Device(rail_ticks=rail_ticks), timing=Timing(Ts=0.01))
+    bench = Bench(config, description=Description.of(FULL.encode()))
+    _read(bench, 30_000, 30_000)
+    bench.run_for(50)
+    assert not bench.arm().error
+    assert not bench.ask(Run, lease=LEASE, n=1, run_id="r", codes=codes(*[2.0] * 200)).error
+
+    _read(bench, *readings)
+    bench.run_for(1200)
+
+    fault = bench.loop.state.fault
+    assert (fault.cause if fault else "").startswith(cause)
+    assert bool(fault) == bool(cause)
+    assert bench.loop.state.rules.rail_ticks == 0

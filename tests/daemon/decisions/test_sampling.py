@@ -122,6 +122,20 @@ def test_wrong_code_of_a_run_in_a_fault_repeats_the_stop() -> None:
     assert right.state.fault == LATCHED
 
 
+def test_a_sample_that_was_made_before_its_exchange_came_is_no_answer_to_it() -> None:
+    """S4: it answers a repeated frame with the k of the newest EXCHANGE."""
+    bench = driven()
+    state = _asked(bench)
+    at = len(state.link.sent) - 1
+    seq = state.link.sent[at].seq
+
+    earlier = _answer(bench, state, at, echo=(seq - 1) & 0xFFFF)
+    answered = _answer(bench, state, at, echo=seq)
+
+    assert earlier.state.link.sent == state.link.sent
+    assert answered.state.link.sent == ()
+
+
 # -- what a sample proves of the line (S4) -------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.rig.emulated import EMULATOR_UID
+from armrig_core.rig.volts import code_of
 from armrig_daemon import pipe
 from armrig_daemon.decisions import orders, outcomes, transitions
 from armrig_daemon.decisions.faults import Fault, Id
@@ -13,7 +14,7 @@ from armrig_daemon.pipe import Answer, Log, Reset
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
-from armrig_protocol.messages import TYPES, Code, Mode, Underrun
+from armrig_protocol.messages import TYPES, Capability, Code, Mode, Underrun
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
@@ -33,6 +34,7 @@ from tests.daemon.decision_states import (
 )
 from tests.daemon.virtual_bench import LEASE, MS, Bench
 
+HALF = code_of(2.5)
 RETRY_MS = dict.fromkeys(RequestKind, 50) | {RequestKind.HELLO: 100, RequestKind.STOP: 20}
 
 
@@ -226,6 +228,20 @@ def test_a_device_that_cannot_be_driven_is_latched_and_reported_once(
     assert len(once.told(StateRecord)) == 1
     assert [a.error for a in again.told(Answer)] == [once.state.fault.cause]
     assert again.told(Log) == []
+
+
+def test_a_rig_that_rests_at_half_scale_needs_an_enable_line() -> None:
+    bench = rested()
+    rules = replace(bench.loop.state.rules, rest_code=HALF)
+    state = awaiting(replace(bench.loop.state, rules=rules), RequestKind.HELLO)
+    without = state.device.capabilities & ~Capability.ENABLE_LINE
+
+    refused = _met(bench, state, capabilities=without)
+    met = _met(bench, state, capabilities=without | Capability.ENABLE_LINE)
+
+    assert "has no enable line" in refused.state.fault.cause
+    assert refused.sent == []
+    assert met.state.fault is None
 
 
 _SHIELD = Image("tclab", 0x1234)
@@ -496,6 +512,15 @@ def test_the_owner_is_granted_the_limits() -> None:
     assert body == {"lease": LEASE, "period_s": 0.2, "Ts": 0.04, "u_min": 0.0, "u_max": 5.0}
     assert (bench.loop.state.lease.n, bench.loop.state.lease.owner) == (-1, "a student")
     assert isinstance(bench.loop.state.device, wire.HelloReply)
+
+
+def test_the_owner_is_granted_the_rest_of_a_rig_that_rests_at_half_scale() -> None:
+    bench = rested()
+    bench.loop.state = changed(
+        bench.loop.state, rules=replace(bench.loop.state.rules, rest_code=HALF)
+    )
+
+    assert bench.arm().body["rest_v"] == 2.5
 
 
 def test_nothing_is_armed_without_a_device() -> None:

@@ -191,7 +191,7 @@ def test_the_description_of_a_recording_runs_no_code(tmp_path: Path) -> None:
         ("p: x[0]", "p: np.where(t > 0.06, np.nan, x[0])", r"at t = 0\.05 s.*not finite"),
         ("p: x[0]", "p: None", "returns a value that is not finite"),
         ("tau = ", "os.fork() or time.sleep(60)\n1 / 0\ntau = ", "ZeroDivisionError"),
-        ("p: x[0]", "p: [x[0], x[0]]", "returns 2 values; the rig has 1 outputs, y"),
+        ("p: x[0]", "p: [x[0], x[0]]", "returns 2 values; the rig has 1 output, y"),
     ],
 )
 def test_a_bad_model_file_ends_in_a_sentence(
@@ -276,3 +276,48 @@ def test_a_file_that_is_nested_too_deeply_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(FileError, match="a damaged model"):
         saved_system(tmp_path / "m.json", ["y"])
+
+
+CENTRED = b"""[rig]
+name = "centred"
+[input]
+name = "armature"
+per_volt = 4.8
+offset = -12.0
+rest_v = 2.5
+[outputs.y]
+unit = "rad/s"
+zero_counts = 32768.0
+per_count = 0.006
+[model]
+"""
+
+
+def test_a_model_of_the_inputs_own_value_is_emulated_from_its_rest(tmp_path: Path) -> None:
+    """3 rad/s per V of the armature and 1 s; 1 V at the pin is 4.8 V of the armature."""
+    form = {"kind": "transfer function", "B": [[[3.0]]], "F": [[[1.0, 1.0]]], "delay": 0.0}
+    found = {}
+    for name in ("armature", "u"):  # a model of u has the voltage at the pin
+        saved(tmp_path / "model.json", Ts=0.0, form=form, inputs=[name], input_units=["V"])
+        (tmp_path / "own.toml").write_bytes(CENTRED + b'file = "model.json"\noffset = [0.0]\n')
+        own = read_description(tmp_path / "own.toml")
+        found[name] = moved(own, [3.5] * 20, 1000 * MS)[-1]
+        assert moved(own, [2.5] * 3, 1000 * MS) == pytest.approx([0.0] * 3)
+        assert rehearse_outputs([3.5] * 20, 1.0, own).outputs["y"][1] == pytest.approx(found[name])
+
+    assert found == pytest.approx({"armature": 3 * 4.8, "u": 3.0}, rel=1e-6)
+
+
+def test_own_equations_see_the_voltage_at_the_pin_from_rest_on(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "import armrig\n"
+        "model = armrig.Ode(lambda t, x, u, p: [u[0] - 2.5 - x[0]], states=['x'], parameters={},\n"
+        "    output=lambda t, x, u, p: x[0])\n"
+    )
+    (tmp_path / "own.toml").write_bytes(CENTRED + b'file = "own.py"\ndelay_s = 2.0\n')
+    own = read_description(tmp_path / "own.toml")
+
+    y = moved(own, [3.5] * 20, 1000 * MS)
+
+    assert y[:2] == pytest.approx([0.0, 0.0], abs=1e-9)  # before the dead time is over, it rests
+    assert y[-1] == pytest.approx(1.0, rel=1e-5)

@@ -35,7 +35,8 @@ def child(terminal: tuple[int, str]) -> Iterator[LoopChild]:
 def _started(port: str) -> LoopChild:
     rules = Config().rules()
     child = start(
-        Settings(rules=rules, port=port, baud=rules.baud, priority=0, cpu=None, spin_ns=0)
+        Settings(rules=rules, port=port, baud=rules.baud, priority=0, cpu=None, spin_ns=0),
+        os.dup(2),
     )
     _heard(child, Host)
     return child

@@ -58,7 +58,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def _recovered(folder: Path, recording: armrig.Recording) -> Path:
     """Return the recording of a daemon that died within a write, recovered."""
     about = {CONFIG: b"{}", CALIBRATION: b"{}", INPUT: b"u_v\n1.0\n"}
-    part = Part(folder / "recovered.mcap", recording.manifest, about, 0)
+    part = Part(folder / "recovered.mcap").begin(recording.manifest, about, 0)
     for i, values in enumerate(recording.samples.tolist(), 1):
         s = Sample(*values)
         part.add(Outgoing("sample", s.t_host_ns, s.t_sched_ns, s.k, encode_sample(s)))

@@ -65,6 +65,20 @@ def test_a_thermometer_at_the_end_of_its_range_prevents_arming() -> None:
         assert found.error.startswith(f"T{number + 1} reads ")
 
 
+@pytest.mark.parametrize(("counts", "end"), [(0, "low"), (65_535, "high")])
+def test_the_refusal_at_an_end_of_a_range_names_the_key_of_this_end(counts: int, end: str) -> None:
+    channels = shipped("heater").channels
+    railed = _sample(210, flags=int(Flag.ADC0_RAIL))._replace(value_0=nan, counts_0=counts)
+
+    readings = updated(updated(Readings(), _sample(0)), railed)
+    found = objection(readings, channels, turns_per_volt_s=0.0, is_described=True)
+
+    assert found is not None
+    assert found.error.endswith(
+        f"give valid_rail = '{end}' to [outputs.T1] in the rig's description"
+    )
+
+
 @pytest.mark.parametrize(("turn", "named"), [(0.9999, False), (1.0, True)])
 def test_theta_1_is_reported_stuck_after_one_driven_turn(turn: float, named: bool) -> None:
     driven = Readings(newest=_sample(0), volt_s=turn)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
+from armrig_core.commands.commands import OutputRange
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
+from armrig_core.rig.description import shipped
 from armrig_core.telemetry.telemetry import Sample
-from armrig_daemon.config import ArmSettings, Config
+from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.pipe import Distribution, State, Timing
 from armrig_daemon.service.rig_view import RigView
 from armrig_protocol.messages import Flag
@@ -43,6 +44,21 @@ def test_a_status_contains_the_newest_report_of_the_loop(rig: RigView) -> None:
     assert (status.host, status.Ts) == ({"fifo": 80}, 0.02)
 
 
+def test_a_status_contains_the_limits_in_force(tmp_path: Path) -> None:
+    """Those of the configuration and of the description, without a removed part."""
+    limits = Limits(revolutions=3, alpha_rad=0.5)
+    told = []
+
+    for arm in (ArmSettings(), ArmSettings(removed=True)):
+        told.append(RigView(Config(limits=limits, arm=arm), "s", tmp_path).status(None).limits)
+    heater = RigView(Config(), "s", tmp_path, shipped("heater")).status(None).limits
+
+    turns = {"theta_1": OutputRange(turns=3)}
+    assert told == [turns | {"alpha": OutputRange(low=-0.5, high=0.5)}, turns]
+    assert heater == {"T1": OutputRange(high=70), "T2": OutputRange(high=70)}
+    assert RigView(Config(), "s", tmp_path).status(None).limits == {}
+
+
 @pytest.mark.parametrize(
     ("config", "is_kept"),
     [
@@ -68,7 +84,7 @@ def test_timing_is_published_with_the_cpu_pressure(rig: RigView) -> None:
     loop = dict.fromkeys(
         ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth"), none
     )
-    rig._pressure = SimpleNamespace(read=lambda: (12.5, 3))  # type: ignore[assignment]
+    rig.note_load(12.5, 3, "load 0.3 on 2 processors")
 
     published = rig.note_timing(Timing(t_host_ns=1, **loop))
 

@@ -18,6 +18,8 @@ from armrig_daemon.service.runs import Runs
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from tests.daemon.service.opened_run import open_run
+
 REQUEST = Run(lease="a" * 32, n=1, u=[1.0] * 10, dead_man=2.0)
 STATE = State(t_host_ns=0, phase="active", reason="", owner="a test", ts_us=10_000, device={})
 FIRST, END = 100, 110
@@ -34,7 +36,7 @@ def runs(tmp_path: Path) -> Runs:
 
 def _begin(runs: Runs, run_id: str = "") -> Path:
     """Begin a run of 10 samples; return its recording while it is written."""
-    order, _ = runs.plan(REQUEST, 0.01)
+    order, _ = open_run(runs, REQUEST, 0.01)
     started = RunStarted(
         run_id=run_id or order.run_id, k_first=FIRST, count=END - FIRST, t_host_ns=T_NS
     )
@@ -130,12 +132,12 @@ def test_the_loss_of_a_client_is_reported_once(runs: Runs) -> None:
 
 
 def test_a_refusal_removes_only_the_refused_run(runs: Runs) -> None:
-    order, _ = runs.plan(REQUEST, 0.01)
+    order, _ = open_run(runs, REQUEST, 0.01)
 
     runs.forget("another")
     assert not runs.is_idle
     with pytest.raises(ValueError, match="an experiment is running"):
-        runs.plan(REQUEST, 0.01)
+        open_run(runs, REQUEST, 0.01)
 
     runs.forget(order.run_id)
     assert runs.is_idle
@@ -145,6 +147,8 @@ def test_an_unrequested_run_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
     with pytest.raises(LookupError, match="run another was not requested"):
         _begin(runs, "another")
 
+    for recording in runs._dropped:
+        recording.join(30)
     assert list(tmp_path.iterdir()) == []
     assert not runs.includes_sample(FIRST)
 
@@ -160,10 +164,10 @@ def test_a_recording_that_would_fill_the_disk_is_not_begun(
     request = Run(lease="a" * 32, n=1, u=[0.0] * samples)
 
     if fits:
-        runs.plan(request, 0.01)
+        open_run(runs, request, 0.01)
     else:
         with pytest.raises(ValueError, match="3 MB free, 3 MB needed; free disk space"):
-            runs.plan(request, 0.01)
+            open_run(runs, request, 0.01)
     assert runs.is_idle != fits
 
 
@@ -179,13 +183,13 @@ def _notes(path: Path) -> list[str]:
 
 
 def test_a_note_between_the_request_and_the_first_sample_is_recorded_once(runs: Runs) -> None:
-    refused, _ = runs.plan(REQUEST, 0.01)
+    refused, _ = open_run(runs, REQUEST, 0.01)
     runs.add_note(_note("of a refused run"))
     runs.forget(refused.run_id)
     assert not runs.takes_notes
     runs.add_note(_note("of no run"))
 
-    order, answer = runs.plan(REQUEST, 0.01)
+    order, answer = open_run(runs, REQUEST, 0.01)
     assert runs.takes_notes
     runs.add_note(_note("early"))
     started = RunStarted(run_id=order.run_id, k_first=FIRST, count=END - FIRST, t_host_ns=T_NS)
@@ -197,7 +201,7 @@ def test_a_note_between_the_request_and_the_first_sample_is_recorded_once(runs: 
 
 
 def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs) -> None:
-    runs.plan(REQUEST, 0.01)
+    open_run(runs, REQUEST, 0.01)
     planned = runs.last
     assert planned is not None
     assert planned.recording.endswith(f"-{planned.run_id}.mcap.active")

@@ -14,6 +14,8 @@ from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.service.host.host_facts import check_directory
 from armrig_daemon.service.runs import Runs
 
+from tests.daemon.service.opened_run import open_run
+
 REQUEST = Run(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)
 
 
@@ -37,14 +39,14 @@ def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
 
     for _ in range(2):
         with pytest.raises(ValueError, match=complaint):
-            runs.plan(REQUEST, 0.01)
+            open_run(runs, REQUEST, 0.01)
     assert runs.last is None
 
 
 def test_the_reply_contains_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
     arm = ArmSettings(J_2=0.01)
 
-    _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, start_rad=1.0)
+    _, answer = open_run(_runs(tmp_path, Config(arm=arm)), REQUEST, 0.02, start_rad=1.0)
 
     expected = rehearse(REQUEST.u, 0.02, parameters=arm.parameters(), theta_1_rad=1.0)
     assert answer.rehearsal == expected
@@ -54,7 +56,7 @@ def test_the_reply_contains_the_rehearsal_on_the_configured_rig(tmp_path: Path) 
 def test_a_rig_without_its_arm_has_no_predicted_deflection(tmp_path: Path) -> None:
     config = Config(arm=ArmSettings(removed=True), limits=Limits(alpha_rad=0.001))
 
-    _, answer = _runs(tmp_path, config).plan(REQUEST, 0.01)
+    _, answer = open_run(_runs(tmp_path, config), REQUEST, 0.01)
 
     assert answer.rehearsal is not None
     assert answer.rehearsal.alpha_rad == 0.0

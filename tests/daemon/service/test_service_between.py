@@ -8,7 +8,7 @@ import select
 import signal
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from datetime import UTC, datetime
 from math import inf
@@ -23,9 +23,11 @@ from armrig_core.commands.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands.commands import Arm, Disarm, Note, Renew, Run, Set, Stop, refused
 from armrig_core.commands.commands import Calibrate as AskedCalibrate
 from armrig_core.commands.commands import Reset as AskedReset
+from armrig_core.process.line_writer import LineWriter
 from armrig_core.recording_file.manifest import CALIBRATION, CALIBRATION_RAW, Manifest
 from armrig_core.recording_file.manifest import RUN as OF_RUN
 from armrig_core.rig.calibration import Calibration, Made, Potentiometer
+from armrig_core.rig.description import Description
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.history import decode_past
 from armrig_core.telemetry.telemetry import Sample, encode_sample
@@ -47,6 +49,8 @@ from armrig_daemon.pipe import (
 from armrig_daemon.service import publish
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.client_watchdog import begun
+from armrig_daemon.service.host.planner import Job
+from armrig_daemon.service.plan import plan_of
 from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.sentences import line_and_limits
 from armrig_daemon.service.service import Service
@@ -56,10 +60,41 @@ from mcap_protobuf.decoder import DecoderFactory
 from tests.daemon.loop_ends import LoopEnds
 from tests.daemon.odd_bench import CONFIG
 from tests.daemon.odd_service import odd_records
+from tests.integration.processes import wait_for
 
 LEASE = "a" * 32
 FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
 RUN = Run(lease=LEASE, n=3, u=[1.0] * 3)
+
+
+class _AtOnce(LineWriter):
+    """Log whose lines are printed at once."""
+
+    def call(self, write: Callable[[], None]) -> None:
+        write()
+
+
+class _PlansAtOnce:
+    """Planner without a process."""
+
+    def __init__(self, description: Description) -> None:
+        self._description, self._plans = description, dict[int, Any]()
+        self.jobs: list[Job] = []
+
+    def plan(self, job: Job) -> None:
+        self.jobs.append(job)
+        self._plans[job.number] = plan_of(
+            lambda: job.payload, job.Ts, job.config, self._description, job.start_rad
+        )
+
+    def result(self, number: int) -> Any:
+        return self._plans.pop(number, None)
+
+    def cancel(self) -> None:
+        self._plans.clear()
+
+    def look(self) -> None:
+        """Do nothing: there is no process."""
 
 
 class Between:
@@ -69,9 +104,10 @@ class Between:
         self.loop = LoopEnds()
         self.has_come = threading.Event()
         endpoint = f"unixsock-stream/{directory}/s"
-        self.service: Any = Service(config or Config(), endpoint, directory)
+        self.service: Any = Service(config or Config(), endpoint, directory, log=_AtOnce())
         self.service._connect(self.loop.child, Session(endpoint, "1", self.has_come.set))
         self.commands = self.service._commands
+        self.commands._preparation._planner = _PlansAtOnce(self.service._description)
         self.commands.note_lease(LEASE)
         self.client = open_session(endpoint, rig="1")
 
@@ -86,15 +122,26 @@ class Between:
     def serve(self, request: Any) -> Any:
         """Send a command and have it handled; return its replies."""
         replies = self.ask(request)
-        self.commands.serve()
+        self.handle()
         return replies
+
+    def handle(self) -> None:
+        """Have the waiting commands handled, and what they wait for."""
+        self.commands.serve()
+        prepares = self.commands._preparation
+        wait_for(lambda: self.commands.serve() or not (self.commands._arming or prepares.is_busy))
+
+    def pass_a_second(self) -> None:
+        """Have done what is done each second."""
+        self.service._each_second()
+        worker = self.service._housekeeping
+        wait_for(lambda: worker.hand_back() or not worker.waiting)
 
     def begin_run(self) -> str:
         """Have a run requested, accepted by the loop, and begun."""
         self.serve(RUN)
-        *signs, play = self.loop.orders()
+        (play,) = (order for order in self.loop.orders() if order != Alive())
         assert isinstance(play, pipe.Run)
-        assert signs == [Alive()] * len(signs)
         started = RunStarted(run_id=play.run_id, k_first=0, count=3, t_host_ns=0)
         self.service._handle([Answer(order=play.order), started])
         return play.run_id
@@ -107,6 +154,7 @@ class Between:
     def close(self) -> None:
         """End all."""
         self.client.close()
+        self.service._planner.close()
         self.service._session.__exit__(None, None, None)
         self.loop.close()
         self.service._signals.close()
@@ -148,15 +196,6 @@ def _finished(between: Between) -> Path:
 
 def _sample(k: int) -> bytes:
     return encode_sample(Sample(k, k + 1, k + 1, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
-
-
-def test_the_service_sends_keepalives_while_it_plans_a_run(between: Between) -> None:
-    """Millions of samples take longer than a frozen service may be silent."""
-    between.serve(RUN)
-
-    *signs, play = between.loop.orders()
-    assert isinstance(play, pipe.Run)
-    assert signs == [Alive()] * 5
 
 
 def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
@@ -218,11 +257,11 @@ def test_a_command_that_exceeds_the_queue_is_refused_at_once(between: Between) -
 def test_a_recording_that_cannot_be_written_stops_its_run(between: Between) -> None:
     between.begin_run()
     Path(between.service._runs.last.recording).unlink()
-    assert select.select([between.service._signals.fd], [], [], 30)[0]
+    orders: list[Any] = []
 
-    between.service._woken()
+    wait_for(lambda: between.service._woken() or orders.extend(between.loop.orders()) or orders)
 
-    (halt,) = between.loop.orders()
+    halt = orders[0]
     assert isinstance(halt, pipe.Stop)
     assert "the file was removed during the recording" in halt.reason
     between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
@@ -230,18 +269,17 @@ def test_a_recording_that_cannot_be_written_stops_its_run(between: Between) -> N
 
 
 def test_a_run_is_planned_with_the_sampling_time_of_the_newest_lease(between: Between) -> None:
-    planned: list[float] = []
     _ready(between)
-    between.service._runs.plan = lambda _, Ts, *__: planned.append(Ts)
     between.commands._n = 9
     between.serve(Arm(owner="a test", Ts=0.02))
     (granted,) = between.loop.orders()
     assert isinstance(granted, pipe.Arm)
     between.service._handle([Answer(order=granted.order, body={"Ts": 0.02})])
 
-    between.serve(Run(lease=granted.lease, n=1, u=[1.0]))
+    between.serve(Run(lease=granted.lease, n=1, u=[1.0] * 100))
 
-    assert planned == [0.02]
+    (job,) = between.commands._preparation._planner.jobs
+    assert job.Ts == 0.02
 
 
 def test_a_command_number_already_accepted_by_the_loop_is_refused(between: Between) -> None:
@@ -328,20 +366,9 @@ def test_a_full_table_of_open_files_is_logged_as_an_error(
 ) -> None:
     between.service._files.look = lambda: ("error", "64 of 64 files are open")
 
-    between.service._each_second()
+    between.pass_a_second()
 
     assert "error: 64 of 64 files are open" in capsys.readouterr().err
-
-
-def test_an_internal_error_refuses_the_command_and_is_logged(
-    between: Between, capsys: pytest.CaptureFixture[str]
-) -> None:
-    between.service._runs.plan = lambda *_: [][0]
-    replies = between.serve(RUN)
-
-    told = "run: IndexError('list index out of range')"
-    assert _refusal(replies) == told
-    assert f"error: {told}" in capsys.readouterr().err
 
 
 def test_a_scheduling_privilege_denied_to_the_loop_is_reported(
@@ -475,7 +502,8 @@ def test_a_calibration_that_the_core_refuses_is_not_in_force(between: Between) -
     between.service._handle([Answer(order=1, error="anna has the rig", code=RefusalCode.HELD)])
 
     assert b"anna has the rig" in next(iter(replies)).err.payload.to_bytes()
-    assert between.service._rig.status(None) == before
+    now = between.service._rig.status(None)
+    assert msgspec.structs.replace(now, now_ns=before.now_ns) == before
 
 
 def test_a_calibration_confirmed_after_the_timeout_is_in_force(between: Between) -> None:
@@ -644,12 +672,12 @@ def test_recovery_and_retention_pause_during_a_run(between: Between) -> None:
         rest=lambda: told.append("rest"), go_on=lambda: told.append("go on"), lines=list
     )
 
-    between.service._each_second()
+    between.pass_a_second()
     between.begin_run()
-    between.service._each_second()
+    between.pass_a_second()
     assert told == ["go on", "rest"]
     _finished(between)
-    between.service._each_second()
+    between.pass_a_second()
 
     assert told == ["go on", "rest", "go on"]
 
@@ -675,7 +703,7 @@ class _Asked:
     """A command of a client whose identity was checked; `told` is the answer or the refusal."""
 
     def __init__(self, request: Any, by: str) -> None:
-        self.name, self.by, self.came_s = request.name, by, 5.0
+        self.name, self.by, self.came_s = request.name, by, time.monotonic()
         self.payload = msgspec.json.encode(request)
         self.told: Any = None
 
@@ -692,6 +720,7 @@ def _tried(between: Between, request: Any, by: str = "") -> _Asked:
     """Have a command tried that a client with the checked identity `by` has sent."""
     asked = _Asked(request, by)
     between.commands._try(asked)  # type: ignore[arg-type]
+    between.handle()
     return asked
 
 
@@ -704,12 +733,13 @@ def test_a_lease_used_by_another_client_is_refused(between: Between) -> None:
     assert (arm.owner, arm.owner_checked) == ("Ada (certificate ada)", "certificate ada")
     between.service._handle([Answer(order=arm.order, body={"Ts": 0.01})])
 
+    soon_ns = arming.told["now_ns"] + 10**10
     asked = [
-        _tried(between, Set(lease=arm.lease, n=n, u=1.0), by)
+        _tried(between, Set(lease=arm.lease, n=n, u=1.0, valid_until_ns=soon_ns), by)
         for n, by in enumerate(("", "certificate bob", "certificate ada"))
     ]
 
-    assert arming.told == {"Ts": 0.01}
+    assert arming.told["Ts"] == 0.01
     assert [one.told for one in asked] == [RefusalCode.NOT_HELD, RefusalCode.NOT_HELD, None]
     assert [type(order) for order in between.loop.orders()] == [pipe.Set]
 
@@ -726,6 +756,20 @@ def test_the_last_places_for_unanswered_orders_are_reserved_for_the_holder(
 
     assert (reset.told, disarm.told) == (RefusalCode.TOO_MANY if pending > 15 else None, None)
     assert len(between.loop.orders()) == 17
+
+
+def test_an_arming_that_finds_no_place_after_the_look_at_the_disk_is_refused(
+    between: Between,
+) -> None:
+    _ready(between)
+    arming = _Asked(Arm(owner="Ada"), "")
+    between.commands._try(arming)  # type: ignore[arg-type]
+    for n in range(16):
+        between.commands._try(_Asked(Set(lease=LEASE, n=n, u=0.0), ""))  # type: ignore[arg-type]
+
+    between.handle()
+
+    assert arming.told == RefusalCode.TOO_MANY
 
 
 def test_a_command_is_refused_three_seconds_after_its_arrival(between: Between) -> None:
@@ -745,7 +789,7 @@ def test_a_command_is_refused_three_seconds_after_its_arrival(between: Between) 
         (Stop(by="anna"), "user eve", "stop: by anna (user eve)", ["stopped by anna (user eve)"]),
         (Stop(), "", "stop: by somebody on this machine", ["stopped"]),
         (Disarm(lease=LEASE, n=4), "", "disarm: by somebody on this machine", [""]),
-        (AskedReset(), "user eve", "reset: by user eve", [""]),
+        (AskedReset(fault="", valid_until_ns=2**61), "user eve", "reset: by user eve", [""]),
         (Set(lease=LEASE, n=4, u=1.0), "", "", []),
     ],
 )
@@ -804,7 +848,7 @@ def test_the_reports_of_the_loop_are_forwarded_to_systemd(between: Between) -> N
 
     between.service._handle([_sample(1), Host(granted={"refused": []})])
     between.service._handle([FREE, odd_records()[0]])
-    between.service._each_second()
+    between.pass_a_second()
     between.service._quit("a test")
 
     assert told == ["ready", "safe, nobody has it", "progress", "safe, nobody has it", "stopping"]
@@ -817,11 +861,11 @@ def test_the_state_is_published_each_second_with_the_time(between: Between) -> N
             protobuf.decoded(protobuf.STATE, data) for of, data in past.messages if of == "state"
         ]
 
-    between.service._each_second()
+    between.pass_a_second()
     assert states() == []
     between.service._handle([FREE])
     before_ns = time.monotonic_ns()
-    between.service._each_second()
+    between.pass_a_second()
 
     told, again = states()
     assert told.t_host_ns == FREE.t_host_ns
@@ -910,7 +954,7 @@ def test_the_network_guard_depends_on_whether_the_rig_is_held(between: Between) 
 
     for owner in ("", "Ada"):
         between.service._handle([msgspec.structs.replace(FREE, owner=owner)])
-        between.service._each_second()
+        between.pass_a_second()
 
     assert busy == [False, True]
 
@@ -938,7 +982,7 @@ def test_a_sleep_of_the_computer_is_reported_and_is_the_cause_of_a_late_stop(
 ) -> None:
     between.begin_run()
     between.service._sleep.look = iter(["this computer slept for 30 s", "", ""]).__next__
-    between.service._each_second()
+    between.pass_a_second()
     causes = [between.service._standstill()]
     between.service._begin_run(RunStarted(run_id="next", k_first=0, count=3, t_host_ns=0))
     causes.append(between.service._standstill())

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from armrig_core.errors import InputError
+from armrig_core.process.line_writer import LineWriter
 from armrig_daemon.config import Config
 from armrig_daemon.loop.process import NO_PORT, Settings
 from armrig_daemon.pipe import Quit
@@ -19,7 +20,9 @@ from armrig_daemon.service.service import Service
 from msgspec.structs import replace
 
 from tests.daemon.odd_bench import CONFIG
+from tests.daemon.service.opened_run import open_run
 from tests.daemon.service.test_service_between import FREE, RUN, Between
+from tests.integration.processes import wait_for
 
 
 class _Started(Exception):  # noqa: N818 - no error
@@ -45,7 +48,7 @@ def test_the_loop_is_started_with_the_options_of_the_configuration(
         timing=replace(CONFIG.timing, priority=33, cpu=2, spin_us=77.5),
     )
 
-    def start(settings: Settings) -> None:
+    def start(settings: Settings, _: int) -> None:
         raise _Started(settings)
 
     monkeypatch.setattr(service_module.child, "start", start)
@@ -89,13 +92,14 @@ def test_a_service_ends_with_the_exit_code_that_systemd_expects(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     loop = SimpleNamespace(starter=SimpleNamespace(number=1), end=lambda: code)
-    monkeypatch.setattr(service_module.child, "start", lambda _: loop)
+    monkeypatch.setattr(service_module.child, "start", lambda *_: loop)
     monkeypatch.setattr(service_module, "Session", lambda *_: nullcontext())
     monkeypatch.setattr(service_module.sys, "setswitchinterval", lambda _: None)
     monkeypatch.setattr(service_module.open_files, "raise_limit", lambda: None)
     for name in ("leave_fifo", "be_prompt", "ignore_signals"):
         monkeypatch.setattr(service_module.realtime, name, lambda *_, **__: True)
-    service = Service(Config(), "unixsock-stream/nowhere", tmp_path)
+    log = LineWriter()
+    service = Service(Config(), "unixsock-stream/nowhere", tmp_path, log=log)
     for name in ("_connect", "_announce", "_serve"):
         setattr(service, name, lambda *_, **__: None)
     service._quitting, service._restarts = quits, restarts
@@ -103,6 +107,7 @@ def test_a_service_ends_with_the_exit_code_that_systemd_expects(
     assert service.run() == exit_code
 
     service._signals.close()
+    log.close()
     told = "" if quits or code == NO_PORT else f"the loop died with code {code}: the device stops"
     assert told in (said := capsys.readouterr().err)
     assert bool(said) == bool(told)
@@ -113,6 +118,7 @@ def _hung_up(between: Between) -> list[Any]:
     between.loop.orders()
     signal.raise_signal(signal.SIGHUP)
     between.service._woken()
+    wait_for(lambda: between.service._disk.hand_back() or not between.service._disk.waiting)
     return [order for order in between.loop.orders() if isinstance(order, Quit)]
 
 
@@ -126,7 +132,7 @@ def test_a_rig_in_use_is_not_reloaded(
     else:
         who = "a run or a command is in progress"
     if busy_with == "a run":
-        between.service._runs.plan(RUN, 0.01)
+        open_run(between.service._runs, RUN, 0.01)
     if busy_with == "a command":
         between.ask(RUN)
         between.commands.serve()

@@ -39,7 +39,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_a_run_that_ends_early_is_reported(tmp_path: Path) -> None:
     config = Config(limits=Limits(revolutions=0.5))
     service = VirtualService(config, tmp_path, seed=1)
-    service._runs._config = Config()  # else the rehearsal sees it coming
+    service._config = Config()  # else the rehearsal sees it coming
 
     with pytest.raises(OperationError, match="REV_LIMIT"):
         service.record(REQUEST)

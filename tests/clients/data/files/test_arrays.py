@@ -76,7 +76,7 @@ BY_NUMBER = {"input": "2", "signal": "X:3", "time": "1"}
 def test_several_columns_are_refused_by_the_reader_of_one(tmp_path: Path) -> None:
     path = npz(tmp_path, t=0.5 * np.arange(30), u=np.column_stack([U, Y]), y=Y)
 
-    with pytest.raises(FileError, match=r"there are 2 inputs and 1 outputs.*load_signals"):
+    with pytest.raises(FileError, match=r"2 inputs and 1 output are named.*load_signals"):
         load_data(path, input=["u:1", "u:2"])  # type: ignore[arg-type]
 
 

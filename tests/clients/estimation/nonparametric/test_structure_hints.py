@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
@@ -306,3 +307,18 @@ def test_hints_for_data_of_a_loop_begin_with_a_noise_model() -> None:
 
     assert found.family == "bj"
     assert repr(found).startswith("structure hints: begin with bj(data, nb=")
+
+
+def test_hints_about_an_unstable_plant_begin_with_armax() -> None:
+    """Neither OE nor BJ has a pole outside the unit circle."""
+    rng, N = np.random.default_rng([6, 1]), 800
+    wanted, y, u = np.repeat(rng.choice([-1.0, 1.0], 20), 40), np.zeros(N), np.zeros(N)
+    for t in range(N):
+        if t:
+            y[t] = 1.05 * y[t - 1] + 0.1 * u[t - 1] + 0.02 * rng.standard_normal()
+        u[t] = np.clip(4 * (wanted[t] - y[t]), -5, 5)
+
+    hints = armrig.structure_hints(armrig.Dataset(u=u, y=y, Ts=1.0))
+
+    assert (hints.unstable, hints.family) == (True, "armax")
+    assert "begin with armax(data, na=" in repr(hints)

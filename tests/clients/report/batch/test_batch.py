@@ -48,7 +48,7 @@ from armrig_core.errors import FileError, OperationError
 from tests.clients import made_recordings
 from tests.clients.batches import SHORT, kept, started, telegraph, wait_for_rows
 from tests.clients.deadly import deadly
-from tests.clients.odd_recording import odd_recording
+from tests.clients.odd_recording import ODD, odd_recording
 
 pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
 ARX = Identify(structure="arx", orders={"na": 4, "nb": 4})
@@ -261,7 +261,8 @@ def test_a_row_has_the_facts_of_its_run(tmp_path: Path) -> None:
         **{"rig": "7", "device": "beef", "run_id": "20261120T050000Z-0bad"},
         "experiment": "blackbox-validation-odd",
         "started": "2026-11-20T01:30:00-03:30",
-        **{"Ts": 0.05, "samples": 497, "missing": 21, "calibration_sha256": "5ca1e"},
+        **{"Ts": 0.05, "samples": 497, "missing": 21},
+        "calibration_sha256": hashlib.sha256(msgspec.json.encode(ODD)).hexdigest(),
         **{"recorded_by": "armrig 0.2.1", "damage": ""},
     }
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.noise_filter import noise_filter
+from armrig.models.noise_filter import noise_filter, noise_projection
+from armrig.numerics.kalman_gains import kalman_gains
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged
 from scipy.linalg import toeplitz
 
@@ -88,7 +89,6 @@ def test_the_innovations_of_white_noise_equal_the_noise() -> None:
 
     found = noise_filter(one, one, rows)
 
-    assert found.memory == 0
     assert found.log_scale == 0.0
     e = found.innovations(impulse([1.0], N))
     np.testing.assert_array_equal(e, np.where(rows, impulse([1.0], N), 0.0))
@@ -102,5 +102,45 @@ def test_the_filter_of_an_extremely_unstable_D_is_finite_after_gaps() -> None:
 
     found = noise_filter(np.array([1.0, 0.5, 0.2]), unstable, rows)
 
-    assert np.isfinite(found.gain).all()
-    assert np.isfinite(found.s).all()
+    assert found.filter.gains is not None
+    assert np.isfinite(found.filter.gains.gain).all()
+    assert np.isfinite(found.filter.white).all()
+
+
+@pytest.mark.parametrize("pole", [1.05, 1.3, 3.0])
+def test_the_gains_of_an_unstable_model_after_a_long_gap_are_no_error(pole: float) -> None:
+    """Two outputs; the variances reach 1e200, or exceed the range of numbers and are NaN."""
+    rows = np.ones((3000, 2), dtype=np.bool_)
+    rows[100:2500] = rows[50, 0] = False
+    A, C = np.diag([pole, 0.5]), np.array([[1.0, 0.2], [0.3, 1.0]])
+
+    found = kalman_gains(A, C, 0.3 * np.ones((2, 2)), np.eye(2), rows)
+
+    assert np.isfinite(found.gain[:100]).all()
+    assert np.isfinite(found.gain).all() == (pole < 1.1)
+
+
+def test_missing_samples_have_no_band_if_the_response_is_long_or_infinite() -> None:
+    rows = known("scattered")
+
+    for C in ([1.0, -50.0], [1.0, 3.0, 2.0], [1.0, -1e200]):
+        found = noise_projection(np.array(C), D, rows)
+        assert found is None or np.isfinite(found.missing.band).all()
+    assert noise_projection(np.array([1.0, -0.9999]), D, np.arange(20_000) % 7 > 0) is None
+
+
+@pytest.mark.parametrize("gaps", ["one", "scattered", "long"])
+def test_estimated_samples_leave_the_squares_of_the_innovations(gaps: str) -> None:
+    """And the same sum of the logarithms of their variances, and the same slopes."""
+    v, z = np.random.default_rng(2).normal(size=(2, N))
+    found, filtered_ = noise_projection(C, D, known(gaps)), noise_filter(C, D, known(gaps))
+    assert found is not None
+
+    both = [f.innovations(v) - f.responses(z[:, None])[:, 0] for f in (found, filtered_)]
+    slopes = [f.derivatives(v, z) for f in (found, filtered_)]
+
+    assert both[0] @ both[0] == pytest.approx(both[1] @ both[1], rel=1e-9)
+    assert found.log_scale == pytest.approx(filtered_.log_scale, abs=1e-9)
+    gradients = [J.T @ e for (J, _), e in zip(slopes, both, strict=True)]
+    np.testing.assert_allclose(*gradients, rtol=1e-6)
+    np.testing.assert_allclose(slopes[0][1], slopes[1][1], atol=1e-6)
