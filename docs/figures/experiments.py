@@ -64,7 +64,7 @@ def record(
         "device": {"firmware": "emulator", "adc_bits": settings.adc_bits},
     }
     manifest = Manifest(**(fields | about))
-    recording = Recording(
+    recording = Recording.create(
         path,
         manifest,
         {CALIBRATION: msgspec.json.encode(config.calibration)},
