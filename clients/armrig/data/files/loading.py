@@ -1,8 +1,7 @@
-"""Loading of data from a file: recognition of the file's kind, and choice of the columns."""
+"""Loading of data from a file: choice of the columns, and their place on the grid of instants."""
 
 from __future__ import annotations
 
-import codecs
 import errno
 import hashlib
 from collections.abc import Iterator, Sequence
@@ -14,21 +13,17 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from armrig_core.errors import FileError, InputError
-from armrig_core.process.bounded import decoded, read_bounded
+from armrig_core.process.bounded import read_bounded
 from armrig_core.process.calls import checked_call
-from armrig_core.recording_file.file_records import MAGIC
 from numpy.typing import NDArray
 
 from armrig.data.columns import require_size
 from armrig.data.dataset import Dataset, Signals
-from armrig.data.files.arrays import read_mat, read_npz, read_parquet
 from armrig.data.files.column_faults import held, stuck, treated
-from armrig.data.files.mat_variables import DamageError
-from armrig.data.files.messages import read_mcap
+from armrig.data.files.kinds import table_of
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
-from armrig.data.files.text import read_text
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask, stretches
@@ -401,62 +396,3 @@ def _values(table: Table, i: int, what: str) -> Vector:
         raise FileError(msg + listed(table, what))
     require_size(what, values[~np.isnan(values)])
     return values
-
-
-# Recognition of a file's kind by its first bytes.
-
-
-_SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', 'Ts', '-v7')"
-_UTF_16 = 'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"'
-_REFUSED_KINDS = (
-    (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_SAVE_IN_MATLAB}"),
-    (b"\x89HDF\r\n", f"is HDF5, which armrig does not read; if MATLAB wrote it, {_SAVE_IN_MATLAB}"),
-    (b"# Created by Octave", "is Octave's text format; in Octave: save -v7 data.mat u y"),
-    (b"\xd0\xcf\x11\xe0", "is an old Excel workbook; save its sheet as CSV"),
-    (b"\x93NUMPY", "is an .npy, an array without a name; save it with numpy.savez(…, u=u, y=y)"),
-    (b"\x1f\x8b", "is packed with gzip; unpack it first (gunzip)"),
-    (codecs.BOM_UTF16_LE, _UTF_16),
-    (codecs.BOM_UTF16_BE, _UTF_16),
-)
-_KINDS = (
-    (b"PAR1", read_parquet, "a damaged Parquet file", "write it again"),
-    (b"PK\x03\x04", read_npz, "a damaged .npz", "save it again with numpy.savez"),
-    (b"MATLAB 5.0", read_mat, "a damaged MAT-file", _SAVE_IN_MATLAB),
-)
-"""First bytes, reader, name and remedy of a kind."""
-
-
-def table_of(
-    data: bytes, suffix: str, decimal: str | None = None, topic: str | None = None
-) -> Table:
-    """Return the table in a file, whose kind is recognised by its first bytes.
-
-    Only a MAT-file of version 4 is recognised by its suffix, because it begins with numbers.
-    """
-    for beginning, what in _REFUSED_KINDS:
-        if data.startswith(beginning):
-            raise FileError(what)
-    if data.startswith(MAGIC):
-        return read_mcap(data, topic)
-    if topic is not None:
-        raise FileError(f"topic {topic}: only MCAP files have topics; leave out --topic")
-    is_old = suffix == ".mat" and b"\0" in data[:128]
-    for beginning, read, kind, remedy in _KINDS:
-        if data.startswith(beginning) or (is_old and read is read_mat):
-            try:
-                return read(data)
-            except InputError:
-                raise
-            except Exception as err:  # a damaged file can raise any exception in its reader
-                why = err if isinstance(err, DamageError) else type(err).__name__
-                raise FileError(f"is {kind} ({why}); {remedy}") from err
-    if b"\0" in data:
-        raise FileError(
-            "is not text, and not of another known kind; armrig reads tables of text, .mat (to "
-            "-v7), .npz, Parquet and MCAP"
-        )
-    try:
-        content = decoded(data)
-    except FileError as err:
-        raise FileError(f'{err} (in Excel: "CSV UTF-8")') from err
-    return read_text(content, decimal)
