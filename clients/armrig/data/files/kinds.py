@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+from dataclasses import replace
 
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import decoded
@@ -13,9 +14,27 @@ from armrig.data.files.mat_variables import DamageError
 from armrig.data.files.messages import read_mcap
 from armrig.data.files.table import Table
 from armrig.data.files.text import read_text
+from armrig.numerics.quantities import plural
 
 _SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', 'Ts', '-v7')"
 _UTF_16 = 'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"'
+_FEATHER = (
+    "is Arrow or Feather, which armrig does not read; pandas writes Parquet: python -c "
+    "\"import pandas; pandas.read_feather('FILE').to_parquet('FILE.parquet')\""
+)
+_MDF_TO_CSV = (
+    'asammdf writes a CSV for each clock: python -c "from asammdf import MDF; '
+    "MDF('FILE').export('csv', 'FILE', time_from_zero=False, add_units=True)\""
+)
+_TDMS_TO_CSV = (
+    "nptdms writes CSV (without time_index=True if the file contains no times): python -c "
+    "\"from nptdms import TdmsFile; TdmsFile.read('FILE').as_dataframe(time_index=True)"
+    ".to_csv('FILE.csv', index_label='time')\""
+)
+_DATAFLASH_TO_CSV = (
+    "pymavlink writes a message type such as RATE as CSV: mavlogdump.py --format csv "
+    "--types RATE FILE > RATE.csv"
+)
 _REFUSED_KINDS = (
     (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_SAVE_IN_MATLAB}"),
     (b"\x89HDF\r\n", f"is HDF5, which armrig does not read; if MATLAB wrote it, {_SAVE_IN_MATLAB}"),
@@ -23,6 +42,12 @@ _REFUSED_KINDS = (
     (b"\xd0\xcf\x11\xe0", "is an old Excel workbook; save its sheet as CSV"),
     (b"\x93NUMPY", "is an .npy, an array without a name; save it with numpy.savez(…, u=u, y=y)"),
     (b"\x1f\x8b", "is packed with gzip; unpack it first (gunzip)"),
+    (b"ARROW1", _FEATHER),
+    (b"FEA1", _FEATHER),
+    (b"MDF     ", f"is MDF, which armrig does not read; {_MDF_TO_CSV}"),
+    (b"TDSm", f"is TDMS, which armrig does not read; {_TDMS_TO_CSV}"),
+    (b"ULog\x01\x12\x35", "is ULog, which armrig does not read; pyulog writes CSV: ulog2csv FILE"),
+    (b"\xa3\x95\x80", f"is a DataFlash log, which armrig does not read; {_DATAFLASH_TO_CSV}"),
     (codecs.BOM_UTF16_LE, _UTF_16),
     (codecs.BOM_UTF16_BE, _UTF_16),
 )
@@ -58,13 +83,17 @@ def table_of(
             except Exception as err:  # a damaged file can raise any exception in its reader
                 why = err if isinstance(err, DamageError) else type(err).__name__
                 raise FileError(f"is {kind} ({why}); {remedy}") from err
-    if b"\0" in data:
+    text = data.rstrip(b"\0")  # of a file that its logger allocated in advance
+    if b"\0" in text:
         raise FileError(
             "is not text, and not of another known kind; armrig reads tables of text, .mat (to "
             "-v7), .npz, Parquet and MCAP"
         )
     try:
-        content = decoded(data)
+        content = decoded(text)
     except FileError as err:
         raise FileError(f'{err} (in Excel: "CSV UTF-8")') from err
-    return read_text(content, decimal)
+    table = read_text(content, decimal)
+    if not (count := len(data) - len(text)):
+        return table
+    return replace(table, notes=[*table.notes, f"left out {plural(count, 'zero byte')} at the end"])

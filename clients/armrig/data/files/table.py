@@ -117,8 +117,9 @@ def chosen(table: Table, wanted: str, what: str) -> int:
     is_number = wanted.isdecimal() and len(wanted) <= _MAX_NUMBER_DIGITS
     if is_number and 1 <= int(wanted) <= len(table.columns):
         return int(wanted) - 1
-    if wanted in table.refused:
-        raise FileError(f"{what} {shown(wanted)}: {table.refused[wanted]}")
+    for name, why in table.refused.items():
+        if wanted in (name, name.rpartition(".")[2]):
+            raise FileError(f"{what} {shown(wanted)}: {why}")
     raise NoColumnError(f"{what} {shown(wanted)}: there is no such column; {listed(table, what)}")
 
 

@@ -16,6 +16,7 @@ import pyarrow
 import pytest
 from armrig import Dataset, FileError, load_data, load_signals
 from armrig.data.files import table
+from armrig.data.step import DOUBT, codes_of
 from pyarrow import parquet
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
@@ -441,6 +442,175 @@ def test_a_field_that_was_never_assigned_does_not_shift_the_others(tmp_path: Pat
     path.write_bytes(parts)
 
     assert_read(load_data(path), 2.0)
+
+
+def structures(*fields: dict[str, Any]) -> np.ndarray[Any, Any]:
+    """Return an array of structures with the same fields."""
+    array = np.empty((1, len(fields)), dtype=[(name, object) for name in fields[0]])
+    for k, values in enumerate(fields):
+        for name, value in values.items():
+            array[name][0, k] = value
+    return array
+
+
+def texts(*values: str) -> np.ndarray[Any, Any]:
+    """Return a cell array of texts."""
+    return np.array(values, dtype=object).reshape(-1, 1)
+
+
+def of_get(**fields: Any) -> dict[str, Any]:
+    """Return the structure that get(z) of an iddata returns, in minutes."""
+    empty = np.zeros((0, 0))
+    z = {"InputData": COLUMN["u"], "OutputData": COLUMN["y"], "y": "Same as OutputData"}
+    z |= {"InputUnit": texts("V"), "OutputUnit": texts("degC"), "InterSample": "zoh"}
+    return {"z": z | {"Ts": 0.5, "SamplingInstants": empty, "TimeUnit": "minutes"} | fields}
+
+
+@pytest.mark.parametrize(
+    ("fields", "Ts", "note"),
+    [
+        ({}, 30.0, "Ts = 0.5 minutes, by TimeUnit"),
+        ({"Ts": np.uint8(30), "TimeUnit": "days"}, 2_592_000.0, "Ts = 30 days, by TimeUnit"),
+        ({"Ts": 35, "TimeUnit": "Milliseconds"}, 0.035, "Ts = 35 milliseconds, by TimeUnit"),
+        ({"TimeUnit": "seconds"}, 0.5, ""),
+        ({"TimeUnit": ""}, 0.5, ""),
+        (
+            {"Ts": np.zeros((0, 0)), "SamplingInstants": 2 * T},
+            60.0,
+            "times in minutes, by TimeUnit",
+        ),
+    ],
+    ids=["minutes", "uint8", "ms", "s", "no unit", "times"],
+)
+def test_the_fields_of_an_iddata_have_its_units(
+    fields: dict[str, Any], Ts: float, note: str, tmp_path: Path
+) -> None:
+    data = load_data(mat(tmp_path, of_get(**fields)))
+
+    assert_read(data, Ts)
+    assert (data.input_unit, data.unit) == ("V", "degC")
+    assert list(data.history[:1]) == [note] * bool(note)
+
+
+def test_several_outputs_of_an_iddata_have_their_units(tmp_path: Path) -> None:
+    several = {"OutputData": MATRIX, "OutputUnit": texts("s", "V", "K")}
+
+    both = load_signals(mat(tmp_path, of_get(**several)), inputs="u", outputs="y")
+
+    assert both.units == ("s", "V", "K")
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (of_get(TimeUnit="fortnights"), "TimeUnit is 'fortnights', allowed are nanoseconds to"),
+        (of_get() | {"x": {"Ts": 2.0}}, "the sampling time is not known: give it in s"),
+    ],
+    ids=["unit", "two"],
+)
+def test_a_doubtful_sampling_time_is_refused(
+    values: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(FileError, match=said):
+        load_data(mat(tmp_path, values))
+
+
+def test_the_hold_of_an_iddata_is_doubted(tmp_path: Path) -> None:
+    data = load_data(mat(tmp_path, of_get(InterSample="foh", TimeUnit="")))
+
+    assert codes_of(data.history[:1]) == [DOUBT]
+
+
+def channel(name: str, values: Any, **more: Any) -> dict[str, Any]:
+    """Return a channel of a capture of dSPACE ControlDesk."""
+    return {"Name": name, "Data": values.reshape(1, -1), **more}
+
+
+def capture(*X: Any, of: tuple[int, int] = (1, 1)) -> dict[str, Any]:
+    """Return a capture whose channels have the times of the given elements of X."""
+    of_u, of_y = ({"Unit": unit, "XIndex": float(k)} for unit, k in zip("VK", of, strict=True))
+    Y = structures(channel("motor voltage", U, **of_u), channel("speed", Y_, **of_y))
+    return {"rec": {"X": structures(*X), "Y": Y, "Capture": "none"}}
+
+
+Y_ = Y
+BY_NAME = {"input": "motor voltage", "signal": "speed"}
+
+
+def test_a_capture_of_dspace_is_columns_by_name(tmp_path: Path) -> None:
+    data = load_data(mat(tmp_path, capture(channel("X", T))), **BY_NAME)
+    in_ms = load_data(mat(tmp_path, capture(channel("", T, Unit="ms"))), **BY_NAME)
+
+    assert_read(data, 0.5)
+    assert (data.output, data.unit, data.input_unit) == ("rec.speed", "K", "V")
+    assert in_ms.Ts == 5e-4
+
+
+def test_channels_on_two_clocks_are_not_paired_by_row(tmp_path: Path) -> None:
+    X = channel("", T), channel("", T + 0.1), channel("", T)
+    path = mat(tmp_path, capture(*X, of=(1, 2)))
+
+    with pytest.raises(FileError, match=r"speed: has the times X\(2\)\.Data, and most channels"):
+        load_data(path, **BY_NAME)
+    assert_read(load_data(mat(tmp_path, capture(*X, of=(1, 3))), **BY_NAME), 0.5)
+
+
+def test_structures_with_names_are_columns_by_name(tmp_path: Path) -> None:
+    fields = [
+        {"name": name, "data": x.reshape(-1, 1)} for name, x in (("t", T), ("u", U), ("y", Y))
+    ]
+
+    assert_read(load_data(mat(tmp_path, {"log": structures(*fields)}), time="t"), 0.5)
+
+
+@pytest.mark.parametrize("unit", ["D", "h", "m", "s", "ms", "us", "ns"])
+def test_times_of_numpy_are_in_seconds(unit: Any, tmp_path: Path) -> None:
+    ticks = np.arange(30) * np.timedelta64(1, unit)
+    for time in (np.datetime64("2025-03-30", unit) + ticks, ticks):
+        data = load_data(npz(tmp_path, time=time, **{"u [V]": U, "y": Y}))
+
+        assert_read(data, float(np.timedelta64(1, unit) / np.timedelta64(1, "s")))
+        assert data.input_unit == "V"
+    assert_read(load_data(npz(tmp_path, u=U, y=Y, Ts=np.timedelta64(250, "ms"))), 0.25)
+
+
+def test_a_time_that_is_missing_in_numpy_is_reported(tmp_path: Path) -> None:
+    time = np.arange(30).astype("M8[M]")
+    time[3] = np.datetime64("NaT")
+
+    with pytest.raises(FileError, match=r"row 4: .*no value here"):
+        load_data(npz(tmp_path, time=time, u=U, y=Y))
+
+
+@pytest.mark.parametrize(
+    ("begin", "line"),
+    [
+        (b"MDF     4.10    ", "asammdf .*MDF.'FILE'.*export"),
+        (b"TDSm\x0e\0\0\0", "nptdms .*TdmsFile.read.'FILE'.*to_csv"),
+        (b"ULog\x01\x12\x35\x01", "ulog2csv FILE"),
+        (b"\xa3\x95\x80\x80", "mavlogdump.py --format csv --types RATE FILE > RATE.csv"),
+        (b"ARROW1\0\0", "pandas.read_feather.'FILE'.*to_parquet"),
+    ],
+)
+def test_a_foreign_kind_is_refused_with_the_line_that_converts_it(
+    begin: bytes, line: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "data.bin"
+    path.write_bytes(begin + bytes(100))
+
+    with pytest.raises(FileError, match=line):
+        load_data(path)
+
+
+def test_zeros_after_the_last_row_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes(
+        b"t,u,y\n" + b"".join(b"%d,%d,1\n" % (k, k % 3) for k in range(30)) + bytes(512)
+    )
+
+    data = load_data(path)
+
+    assert (data.N, data.history[0]) == (30, "left out 512 zero bytes at the end")
 
 
 def written(path: Path, **columns: Any) -> Path:
