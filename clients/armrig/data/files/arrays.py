@@ -173,7 +173,11 @@ def _fields(structure: dict[str, Value], contents: _Contents) -> Iterator[tuple[
     elif _are_channels(_listed(X), named=False) and _are_channels(_listed(Y), named=False):
         yield from _capture(_listed(X), _listed(Y))
     else:
-        for name, value in _in_seconds(structure, contents.notes).items():
+        fields = _in_seconds(structure, contents.notes)
+        if "OutputData" in fields:  # the other fields of an iddata are facts
+            names = (name for name in (*_NAME_OF_FIELD, "Ts") if np.size(fields.get(name, ())))
+            fields = {name: fields[name] for name in names}
+        for name, value in fields.items():
             units = structure.get(_UNIT_OF_FIELD.get(name, ""))
             yield _NAME_OF_FIELD.get(name, name), value, _texts(units)
 

@@ -16,6 +16,7 @@ import pyarrow
 import pytest
 from armrig import Dataset, FileError, load_data, load_signals
 from armrig.data.files import table
+from armrig.data.files.kinds import table_of
 from armrig.data.step import DOUBT, codes_of
 from pyarrow import parquet
 from scipy.io import savemat
@@ -485,8 +486,10 @@ def of_get(**fields: Any) -> dict[str, Any]:
 def test_the_fields_of_an_iddata_have_its_units(
     fields: dict[str, Any], Ts: float, note: str, tmp_path: Path
 ) -> None:
-    data = load_data(mat(tmp_path, of_get(**fields)))
+    path = mat(tmp_path, of_get(**fields))
+    data = load_data(path)
 
+    assert not table_of(path.read_bytes(), ".mat").refused
     assert_read(data, Ts)
     assert (data.input_unit, data.unit) == ("V", "degC")
     assert list(data.history[:1]) == [note] * bool(note)
