@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armrig.data.files.stamps import Times
 from armrig.data.files.table import Vector
-from armrig.data.step import DOUBT, Step
+from armrig.data.step import DOUBT, Step, codes_of
 from armrig.numerics.quantities import digits, plural
 from armrig.numerics.stretches import Mask, pieces
 
@@ -29,6 +29,8 @@ _MAX_LEFT_OUT = 20  # rows that are put in at one place; a longer gap begins an 
 _MAX_CAUGHT_UP = 10  # intervals within which late rows catch up
 _MAX_INTERPOLATED = 3.0  # usual intervals; y is missing inside a longer one
 _MIN_SHARE = 1e-6
+_MAX_EARLY = 1e-3  # of Ts, by which a held input may change after an instant and count at it
+_UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # in s, that times without a unit may have
 _MAX_GAP = 1e9  # usual intervals
 _MAX_FINER = 100.0  # samples for each row
 _MAX_DIGITS = 12
@@ -63,7 +65,9 @@ class Grid:
             return placed
         t, wanted = self.times
         x = x[self.at]
-        before = np.clip(np.searchsorted(t, wanted + 1e-9 * self.Ts, side="right") - 1, 0, None)
+        # Times since 1970 are rounded to 0.2 µs.
+        error = (_MAX_EARLY if held else 1e-9) * self.Ts
+        before = np.clip(np.searchsorted(t, wanted + error, side="right") - 1, 0, None)
         if held:
             return np.asarray(x[before])
         after = np.minimum(before + 1, t.size - 1)
@@ -117,7 +121,12 @@ def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) ->
     if Ts is None:
         return replace(grid, notes=[*times.notes, *grid.notes])
     notes = [*times.notes, *grid.notes]
-    if not isclose(grid.Ts, Ts, rel_tol=_MAX_DEVIATION):
+    fits = [unit for unit in _UNITS if isclose(grid.Ts * unit, Ts, rel_tol=_MAX_DEVIATION)]
+    doubts = [note for note in times.notes if not times.has_unit and DOUBT in codes_of([note])]
+    if fits and doubts:
+        notes = [note for note in notes if note not in doubts]
+        notes.append(f"{times.name} have no unit: the given Ts = {Ts:g} s is that of their rows")
+    elif 1.0 not in fits:
         text = f"used the given Ts = {Ts:g} s, although the times are {grid.Ts:g} s apart"
         notes.insert(0, Step(text, DOUBT))
     return replace(grid, Ts=Ts, notes=notes)

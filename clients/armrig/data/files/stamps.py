@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -18,9 +18,9 @@ from armrig.numerics.quantities import digits
 
 _UNITS = {
     1.0: "s sec secs second seconds",
-    1e-3: "ms msec millis millisecond milliseconds",
-    1e-6: "us µs μs usec micros microsecond microseconds",
-    1e-9: "ns nsec nanos nanosecond nanoseconds",
+    1e-3: "ms msec msecs millis millisecond milliseconds",
+    1e-6: "us µs μs usec usecs micros microsecond microseconds",
+    1e-9: "ns nsec nsecs nanosec nanosecs nanos nanosecond nanoseconds",
     60.0: "min mins minute minutes",
     3600.0: "h hr hrs hour hours",
     86400.0: "d day days",
@@ -33,21 +33,36 @@ _WITH_UNIT = re.compile(
 _TIME_NAMES = frozenset(
     {"t", "time", "times", "timestamp", "timestamps", "time_stamp", "datetime", "date_time"}
     | {"elapsed", "elapsed_time", "zeit", "uhrzeit", "tid", "temps", "tiempo", "millis", "micros"}
-    | {"tout", "x_value", "datum_zeit", "zeitstempel"}
+    | {"tout", "x_value", "datum_zeit", "zeitstempel", "created_at", "last_changed"}
 )
 _BETWEEN_WORDS = re.compile(r"[\s/_-]+")
-_DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
+DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
+"""Names of a column of dates beside one of times of day."""
 _DAY_S = 86400.0
+_NANO = 1e-9
+_FRACTIONS = (_NANO, 1e-6, 1e-3)  # units, in s, of a second column
+_EPOCH = "s since 1970"
 _EPOCH_S = (9e8, 4.2e9)  # 1998 to 2103, in seconds since 1970, or since 1904
 _DOUBTFUL_S = 1.0  # smallest usual interval without a unit that may be ms
+_LONG_S = 100.0  # usual interval from which a unit of ms or µs is more usual
+_YEAR_S = 3.2e7  # times without a unit are not seconds beyond it
+_MOST_MS = 1000.0  # usual interval in ms; longer ones are µs
 _TIME_OF_DAY = re.compile(
-    r"(?:(?P<h>\d{1,3}):)?(?P<m>\d{1,3}):(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+    r"(?:(?P<days>-?\d+) days?,? \+?)?(?:(?P<h>\d{1,3}):)?(?P<m>\d{1,3}):"
+    r"(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
 )
 _DATE = re.compile(r"(?P<a>\d{1,2})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)")
 _HOURS_AND_MINUTES = re.compile(r"\d{1,3}:\d\d")
 _SECONDS_WRITTEN = re.compile(r":\d\d[:.,]\d")
-_MATLAB = ("%d-%b-%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S.%f")
-_BEGIN = (datetime(2000, 1, 1), datetime(2000, 1, 1, tzinfo=UTC))  # of dates as numbers
+_FRACTION = re.compile(r"(?<=:\d\d:\d\d)[.,](\d+)")
+_ZONE = re.compile(
+    r"(?P<moment>.*?:\d\d(?:[.,]\d+)?(?: [AP]M)?)\s*(?P<name>Z|[A-Z]{3,5})?"
+    r"(?:(?P<sign>[+-])(?P<h>\d\d?)(?::?(?P<m>[0-5]\d))?)?(?:\[.*\])?",
+    re.IGNORECASE,
+)
+_UTC = "UTC"
+_MATLAB = "%d-%b-%Y %H:%M:%S"
+_BEGIN = (datetime(1970, 1, 1), datetime(1970, 1, 1, tzinfo=UTC))  # of dates as numbers
 _TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
 _BY_SIZE = (
@@ -82,18 +97,30 @@ class Times:
     """Function that returns the place of row k in the file."""
     notes: Sequence[str] = ()
     """Notes about the unit or the clock."""
+    begin: float = 0.0
+    """Time of the first row, in s from the origin of the clock."""
+    clock: str = ""
+    """Origin of the clock, such as `s since 1970`; "" if it is not known."""
+    has_unit: bool = True
+    """Whether the header, or the size of the times, states their unit."""
 
 
 def time_columns(table: Table) -> list[int]:
     """Return the indices of the columns whose names mean the time; the plainest names first."""
     names = [_folded(column) for column in table.columns]
     plain = [i for i, name in enumerate(names) if name in ("t", "time")]
-    return plain or [i for i, name in enumerate(names) if _base(name) in _TIME_NAMES]
+    named = [i for i in range(len(names)) if is_time(table.columns[i]) or has_nanoseconds(table, i)]
+    return plain or [i for i in named if not (i and has_nanoseconds(table, i - 1))]
+
+
+def is_time(column: Column) -> bool:
+    """Return whether the name of a column means the time."""
+    return _base(_folded(column)) in _TIME_NAMES
 
 
 def _folded(column: Column) -> str:
     """Return the name of a column in lower case, such as millis for `millis()`."""
-    return column.name.casefold()[:_MAX_NAME].removesuffix("()")
+    return column.name.casefold()[:_MAX_NAME].lstrip("%").removesuffix("()")
 
 
 def _base(name: str) -> str:
@@ -124,13 +151,13 @@ def times_of(table: Table, i: int) -> Times:
     column, cells = table.columns[i], table.texts(i)
     named = f"the times in column {shown(column.name)}" if column.name else "the times"
     if cells and all(number(cells[0], mark) is None for mark in ".,"):
-        t, resolution, notes = _of_stamps(table, i, cells)
+        times = _of_stamps(table, i, cells, named)
     else:
-        t, resolution, notes = _of_numbers(table, i, named)
-    return Times(t=t, resolution=resolution, name=named, place=table.place, notes=notes)
+        times = _of_numbers(table, i, named)
+    return _with_fractions(table, i, times)
 
 
-def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[str]]:
+def _of_numbers(table: Table, i: int, named: str) -> Times:
     """Return times in s, their resolution, and notes about their unit."""
     t = table.numbers(i)
     missing = ~np.isfinite(t)
@@ -139,24 +166,26 @@ def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[s
             f"{table.place(int(np.argmax(missing)))}: {named} have no value here; add it, or give "
             "Ts in s (--Ts)"
         )
-    unit, notes = _unit_of(table.columns[i], named), list[str]()
+    unit, notes, clock = _unit_of(table.columns[i], named), list[str](), ""
+    has_unit = unit is not None
     middle = float(np.median(t)) if t.size else 0.0
     usual = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if unit is None:
         for name, (least, most, largest, size) in zip(_NAMES, _BY_SIZE, strict=True):
             if least <= middle < most and usual < largest:
-                unit = size
+                unit, has_unit, clock = size, True, f"s, from {name.partition(';')[0]}"
                 notes.append(Step(f"read {named} as {name}", *codes_of([name])))
                 break
         else:
-            unit = 1.0
             if (k := _carry(t)) is not None:
                 raise FileError(
                     f"{table.place(k)}: {named} go from {t[k - 1]:.16g} to {t[k]:.16g}, as digits "
                     "of a clock: write them as 09:59:59, or give Ts in s (--Ts)"
                 )
-            if usual >= _DOUBTFUL_S:
-                notes.append(Step(f"{named} have no unit: read as s", DOUBT))
+            unit, doubts = _without_unit(t, usual, named, table.columns[i].name)
+            notes += doubts
+    if _EPOCH_S[0] <= middle * unit < _EPOCH_S[1]:
+        clock = _EPOCH
     for bits in _TIMER_BITS:
         steps = np.diff(t)
         wraps = (steps < 0) & (np.abs(steps + 2.0**bits - usual) <= usual)
@@ -169,8 +198,84 @@ def _of_numbers(table: Table, i: int, named: str) -> tuple[Vector, float, list[s
             f"{named} span {digits(span, 3)} s, allowed are {_SPAN_S[0]:g} to {_SPAN_S[1]:g} s; "
             "give Ts in s (--Ts)"
         )
-    # The difference first: the unit of an epoch in ns would round times of 1e18.
-    return (t - t[:1]) * unit, _last_digit(t) * unit, notes
+    return Times(
+        # The difference first: the unit of an epoch in ns would round times of 1e18.
+        t=(t - t[:1]) * unit,
+        resolution=_last_digit(t) * unit,
+        name=named,
+        place=table.place,
+        notes=notes,
+        begin=float(t[0]) * unit if t.size else 0.0,
+        clock=clock,
+        has_unit=has_unit,
+    )
+
+
+def _without_unit(t: Vector, usual: float, named: str, name: str) -> tuple[float, list[str]]:
+    """Return the unit, in s, of times whose header has none, and a doubt if it may be another."""
+    if usual < _DOUBTFUL_S:
+        return 1.0, []
+    if usual < _LONG_S:
+        return 1.0, [Step(f"{named} have no unit: read as s", DOUBT)]
+    # No file covers a year from the start of its clock.
+    sizes = {"s": 1.0, "ms": 1e-3 * (usual < _MOST_MS), "us": 1e-6, "ns": 1e-9}
+    longest = float(np.abs(t).max())
+    unit = next((u for u, size in sizes.items() if size and longest * size <= _YEAR_S), "s")
+    others = " or ".join(f"{name or 'time'}_{u}" for u in ("s", "ms", "us") if u != unit)
+    text = (
+        f"{named} have no unit and are {usual:.10g} apart: read as {unit}, so Ts is "
+        f"{usual * sizes[unit]:g} s; if they are not, rename the column to {others}, or give Ts in "
+        "s (--Ts)"
+    )
+    return sizes[unit], [Step(text, DOUBT)]
+
+
+def base_and_unit(column: Column) -> tuple[str, str]:
+    """Return the name of a column without a unit of time, and this unit, "" without one."""
+    if column.unit:
+        unit = column.unit.casefold().removesuffix(".")
+        return _folded(column), unit if unit in _SECONDS else ""
+    parts = _WITH_UNIT.fullmatch(_folded(column))
+    return (parts["base"] or "", parts["unit"]) if parts else (_folded(column), "")
+
+
+def has_nanoseconds(table: Table, i: int) -> bool:
+    """Return whether column i is named as seconds, and the next column as their nanoseconds."""
+    (base, unit), *after = map(base_and_unit, table.columns[i : i + 2])
+    return _SECONDS.get(unit) == 1 and [(b, _SECONDS.get(u)) for b, u in after] == [(base, _NANO)]
+
+
+def _with_fractions(table: Table, i: int, times: Times) -> Times:
+    """Add the next column, if it contains the fractions of times in whole seconds."""
+    d_s, n = np.diff(times.t), np.empty(0)
+    if i + 1 >= len(table.columns) or not d_s.any() or np.any((d_s < 0) | (d_s != np.rint(d_s))):
+        return times
+    column = table.columns[i + 1]
+    base, unit = base_and_unit(column)
+    is_named = bool(unit) and base in ("", base_and_unit(table.columns[i])[0])
+    if column.name and not is_named:
+        return times
+    with suppress(FileError):
+        n = table.numbers(i + 1)
+    if n.shape != times.t.shape or not np.all((n >= 0) & (n < 1 / _NANO) & (n == np.rint(n))):
+        return times
+    # Without names, only a fraction falls where the seconds rise.
+    if not is_named and (np.all(d_s > 0) or not np.array_equal(d_s > 0, np.diff(n) < 0)):
+        return times
+    for size in [_SECONDS[unit]] if is_named else _FRACTIONS:
+        d = d_s + size * np.diff(n)
+        is_even = is_named or abs(np.median(d[d_s > 0]) - np.median(d)) <= np.median(d) / 2
+        if size < 1 and n.max() * size < 1 and d.min() >= 0 and is_even:
+            text = f"added column {shown(column.name) or i + 2} to {times.name}, in {size:g} s"
+            return replace(
+                times,
+                t=times.t + size * (n - n[0]),
+                begin=times.begin + size * float(n[0]),
+                resolution=size * _last_digit(n),
+                notes=[*(note for note in times.notes if not codes_of([note])[0]), text],
+                has_unit=True,
+            )
+    return times
 
 
 def _carry(t: Vector) -> int | None:
@@ -193,34 +298,51 @@ def _last_digit(t: Vector) -> float:
     return 0.0
 
 
-def _of_stamps(table: Table, i: int, cells: Sequence[str]) -> tuple[Vector, float, list[str]]:
+def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
     """Return the times of dates or times of day, without the changes of a clock."""
     is_time = bool(_TIME_OF_DAY.fullmatch(cells[0].strip()))
-    dates = [j for j, column in enumerate(table.columns) if column.name.casefold() in _DATE_NAMES]
+    dates = [j for j, column in enumerate(table.columns) if column.name.casefold() in DATE_NAMES]
     if is_time and dates and dates[0] != i:
         days, is_time = table.texts(dates[0]), False
         cells = [f"{day.strip()} {cell.strip()}" for day, cell in zip(days, cells, strict=True)]
     notes: list[str] = []
     if not table.columns[i].unit and _HOURS_AND_MINUTES.fullmatch(cells[0].strip()):
         notes.append(Step(f"times such as {cells[0].strip()} are read as hours:minutes", DOUBT))
-    month_first, t, is_local = _month_first(cells), np.empty(len(cells)), True
+    month_first, zones = _month_first(cells), dict[str, int]()
+    whole, part = np.empty(len(cells)), np.empty(len(cells))
     for k, cell in enumerate(map(str.strip, cells)):
         try:
-            t[k], has_zone = _moment(cell, month_first)
-            is_local &= not has_zone
+            whole[k], part[k], zone = _moment(cell, month_first)
         except (ValueError, OverflowError):
             raise FileError(
                 f"{table.place(k)}: '{shown(cell)}' is not a time; write a number, or a time such "
                 "as 2024-03-31T01:59:00 or 01:59:00.25, or give Ts in s (--Ts)"
             ) from None
-    if is_time:
+        if zones.setdefault(zone, k) == k and len(zones) > 1:
+            raise FileError(
+                f"{table.place(k)}: '{shown(cell)}' is in another time zone than the times before; "
+                "write all times in UTC, or with their offsets, as 2024-03-31T01:59:00+01:00"
+            )
+    begin = float(whole[0] + part[0])
+    t = (whole - whole[0]) + (part - part[0])  # exact, because the differences are small
+    is_span = "day" in cells[0]
+    if is_time and not is_span:
         t += _DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -_DAY_S / 2)  # midnight
-    t -= t[:1]
-    if is_local:
+    if "" in zones:
         t, changes = _without_clock_changes(t, table.place)
         notes += changes
     has_seconds = any(map(_SECONDS_WRITTEN.search, cells)) or ":" not in cells[0]
-    return t, _last_digit(t) if has_seconds else 60.0, notes
+    clock = _EPOCH if zones.keys() == {_UTC} else f"{_EPOCH} in {''.join(zones) or 'local time'}"
+    clock = "s since midnight" if is_time else clock
+    return Times(
+        t=t,
+        resolution=_last_digit(t) if has_seconds else 60.0,
+        name=named,
+        place=table.place,
+        notes=notes,
+        begin=begin,
+        clock="" if is_span else clock,
+    )
 
 
 def _month_first(cells: Sequence[str]) -> bool:
@@ -241,24 +363,35 @@ def _month_first(cells: Sequence[str]) -> bool:
     return any(part["mark"] == "/" for part in parts)
 
 
-def _moment(text: str, month_first: bool) -> tuple[float, bool]:
-    """Return the seconds of a date or a time of day, and whether its zone is written."""
+def _moment(text: str, month_first: bool) -> tuple[float, float, str]:
+    """Return the seconds of a date, those to add, and the time zone, "" if none is written."""
+    part = 0.0
+    if found := _FRACTION.search(text):
+        part, text = float(f"0.{found[1]}"), text[: found.start()] + text[found.end() :]
     with suppress(ValueError):  # first, because it is fast
         moment = datetime.fromisoformat(text)
-        return (moment - _BEGIN[moment.tzinfo is not None]).total_seconds(), bool(moment.tzinfo)
+        span = moment - _BEGIN[moment.tzinfo is not None]
+        seconds = span.days * _DAY_S + span.seconds
+        return seconds, part + 1e-6 * span.microseconds, _UTC if moment.tzinfo else ""
+    if (found := _ZONE.fullmatch(text)) and text != found["moment"]:
+        seconds, more, zone = _moment(found["moment"], month_first)
+        name, sign = (found["name"] or _UTC).upper(), found["sign"]
+        offset = 3600.0 * int(found["h"] or 0) + 60.0 * int(found["m"] or 0)
+        zone = zone or (_UTC if sign or name in ("Z", "GMT") else name)
+        return seconds - offset * (-1 if sign == "-" else 1), part + more, zone
     if _TIME_OF_DAY.fullmatch(text):
-        return _time_of_day(text), False
+        return 0.0, part + _time_of_day(text), ""
     if found := _DATE.match(text):
         a, b, year = int(found["a"]), int(found["b"]), int(found["year"])
         month, day = (a, b) if month_first else (b, a)
         begin = datetime(year + 2000 * (year < 100), month, day) - _BEGIN[0]
         rest = text[found.end() :].strip(" T,") or "0:00:00"
-        return begin.total_seconds() + _time_of_day(rest), False
+        return begin.total_seconds(), part + _time_of_day(rest), ""
     plain = text.replace(",", ".").replace("/", "-")
     if plain != text:
-        return _moment(plain, month_first)
-    moment = datetime.strptime(text, _MATLAB["." in text])
-    return (moment - _BEGIN[0]).total_seconds(), False
+        seconds, more, zone = _moment(plain, month_first)
+        return seconds, part + more, zone
+    return (datetime.strptime(text, _MATLAB) - _BEGIN[0]).total_seconds(), part, ""
 
 
 def _time_of_day(text: str) -> float:
@@ -270,7 +403,7 @@ def _time_of_day(text: str) -> float:
         hours, minutes, seconds = minutes, int(seconds), "0"
     if half := (found["half"] or "").casefold()[:1]:
         hours = hours % 12 + 12 * (half == "p")
-    return 3600.0 * hours + 60.0 * minutes + float(seconds)
+    return _DAY_S * int(found["days"] or 0) + 3600.0 * hours + 60.0 * minutes + float(seconds)
 
 
 def _without_clock_changes(t: Vector, place: Callable[[int], str]) -> tuple[Vector, list[str]]:

@@ -421,8 +421,9 @@ def test_two_structures_with_the_same_times_are_read_together(tmp_path: Path) ->
 
     assert_read(load_data(path, input="uout", signal="yout"), 0.5)
     other = mat(tmp_path, values | {"yout": logged(2 * T, (cube, ""))})
-    with pytest.raises(FileError, match=r"sampling time is not known.*1 yout\.time"):
-        load_data(other, input="uout", signal="yout")
+    data = load_data(other, input="uout", signal="yout")
+    assert data.Ts == 1.0
+    assert "uout has its own times, uout.time: held to the times of yout" in data.history[0]
 
 
 def test_a_structure_without_times_needs_a_sampling_time(tmp_path: Path) -> None:
