@@ -154,7 +154,7 @@ def codes(data: armrig.Dataset, *, search: bool = False) -> dict[str, Any]:
     """Return the codes of all verdicts on the data; a refusal is the name of its exception."""
 
     def of_tests() -> list[Any]:
-        known = tested(data, None)
+        known = tested(data, None, None)
         late = known.late
         decided = known.integration
         return [

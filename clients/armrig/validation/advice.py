@@ -30,7 +30,7 @@ from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import CHANNEL, DESCRIBED, RegisteredStructure
 from armrig.models.transfer_function import TransferFunction
-from armrig.numerics.quantities import digits, near_one, p_relation, percent, plural
+from armrig.numerics.quantities import digits, listed, near_one, p_relation, percent, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT
 from armrig.validation.feedback_and_delay.by_channel import ByChannel, Name, each_channel
 from armrig.validation.feedback_and_delay.delay import delay
@@ -133,7 +133,7 @@ def _advice_on_data(data: Dataset, whole: Signals | None = None) -> Advice:
     if text := constancy(data.output, data.y):
         found = (_about_input(data), warning("output", text))
         return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=found)
-    known = tested(data, None)
+    known = tested(data, None, whole)
     each = in_open_loop(data, known.loop)
     tests = [(good if t.linear else warning)("linearity", t.line) for t in each]
     findings = (*few_samples(data.N), *examine_experiment(data, known, whole), *tests)
@@ -277,9 +277,9 @@ class Tested:
         return self.loop is not None and self.loop.p_value < CHANCE_LEVEL
 
 
-def tested(data: Dataset, integrator: bool | None) -> Tested:
-    """Test data for an integrator, feedback and a delay."""
-    decided = integration(data, integrator)
+def tested(data: Dataset, integrator: bool | None, whole: Signals | None) -> Tested:
+    """Test data for an integrator, feedback and a delay; `whole` has all inputs of the output."""
+    decided = integration(data, integrator, whole)
     late: Delay | str
     try:
         late = delay(data, integrator=decided.integrates)
@@ -350,7 +350,7 @@ def examine_fit_of(
         yield from doubts_of_channels(data.signals())
         return
     data = data.signals().dataset()
-    known = tested(data, fit.integrator or integrator)
+    known = tested(data, fit.integrator or integrator, None)
     free = isinstance(fit.form, TransferFunction) and fit.form.delay_estimated
     in_s, fit = fit.Ts == 0, fit.to_discrete() if fit.Ts == 0 else fit
     order, needed = excitation_order(data), sum(s.stop - s.start for s in map(fit.slice_of, "bfa"))
@@ -409,11 +409,17 @@ def _about_integrator(decided: Integration) -> Finding:
         return warning("unstable", f"{text}it; take ARMAX or ARX, and predict", "check")
     if not decided.integrates:
         hidden = "not shown, because a slow pole looks the same"
-        return good("integrator", hidden if decided.undecided else "none is seen")
+        none = f"none is seen{without_others(decided.others)}"
+        return good("integrator", hidden if decided.undecided else none)
     text = decided.reason or "the output is an angle"
     text += ": fix its pole (OE with the option integrator), and remove no linear trend"
     text += "; --assume settling, if it settles" * bool(decided.reason)
     return good("integrator", text)
+
+
+def without_others(others: tuple[str, ...]) -> str:
+    """Return a text about inputs without which y would seem to integrate; "" without such."""
+    return f"; without {listed(others)}, y would seem to integrate" if others else ""
 
 
 def _about_outliers(data: Signals) -> Finding:

@@ -289,7 +289,7 @@ def _planned(
     if isinstance(data, Dataset):
         (mark,) = (None,) if integrator is None else integrating_outputs(integrator, data)
         require_no_copies(as_dataset(whole))
-        known = tested(data, mark)
+        known = tested(data, mark, None)
         if known.loop is not None and known.loop.exact:
             raise InputError(EXACT)
         decided, late = known.integration, known.late

@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, Vector
+from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding, good, warning
 from armrig.estimation.data_faults import require_moving_output, require_no_copies
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
@@ -27,7 +27,7 @@ from armrig.models.spectral_estimate import (
 )
 from armrig.numerics.quantities import digits, listed, minus, plural
 from armrig.plots.layout import drawn_by
-from armrig.validation.advice import about_feedback, poor_input, tested
+from armrig.validation.advice import about_feedback, poor_input, tested, without_others
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
 from armrig.validation.feedback_and_delay.open_loop import EXACT
@@ -91,6 +91,8 @@ class StructureHints:
     """Regularised impulse response."""
     unstable: bool = False
     """True if y grows without u: a pole is outside the unit circle."""
+    others: tuple[str, ...] = ()
+    """Other inputs, without which an output that settles would seem to integrate."""
 
     @property
     def family(self) -> str:
@@ -147,9 +149,14 @@ class StructureHints:
         return "\n  ".join(lines)
 
 
-@each_channel(together=lambda found: f"all channels: {call_of_all(found)}")
+@each_channel(
+    lambda data, y, u: (data.dataset(y, u), {"whole": data.channels([y])}),
+    lambda found: f"all channels: {call_of_all(found)}",
+)
 @takes_recordings
-def structure_hints(data: Dataset, *, integrator: bool | None = None) -> StructureHints:
+def structure_hints(
+    data: Dataset, *, integrator: bool | None = None, whole: Signals | None = None
+) -> StructureHints:
     """Recommend at most three structures, with the reasons for them.
 
     The structures are the output-error structures with the shortest description lengths, after a
@@ -171,6 +178,8 @@ def structure_hints(data: Dataset, *, integrator: bool | None = None) -> Structu
         the other inputs are part of the noise.
     integrator : bool, optional
         True if y integrates; by default the data decide.
+    whole : Signals, optional
+        The output with all inputs that move it, for the test for an integrator; by default `data`.
 
     Returns
     -------
@@ -200,7 +209,7 @@ def structure_hints(data: Dataset, *, integrator: bool | None = None) -> Structu
     """
     require_moving_output(data)
     require_no_copies(data)
-    known = tested(data, integrator)
+    known = tested(data, integrator, whole)
     if known.loop is not None and known.loop.exact:
         raise InputError(EXACT)
     decided, late = known.integration, known.late if isinstance(known.late, Delay) else None
@@ -237,6 +246,7 @@ def structure_hints(data: Dataset, *, integrator: bool | None = None) -> Structu
         spectrum=spectrum,
         response=response,
         unstable=decided.unstable,
+        others=decided.others,
     )
 
 
@@ -346,9 +356,10 @@ def _about_integrator(h: StructureHints) -> Finding:
     verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
     if not h.integrator_shown:
         verdict = "not shown, because a slow pole looks the same: try both"
+    others = without_others(h.others)
     if h.low_slope is None:
-        return good("integrator", verdict)
+        return good("integrator", f"{verdict}{others}")
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
         verdict = f"a slow pole, and {verdict}, since a pole at 1 fits worse"
     text = f"|G| has a slope of {minus(digits(h.low_slope, 3))} dB a decade at low frequency "
-    return good("integrator", f"{text}(0 without one, −20 with one): {verdict}")
+    return good("integrator", f"{text}(0 without one, −20 with one): {verdict}{others}")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.finding import warning
+from armrig.data.treatment.integrating import integration
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.polynomial import filtered
 from armrig.validation.advice import Advice, _about_negative_poles, _about_pole_at_1, examine_fit_of
@@ -265,3 +266,37 @@ def test_pulses_of_another_input_are_no_outliers() -> None:
 
     assert "outliers" in told(armrig.advice(data.dataset("y", "u1")))
     assert "outliers" not in told(found["y", "u1"])
+
+
+def slow_heaters() -> Signals:
+    """Return the temperature between two heaters; its time constant is a fifth of the record."""
+    rng, pole = np.random.default_rng([87, 14]), np.exp(-1 / 175)
+    q = np.column_stack([np.repeat(rng.choice([0.0, 40.0, 80.0], 10), 90) for _ in range(2)])
+    T = filtered(np.append(np.zeros(16), 0.9 * (1 - pole)), [1, -pole], q @ [1.0, 0.3])
+    T += 22 + 0.1 * rng.standard_normal(900)
+    return Signals(u=q, y=T[:, None], Ts=1.0, inputs=["Q1", "Q2"], outputs=["T1"])
+
+
+def test_a_slow_output_that_another_input_moves_is_not_called_integrating() -> None:
+    data = slow_heaters()
+
+    alone = integration(data.dataset("T1", "Q1"), None)
+    hints: Any = armrig.structure_hints(data)
+    findings: Any = armrig.advice(data)
+
+    assert alone.undecided
+    assert not alone.integrates
+    for found in (hints["T1", "Q1"], findings["T1", "Q1"]):
+        assert "without Q2, y would seem to integrate" in found.explain()
+
+
+def test_an_output_that_integrates_one_of_two_inputs_keeps_its_integrator() -> None:
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], (80, 2)), 10, axis=0)
+    y = filtered([0, 0.1], [1, -1], u[:, 0]) + filtered([0, 0.5], [1, -0.5], u[:, 1])
+    y += 0.05 * rng.standard_normal(800)
+    data = Signals(u=u, y=y[:, None], Ts=0.1, inputs=["u1", "u2"])
+
+    decided = [integration(data.dataset("y", name), None, data) for name in data.inputs]
+
+    assert [one.integrates for one in decided] == [True, False]

@@ -29,6 +29,7 @@ _MAX_RISE = 10.83  # chi-squared, 1 degree of freedom, 99.9 %
 _MAX_EFFECT_P = 1e-5  # p value of the integrated response to u below which y may integrate
 _UNDECIDED_P = 0.01  # the same above which y does not
 _MIN_RECORD_SHARE = 0.1  # least time constant of a pole that counts as 1, as a share of the record
+_MIN_SHARE_OF_TEST = 0.2  # the same in the test: a disturbance hides that a slow heater settles
 _POLE_ROUNDING = 1e-9
 _REMOVED = 1e-10  # relative norm below which a filtered column is rounding
 _UNSTABLE_SIGMAS = 4.0  # distance of an unstable pole from 1
@@ -100,7 +101,7 @@ class PoleTest:
     @property
     def integrates(self) -> bool:
         """True if the pole may be 1, and each other possible pole is as good as 1 in the record."""
-        return self.possible and self.share >= _MIN_RECORD_SHARE
+        return self.possible and self.share >= _MIN_SHARE_OF_TEST
 
 
 def pole_test(data: Signals, i: int) -> PoleTest | None:
@@ -368,6 +369,8 @@ class Integration:
     """True if y is theta_1, and its response returns within a tenth of the record."""
     unstable: bool = False
     """True if the response of y to u has a real pole outside the unit circle."""
+    others: tuple[str, ...] = ()
+    """Other inputs, without which an output that settles would seem to integrate."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -378,13 +381,16 @@ class Integration:
         return (f"{self.reason}: {what}",)
 
 
-def integration(data: Dataset, integrator: bool | None) -> Integration:
-    """Decide whether the output is taken as integrating.
+def integration(
+    data: Dataset, integrator: bool | None, whole: Signals | None = None
+) -> Integration:
+    """Decide whether the output is taken as integrating; `whole` has all inputs of the output.
 
     If `integrator` is given, its value is the decision. Otherwise an output integrates if its name
     is theta_1, or if `pole_test` finds an integrator. In this last case, the notes report the
     result of the test. If the response of theta_1 returns, another rig may be read as theta_1, or a
-    controller may hold the angle.
+    controller may hold the angle. Another input that moves a slow output hides that it returns, so
+    the test with all inputs can reject an integrator.
     """
     if integrator is not None:
         return Integration(integrates=integrator)
@@ -394,6 +400,11 @@ def integration(data: Dataset, integrator: bool | None) -> Integration:
         return Integration(integrates=True, rejected=returns)
     if found is None:
         return Integration(integrates=False, undecided=True)
+    if (found.integrates or found.undecided) and whole is not None and whole.nu > 1:
+        together = pole_test(whole, 0)
+        if together is not None and together.rise > _MAX_RISE and np.isfinite(together.rise):
+            others = tuple(name for name in whole.inputs if name != data.input)
+            return Integration(integrates=False, others=others)
     return Integration(
         integrates=found.integrates,
         reason=_evidence(data.output, found).text if found.integrates else "",
