@@ -258,7 +258,7 @@ def _tables(case: Case, rng: Generator, t: Pair, u: Column, y: Column) -> list[l
     d, clock, n = case.dialect, case.dialect["clock"], t[0].size
     are_two = clock in ("two clocks", "two files")
     if clock in SEVERAL:
-        clock = draw(rng, "s", "s", "iso", "epoch ms") if case.Ts >= 1e-3 else "s"
+        clock = draw(rng, "s", "s", "iso", "epoch ms") if case.Ts >= 0.01 else "s"
     times = _clock_columns(rng, np.concatenate(t) if are_two else t[1], clock, d)
     case.facts |= {"time": times[0][0]} if times else {}
     if d["clock"] == "long":
