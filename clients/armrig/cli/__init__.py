@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import version
+from keyword import iskeyword
 from pathlib import Path
 from traceback import format_exception
 from typing import Any
@@ -30,7 +31,10 @@ _HELP_INDENT = 6
 _HEADINGS = {
     "Rig": {"rig": "lab status watch stop reset note dashboard", "calibration": "calibrate"},
     "Runs": {"runs": "collect record play", "demo": "demo"},
-    "Recordings": {"recordings": "ls info plot verify export recover replay"},
+    "Recordings": {
+        "imports": "import",
+        "recordings": "ls info plot verify export recover replay",
+    },
     "Identify": {"identify": "sampling hints identify batch"},
     "Validate": {"validate": "validate compare check linearity report"},
     "Physics": {"physics": "model simulate greybox split integrate"},
@@ -51,6 +55,7 @@ _EXAMPLES = {
     "record": "--from unixsock-stream//run/armrig/1.sock -o monday.mcap",
     "play": "@last --speed 10",
     "demo": "--directory demo",
+    "import": "heater.csv --input power --signal temp --name heater",
     "info": "@last",
     "plot": "@last -o data.png",
     "verify": "@last",
@@ -144,12 +149,13 @@ def app(*names: str) -> typer.Typer:
         with_options(_options)
     )
     for name in names or _MODULES:
-        command = getattr(import_module(f"armrig.cli.{_MODULES[name]}"), name)
+        module = import_module(f"armrig.cli.{_MODULES[name]}")
+        command = getattr(module, f"{name}_" if iskeyword(name) else name)
         if isinstance(command, typer.Typer):
             found.add_typer(command, name=name, context_settings=HELP)
         else:
             line = f"Example: armrig {name} {_EXAMPLES.get(name, '')}".rstrip()
-            found.command(epilog=line, context_settings=HELP)(with_options(command))
+            found.command(name, epilog=line, context_settings=HELP)(with_options(command))
     return found
 
 

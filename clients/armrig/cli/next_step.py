@@ -19,6 +19,7 @@ from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS
 from msgspec import structs
 
 from armrig.cli.recorded_data import SignalChoice, from_arm, from_recording, has_level
+from armrig.data.files import RECORDING
 from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import STRUCTURES
 
@@ -49,6 +50,7 @@ NEXT: Mapping[str, str] = {
     "lab chassis": "armrig lab --config chassis.toml",
     "open": "{opener} {file}",
     "status": "armrig status{rig}",
+    "import": "armrig import {file}{given} --mask-rails",
     "info": "armrig info {file}",
     "plot": "armrig plot {file}",
     "sampling": "armrig sampling {file} -o sampling.png",
@@ -304,9 +306,12 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         # `armrig check` has no option --offset.
         "given": channel.options() + " --detrend" * (one and fit.offset and not signals.detrend),
     }
+    roles = "".join(f" {typed}" for typed in signals.given("input", "signal"))
     # The next step after the validation of one output is known for the arm's angle alone.
     known = signals.read and (not one or fit.output in INTEGRATING_OUTPUTS)
-    if options == CHECK:
+    if "rails" in {f.remedy for f in findings}:
+        say_next("import", file=_original(found.file), given=roles)
+    elif options == CHECK:
         say_next("check", **values)
     elif found.save is None or options != options_of(found.request):
         say_next("identify", **values)
@@ -318,6 +323,14 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         say_next("validate", **values | {"given": replace(signals, assume=None).options()})
     else:
         say_next("collect blackbox" if signals.read else "check", signals.origin, **values)
+
+
+def _original(file: Path) -> str:
+    """Return the quoted name of a file, or of the file from which a recording was imported."""
+    from armrig.recordings.files.imports import import_of
+
+    facts = import_of(file) if file.suffix == RECORDING else None
+    return quote(facts.sources[0].name if facts else str(file))
 
 
 def after_validate(
@@ -379,7 +392,6 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
         many = max((int(f.numbers.get("poles", 1)) for f in findings), default=1)
         after = structs.replace(after, orders=_lower(fit, many, integrator=integrator))
     options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in remedies)
-    options += " --mask-rails" * ("rails" in remedies)
     if options != options_of(request):
         return options
     checked = {f.about for f in findings if f.remedy == "check"}

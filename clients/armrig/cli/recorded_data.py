@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from math import ceil
 from pathlib import Path
@@ -26,6 +28,7 @@ from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals, Vector
+    from armrig.data.files.imported_file import Import
     from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.files.origin import Origin
@@ -72,8 +75,6 @@ DataFile = Annotated[
     Path, argument("F", f"Recording (*.mcap, {_NAMES}), or {OTHER_DATA}.", parser=recording_path)
 ]
 Assumption = Literal["integrating", "settling"]
-READING = ("time", "Ts", "topic", "decimal", "resample", "hold_input", "mask_rails", "unwrap")
-"""Options of reading a table, which are arguments of `load_data`."""
 PART = ("calibration", "start", "stop")
 """Options of reading a recording."""
 _FLAGS = {"start": "--from", "stop": "--to"}
@@ -97,26 +98,7 @@ class DataOptions:
         "the first channel, in other data y",
         metavar="NAME",
     )
-    time: str | None = chosen(
-        None, "Column of the times in other data.", "t or time, if the file has it", metavar="NAME"
-    )
     Ts: float | None = chosen(None, "Sampling time of other data, in s.", "from the times")
-    topic: str | None = chosen(
-        None,
-        "Topic of an MCAP file of another program; its messages' fields are the columns.",
-        metavar="NAME",
-    )
-    decimal: Literal[",", "."] | None = chosen(
-        None, "Decimal mark of other data: comma or point.", "found from all numbers of the file"
-    )
-    resample: bool = chosen(False, "Interpolate other data at uneven times.")
-    hold_input: bool = chosen(False, "Hold the input where its cell is empty.")
-    mask_rails: bool = chosen(False, "Mark samples at a rail of the converter as missing.")
-    unwrap: float | None = chosen(
-        None,
-        "Range of a counter or angle that wraps, such as 65536 or 360; its jumps are removed.",
-        metavar="RANGE",
-    )
     detrend: Detrend = False
     hampel: bool = chosen(False, "Mark single outliers of the output as missing.")
     assume: Assumption | None = chosen(
@@ -163,6 +145,22 @@ def names(option: str, text: str | None) -> tuple[str, ...]:
     if repeated := [name for name in dict.fromkeys(found) if found.count(name) > 1]:
         raise typer.BadParameter(f"{option} {text}: {repeated[0]} is repeated; name it once")
     return found
+
+
+@contextmanager
+def _importable(file: Path, roles: Sequence[str]) -> Iterator[None]:
+    """Add the line of `armrig import` to the error of a file that needs an option of reading."""
+    from armrig.data.files.table import ReadingError
+
+    try:
+        yield
+    except ReadingError as err:
+        from armrig.recordings.files.imports import imported_as
+
+        if name := imported_as(hashlib.sha256(file.read_bytes()).hexdigest()):
+            raise InputError(f"{file} was imported as {name}: use {name}") from err
+        words = ["armrig import", quote(str(file)), *roles, err.option]
+        raise InputError(f"{err}; import the file first: `{' '.join(words)}`") from err
 
 
 def recorded_outputs(recording: armrig.Recording, chosen: Sequence[str]) -> list[str]:
@@ -275,15 +273,20 @@ def tell_of_reading(
     file: Path, data: Dataset | Signals, columns: Sequence[str], missing: str
 ) -> None:
     """Print first the doubts about the reading of a file, then its other facts."""
+    from armrig.recordings.files.recording_names import name_of
+
+    name = (name_of(file) if file.suffix == RECORDING else "") or str(file)
     steps = list(zip(data.history, codes_of(data.history), strict=True))
     for text, code in steps:
         if code == DOUBT:
-            tell(f"{file}: {text}")
-    tell_findings(few_samples(data.N, str(file)))
+            tell(f"{name}: {text}")
+    if name == str(file) and DOUBT in codes_of(data.history):
+        tell(f"{name}: `armrig import {quote(name)} …` takes the options that these lines name")
+    tell_findings(few_samples(data.N, name))
     facts = [text for text, code in steps if code != DOUBT]
     parts = [f"{plural(data.N, 'sample')}, {data.Ts:g} s apart", *columns]
     parts += [f"{data.missing} {missing}"] if data.missing else []
-    inform(f"{file}: {'; '.join([*parts, *facts])}", dim=True)
+    inform(f"{name}: {'; '.join([*parts, *facts])}", dim=True)
 
 
 def named(recording: armrig.Recording) -> armrig.Recording:
@@ -419,10 +422,12 @@ class SignalChoice(DataOptions):
             raise typer.BadParameter(
                 f"--assume {self.assume} is for one output and one input: leave it out"
             )
+        from armrig.recordings.files.imports import import_of
         from armrig.recordings.files.recording_summary import is_recording
 
-        is_other = self.topic is not None or not is_recording(file)
-        data = self._table(file, model) if is_other else self.recorded(file, model)
+        imported = import_of(file) if is_recording(file) else None
+        is_other = imported is not None or not is_recording(file)
+        data = self._table(file, model, imported) if is_other else self.recorded(file, model)
         return self._treated(file, data, model)
 
     def of_one(self, file: Path) -> Dataset:
@@ -442,12 +447,19 @@ class SignalChoice(DataOptions):
             inform(f"{file}: {data.history[-1]}", dim=True)
         return armrig.detrend(data) if self.detrend else data
 
-    def _table(self, file: Path, model: Fit | None) -> Dataset | Signals:
+    def _table(self, file: Path, model: Fit | None, imported: Import | None) -> Dataset | Signals:
         from armrig.estimation.data_faults import swapped
 
         outputs, inputs = self.outputs, self.inputs
         if model is not None:
             require_as_many(model, outputs, inputs)
+        if imported is not None:
+            has = {column.name for column in imported.columns}
+            if model is None or not {*model.inputs} <= has:
+                inputs = inputs or imported.inputs
+            if model is None or not {*model.outputs} <= has:
+                outputs = outputs or imported.outputs
+        if model is not None:
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
         inputs, outputs = inputs or ("u",), tuple(name or "y" for name in outputs) or ("y",)
         data = self._read(file, inputs, outputs)
@@ -496,11 +508,10 @@ class SignalChoice(DataOptions):
             raise typer.BadParameter(
                 f"--calibration applies to recordings; {file} has no readings of the rig's sensors"
             )
-        how = {name: getattr(self, name) for name in READING}
-        with spinner("reading"):
+        with spinner("reading"), _importable(file, self.given("input", "signal")):
             if len(inputs) == len(outputs) == 1:
-                return armrig.load_data(file, input=inputs[0], signal=outputs[0], **how)
-            return armrig.load_signals(file, inputs=inputs, outputs=outputs, **how)
+                return armrig.load_data(file, input=inputs[0], signal=outputs[0], Ts=self.Ts)
+            return armrig.load_signals(file, inputs=inputs, outputs=outputs, Ts=self.Ts)
 
     def recordings(self, *files: Path) -> list[armrig.Recording]:
         """Return the chosen part of recordings."""
@@ -511,7 +522,7 @@ class SignalChoice(DataOptions):
 
         Options that apply to other data are refused.
         """
-        for typed in self.given("input", *READING):
+        for typed in self.given("input", "Ts"):
             raise typer.BadParameter(f"{typed} applies to {OTHER_DATA}; {file} is a recording")
         from armrig.recordings.usability import doubts_of_pair
 

@@ -205,8 +205,20 @@ TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
+    from armrig.recordings.files.imports import imported_data
     from armrig.recordings.overview import contents_facts, contents_rows
 
+    if (data := imported_data(file)) is not None:
+        from armrig.cli.imports import import_facts, import_rows
+
+        out.show(
+            facts=lambda: import_facts(data),
+            say=lambda: print_table(
+                *import_rows(data, typed(file), file, verbose=out.verbose), verdict=True
+            ),
+            say_next=lambda: say_next("plot", file=typed(file)),
+        )
+        return
     recording = named(armrig.load(file, part.calibration, start=part.start, stop=part.stop))
     name_runs(recording)
 
@@ -236,8 +248,10 @@ def replay(file: File, json: Json = False) -> None:
 
     The exit code is 1 if a decision differs from the recording.
     """
+    from armrig.recordings.files.imports import require_rig
     from armrig.recordings.files.replay import replay as decided_again
 
+    require_rig(file, "replay")
     found = decided_again(file)
     if json:
         print_json(found)
@@ -276,9 +290,19 @@ def plot(
     The figure shows u, the channels and their rates. Missing samples and the dead band are shaded,
     and outliers are ringed. A drift is reported in the text.
     """
+    from armrig.recordings.files.imports import imported_data
     from armrig.recordings.overview import overview
 
     check_plot(figure, [file])
+    if (data := imported_data(file)) is not None:
+        from armrig.data.figures import plot_columns
+
+        [written] = write_plot(figure, signals=partial(plot_columns, data), height=7.0)
+        if json:
+            print_json({"figure": written, "samples": len(data.at)})
+        else:
+            say_next("info", file=typed(file))
+        return
     [recording] = part.recordings(file)
     with spinner("looking for outliers and drift"):
         found = overview(recording)
@@ -346,7 +370,13 @@ def export(
     A missing y is NaN.
     """
     from armrig.physics.files.poses import write_transforms
-    from armrig.recordings.files.export import write_csv, write_mat, write_parquet
+    from armrig.recordings.files.export import (
+        write_csv,
+        write_imported_columns,
+        write_mat,
+        write_parquet,
+    )
+    from armrig.recordings.files.imports import imported_data
 
     writers: dict[str, Callable[..., Any]] = {
         ".csv": partial(write_csv, raw=raw),
@@ -359,6 +389,18 @@ def export(
             f"{out}: give a name that ends in .csv, .mat or .parquet, or --transforms"
         )
     check_output(out, [file])
+    if (data := imported_data(file)) is not None:
+        if transforms or raw or signal or calibration or (start, stop) != (None, None):
+            raise InputError("imported data are exported whole: leave the options out")
+        with spinner("writing"), _whole(out):
+            write_imported_columns(data, out)
+        rows, missing = len(data.at), data.size - len(data.at)
+        print_result(
+            {"file": out, "samples": data.size, "recording": data.sha256},
+            f"{out}: {plural(rows + missing, 'sample')}, {missing} of them missing",
+            json=json,
+        )
+        return
     with spinner("reading"):
         recording = named(armrig.load(file, calibration, start=start, stop=stop))
     if signal is not None and signal not in recording.channels:

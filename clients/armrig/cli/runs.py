@@ -427,7 +427,8 @@ def _from_file(experiment: str, file: Path, seconds: float | None, run: _Run) ->
     return Played(experiment, make, details, None, is_bare=not named)
 
 
-def _experiment_name(experiment: str, name: str) -> str:
+def experiment_name(experiment: str, name: str) -> str:
+    """Return an experiment's kind with the name that a person chose; refuse other names."""
     whole = f"{experiment}-{name}" if name else experiment
     if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _MAX_NAME_LENGTH:
         most = _MAX_NAME_LENGTH - len(experiment) - 1
@@ -438,7 +439,7 @@ def _experiment_name(experiment: str, name: str) -> str:
     return whole
 
 
-def _check_name_is_free(name: str) -> None:
+def check_name_is_free(name: str) -> None:
     """Refuse the name of a complete recording; otherwise the name would become ambiguous."""
     if name and name in (used := {x for s in own_recordings() for x in s.names(validation=False)}):
         free = next(free for n in count(2) if (free := f"{name}-{n}") not in used)
@@ -460,7 +461,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     each = list(played)
     plans = [
         Plan(
-            experiment=_experiment_name(p.experiment, run.name),
+            experiment=experiment_name(p.experiment, run.name),
             **fields_of(p, "make details seconds default_levels is_bare"),
             **fields_of(run, "Ts pacing"),
             owner=this_user() or "armrig collect" if run.owner is None else run.owner,
@@ -469,7 +470,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
         )
         for p in each
     ]
-    _check_name_is_free(run.name)
+    check_name_is_free(run.name)
     estimation, first = "", None  # id of the previous run; path of the first readable recording
     for p, plan in zip(each, plans, strict=True):
         details = {**plan.details, VALIDATION_OF: estimation} if p.is_validation else plan.details

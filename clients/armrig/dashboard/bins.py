@@ -89,9 +89,9 @@ def signals_of(
         Signal(
             key="u",
             label=symbol(given.name),
-            unit="V",
+            unit="V" if description.text else given.unit,  # imported data have no volts
             kind="input",
-            own=own if given.is_scaled or given.rest_v else None,
+            own=own if description.text and (given.is_scaled or given.rest_v) else None,
             # The ends of the axis need no line.
             limits=(volts[0] or -inf, volts[1] if volts[1] < U_MAX_V else inf),
         )

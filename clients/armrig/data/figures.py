@@ -29,7 +29,10 @@ if TYPE_CHECKING:
     from armrig.data.argument import HasDataset
     from armrig.data.columns import Vector
     from armrig.data.dataset import Dataset, Signals
+    from armrig.data.files.imported_file import ImportedData
 
+MOST_COLUMNS = 8
+"""Largest number of imported columns in a figure."""
 MIN_RAMP_SHARE = 0.95  # share of the variance above which a straight line hides other motion
 _MIN_INPUT_CHANGES = 5  # an input with fewer changes is a step
 
@@ -95,6 +98,21 @@ def plot_data(source: Dataset | Signals | HasDataset, *, ax: Axes | None = None)
     every[-1].set_xlabel("$t$ [s]")
     finish(*every, xlim=(float(t.min()), float(t.max()) or 1.0))
     return sign(every[0], data.source, above=legend(every[0], *notes))
+
+
+def plot_columns(data: ImportedData, *, ax: Axes | None = None) -> Axes:
+    """Plot the first imported columns against time, one panel for each column."""
+    columns = list(data.facts.columns)[:MOST_COLUMNS]
+    time, *values = [*data.on_grid().values()][: 1 + len(columns)]
+    every = rows(ax or high_axes(len(columns)), len(columns))
+    for panel, column, x in zip(every, columns, values, strict=True):
+        panel.plot(time, x, color=BLUE, lw=0.9)
+        panel.set_ylabel(named(column.name, column.unit))
+        for start in data.facts.breaks:
+            panel.axvline(time[start], color=INK, lw=0.6, ls=(0, (4, 2)))
+    every[-1].set_xlabel("$t$ [s]")
+    finish(*every, xlim=(0.0, float(time[-1]) or 1.0))
+    return every[0]
 
 
 plot_signals = plot_data

@@ -68,7 +68,8 @@ def check_run(r: Recording) -> Iterator[Finding]:
     if not u.size or np.ptp(u) == 0:
         yield unusable("input", "the input never changes; use an input that switches")
     else:
-        yield good("input", f"{digits(u.min(), 3)} to {digits(u.max(), 3)} V")
+        unit = r.description.input.unit if r.is_imported else "V"
+        yield good("input", f"{digits(u.min(), 3)} to {digits(u.max(), 3)} {unit}".rstrip())
 
 
 def _arrival(r: Recording) -> Finding:

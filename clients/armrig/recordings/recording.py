@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from armrig.data.columns import Vector as Vector
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.files import IMPORTED
 from armrig.data.step import took
 from armrig.data.treatment import difference
 from armrig.numerics.quantities import plural
@@ -101,7 +102,8 @@ class Recording:
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
-    """Rows at which a number of turns becomes uncertain, after many missing samples."""
+    """Rows at which a number of turns becomes uncertain, after many missing samples; of imported
+    data, rows at which a new experiment begins."""
     samples: NDArray[np.void]
     """Structured array of the samples that arrived, with raw counts and all times."""
     gaps: tuple[Gap, ...]
@@ -137,6 +139,11 @@ class Recording:
         A sampling time above 1 s is made by the client: see `Rig.arm`. It is that of `dataset`.
         """
         return self.manifest.Ts
+
+    @property
+    def is_imported(self) -> bool:
+        """True if the data are from another program: there is no rig, device or clock."""
+        return self.manifest.kind == IMPORTED
 
     @property
     def asked_s(self) -> float:
@@ -241,7 +248,7 @@ class Recording:
         begins = ~known
         begins[1:] = ~known[:-1]
         begins[:1] = True
-        if measured.turns:
+        if measured.turns or self.is_imported:
             unknown = np.searchsorted(at, self.turns_unknown)
             begins[unknown[unknown < at.size]] = True
         given = self.description.input

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
+from math import isnan, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,6 +73,8 @@ class DataVerdict:
             return f"the data cannot be used: {self.warnings[0]}"
         if self.warnings:
             return f"the data can be used, with care: {'; '.join(self.warnings)}"
+        if isnan(self.signal_rad):
+            return "the data have enough samples, and the input moves"
         return (
             f"the data are good: signal to noise {digits(self.signal_rad / self.noise_rad, 2)} to 1"
         )
@@ -116,6 +119,14 @@ def data_verdict(recording: Recording) -> DataVerdict:
       ...
     """
     came = recording.samples.size
+    if recording.is_imported:  # nothing is known about a sensor or a clock
+        unknown = dict.fromkeys(("signal_rad", "noise_rad", "step_rad", "hidden_share"), nan)
+        return DataVerdict(
+            recording=recording.sha256,
+            findings=tuple(findings.check_run(recording)),
+            missing_share=recording.missing / recording.N,
+            **unknown,
+        )
     known = np.count_nonzero(recording.valid & np.isfinite(recording.u))
     seen = recording.dataset() if known >= findings.TOO_FEW else None
     step = _step(recording)

@@ -72,20 +72,28 @@ def run_facts(r: Recording) -> dict[str, str]:
     hidden = "in the dead band, or just after" if turns else f"without {r.first}"
     given = r.description.input
     u = given.value(r.u[np.isfinite(r.u)])
-    return {
+    shared = {
         "run": run_name(r),
         "experiment": r.manifest.experiment,
-        "made with": ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
-        "started": r.manifest.started.replace("T", " ")[:19],
-        "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
         "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
         "length": f"{r.N * r.Ts:.1f} s",
         "input": f"{u.min():.2f} to {u.max():.2f} {given.unit}" if u.size else "",
-        "calibrated": calibration_text(r),
         "missing samples": str(r.missing),
         hidden: str(r.hidden),
+    }
+    if r.is_imported:
+        return shared | {"imported": _moment(r), "from": r.description.title}
+    return shared | {
+        "made with": ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
+        "started": _moment(r),
+        "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
+        "calibrated": calibration_text(r),
         "outcome": outcome_text(r),
     }
+
+
+def _moment(r: Recording) -> str:
+    return r.manifest.started.replace("T", " ")[:19]
 
 
 def _rows(columns: Iterable[Mapping[str, str]]) -> Rows:
@@ -111,8 +119,10 @@ def notes(recordings: Sequence[Recording]) -> list[str]:
 
 def shared_facts(study: Study) -> list[str]:
     """Return sentences on the device, the host and the versions of the estimation data."""
-    manifest = study.recording_of(study.estimation.source).manifest
-    said = []
+    recording = study.recording_of(study.estimation.source)
+    manifest, said = recording.manifest, []
+    if recording.is_imported:
+        return [f"Imported by armrig {manifest.armrig}."]
     for what, facts in (("Device", manifest.device), ("Host", manifest.host)):
         known = {k: v for k, v in facts.items() if v not in ("", None, [], {})}
         text = ", ".join(
@@ -157,6 +167,8 @@ def data_text(study: Study) -> str:
             f"The {word} is {given.per_volt:g} {given.unit}/V times the applied voltage that the "
             f"device reports{f', plus {given.offset:g} {given.unit}' if given.offset else ''}."
         ]
+    if study.recordings[0].is_imported:
+        said = [f"The data are of another program: {study.recordings[0].description.title}."]
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
     for one in each_output(study):
@@ -170,8 +182,11 @@ def data_text(study: Study) -> str:
         if hidden := 100 * one.estimation.missing / one.estimation.N:
             said.append(f"{hidden:.1f}{NBSP}% of the estimation data have no {y}.")
         said += linearity_sentences(one.validation)
-    of_rig = "The scales of the outputs are those of the rig's description."
-    return " ".join([*said, _units(study) if study.of_arm else of_rig])
+    if study.of_arm:
+        said.append(_units(study))
+    elif not study.recordings[0].is_imported:
+        said.append("The scales of the outputs are those of the rig's description.")
+    return " ".join(said)
 
 
 def linearity_sentences(data: Dataset) -> list[str]:
@@ -271,7 +286,7 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
 def jitter_verdicts(study: Study) -> Iterator[str]:
     """Yield sentences on the jitter of the validation data, if there is any, and its effect."""
     timing = sampling_statistics(study.recording_of(study.validation.source))
-    if timing.std_us == 0:
+    if not timing.std_us > 0:  # NaN without times of a device
         return
     moved: list[str] = []
     for one in each_output(study):

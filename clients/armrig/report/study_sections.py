@@ -32,12 +32,13 @@ def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
     """Return the contents of a study's report, with all numbers as text."""
     recording = study.recording_of(study.estimation.source)
     manifest = recording.manifest
+    origin = "imported" if recording.is_imported else f"rig {manifest.rig}, recorded"
     truncated = [
         f"{r.path.name} is incomplete: {r.damage}." for r in study.recordings if r.truncated
     ]
     return Contents(
         title=f"{recording.description.title}: black-box identification",
-        subtitle=f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
+        subtitle=f"{origin} {manifest.started[:16].replace('T', ' ')}",
         front=Section(
             warnings=(*warnings_of(study.recordings), *filter(None, [study.doubt])),
             lead="Summary.",
@@ -46,7 +47,7 @@ def study_contents(study: Study, remarks: Sequence[str]) -> Contents:
         ),
         sections=numbered(
             (results(study), data(study), models(study), validation(study), physics(study)),
-            appendix=(recordings(study), sampling(study)),
+            appendix=(recordings(study), *([] if recording.is_imported else [sampling(study)])),
         ),
     )
 
@@ -281,11 +282,13 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
     rate = "Rate" if all(integrates(m.model) for m in one.models) else "Response"
     fits, names = [m.model for m in one.models], [m.name for m in one.models]
     own = len(one.estimated)
+    unit = one.estimation.input_unit or "unit"
+    played = "" if one.recordings[0].is_imported else " that the device applied"
     return {
         "data": (
             f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
-            f"recording {validation}){halves}: {angles}; (b, d) {one.input} that the device "
-            f"applied. Shaded: {'dead band or ' * one.of_arm}missing sample.",
+            f"recording {validation}){halves}: {angles}; (b, d) {one.input}{played}. "
+            f"Shaded: {'dead band or ' * one.of_arm}missing sample.",
             2.4,
             tuple(partial(plots.plot_data, data) for data in (one.estimation, one.validation)),
         ),
@@ -311,9 +314,9 @@ def _drawings(one: Study) -> dict[str, tuple[str, float, tuple[Draw, ...]]]:
             (partial(_plot_bode, one),),
         ),
         "step_poles": (
-            f"(a) {rate} of {the} after a step of 1 V, with 95 % bands; (b) poles (×) and zeros "
-            "(○) with 95 % regions: bars for real roots, ellipses for complex roots, dotted if "
-            "sampled. A square marks a pole and a zero that are not significantly different "
+            f"(a) {rate} of {the} after a step of 1 {unit}, with 95 % bands; (b) poles (×) and "
+            "zeros (○) with 95 % regions: bars for real roots, ellipses for complex roots, dotted "
+            "if sampled. A square marks a pole and a zero that are not significantly different "
             f"(1 %). Models from recording {estimation}.",
             2.7,
             tuple(

@@ -399,7 +399,10 @@ def _about_rails(data: Dataset) -> Iterator[Finding]:
     at, rails = rails_of(data.y) if data.valid.any() else (data.valid, [])
     if rails:
         text = f"{np.count_nonzero(at)} of {data.N} samples of {data.output} are at its largest or "
-        text += "smallest value, as at a converter's rail: mark them missing (--mask-rails)"
+        text += (
+            "smallest value, as at a converter's rail: import the file with --mask-rails, which "
+        )
+        text += "marks them missing"
         yield warning("rails", text, "rails")
 
 

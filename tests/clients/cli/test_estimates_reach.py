@@ -116,13 +116,13 @@ def test_a_search_of_several_outputs_knows_which_integrate(
 
 def test_the_next_command_reads_the_same_data() -> None:
     every = SignalChoice(
-        **{"signal": "y 1", "input": "2", "time": "t_s", "Ts": 0.05, "detrend": True},
+        **{"signal": "y 1", "input": "2", "Ts": 0.05, "detrend": True},
         **{"hampel": True, "calibration": Path("c.toml"), "start": 0.0, "stop": 2.5},
     )
     data = _outputs("alpha")
 
     assert every.options(data) == (
-        " --input 2 --signal 'y 1' --time t_s --Ts 0.05 --detrend --hampel --calibration c.toml"
+        " --input 2 --signal 'y 1' --Ts 0.05 --detrend --hampel --calibration c.toml"
         " --from 0 --to 2.5"
     )
     nothing = SignalChoice(signal=None)

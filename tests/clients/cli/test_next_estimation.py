@@ -38,7 +38,6 @@ OPTIONS = "--structure oe --nb 4 --nf 3 --nk 2"
         (OE | {"offset": True}, "integrator", "", f"{OPTIONS} --integrator"),
         (OE, "outliers", "", f"{OPTIONS} --hampel"),
         (OE, "outliers check", "", f"{OPTIONS} --hampel"),
-        (OE, "rails", "", f"{OPTIONS} --mask-rails"),
         (OE, "order", "", "--structure oe --nb 3 --nf 2 --nk 2"),
         (OE, "order", "2 poles", "--structure oe --nb 2 --nf 1 --nk 2"),
         (OE, "order", "3 poles", "--structure oe --nb 1 --nf 1 --nk 2"),

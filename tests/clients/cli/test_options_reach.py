@@ -73,10 +73,7 @@ OF_THE_OUTPUT = {
     *("--json", "--verbose", "--plot", "--save", "--open", "--foxglove", "--dashboard", "--force"),
     *("--questions", "--source", "--answers", "--h", "--jobs", "--assume", "--output"),
 }
-OF_TABLES = {
-    *("--topic", "--decimal", "--time", "--resample", "--hold-input", "--mask-rails", "--unwrap"),
-    *("--hampel", "--input", "--Ts"),
-}
+OF_TABLES = {"--hampel", "--input", "--Ts"}
 """Options of data that are no recording; the stored outputs have a table that needs them."""
 
 

@@ -10,6 +10,7 @@ from armrig_core.process.bounded import decoded
 from armrig_core.recording_file.file_records import MAGIC
 
 from armrig.data.files.arrays import read_mat, read_npz, read_parquet
+from armrig.data.files.imported_file import read_imported
 from armrig.data.files.mat_variables import DamageError
 from armrig.data.files.messages import read_mcap
 from armrig.data.files.table import Table
@@ -70,7 +71,8 @@ def table_of(
         if data.startswith(beginning):
             raise FileError(what)
     if data.startswith(MAGIC):
-        return read_mcap(data, topic)
+        imported = read_imported(data)
+        return imported.table() if imported else read_mcap(data, topic)
     if topic is not None:
         raise FileError(f"topic {topic}: only MCAP files have topics; leave out --topic")
     is_old = suffix == ".mat" and b"\0" in data[:128]

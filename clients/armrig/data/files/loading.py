@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from os import PathLike
@@ -19,11 +19,22 @@ from numpy.typing import NDArray
 
 from armrig.data.columns import require_size
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.files.clocks import on_one_clock
 from armrig.data.files.column_faults import held, stuck, treated
+from armrig.data.files.imported_file import GridTable
 from armrig.data.files.kinds import table_of
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
 from armrig.data.files.stamps import time_columns, times_of
-from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
+from armrig.data.files.table import (
+    Column,
+    NoColumnError,
+    ReadingError,
+    Table,
+    Vector,
+    chosen,
+    listed,
+    shown,
+)
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask, stretches
@@ -112,7 +123,7 @@ def load_data(
     <Dataset: 3 samples at 0.01 s; output alpha [rad]; 1 missing (33.3 %)>
     """
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
-    with _naming(Path(path)):
+    with naming_file(Path(path)):
         inputs, outputs, found = _samples(Path(path), input, signal, how)
         if (sizes := (len(inputs), len(outputs))) != (1, 1):
             raise InputError(
@@ -176,7 +187,7 @@ def load_signals(
     """
     how = Reading(time, Ts, decimal, resample, hold_input, mask_rails, unwrap, topic)
     inputs, outputs = ([x] if isinstance(x, str) else list(x) for x in (inputs, outputs))
-    with _naming(Path(path)):
+    with naming_file(Path(path)):
         of_u, of_y, found = _samples(Path(path), inputs, outputs, how)
         return Signals(
             inputs=_names(of_u, "u", of_y),
@@ -201,10 +212,12 @@ class Reading(NamedTuple):
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def naming_file(path: Path) -> Iterator[None]:
     """Begin the message of an error with the path of the file."""
     try:
         yield
+    except ReadingError as err:
+        raise ReadingError(f"{path}: {err}", err.option) from err
     except InputError as err:
         raise FileError(f"{path}: {err}") from err
     except OSError as err:
@@ -220,17 +233,19 @@ def _samples(
     """Return the columns of inputs and outputs, and the arguments of `Signals` without names."""
     data = read_bounded(path, MOST_BYTES)
     table = table_of(data, path.suffix.lower(), how.decimal, how.topic)
+    output = outputs if isinstance(outputs, str) else next(iter(outputs), None)
+    table = on_one_clock([(path.name, table)], output=output, time=how.time)
     of_u, of_y = _columns(table, {"input": inputs, "signal": outputs}, how)
     named_u, named_y = ([table.columns[i] for i in of] for of in (of_u, of_y))
-    given = [_values(table, i, "input") for i in of_u]
-    measured = [_values(table, i, "signal") for i in of_y]
+    given = [values_of(table, i, "input") for i in of_u]
+    measured = [values_of(table, i, "signal") for i in of_y]
     sizes = {x.size for x in (*given, *measured)}
     if len(sizes) > 1:
         raise FileError(
             f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}; all need the same "
             "number"
         )
-    grid = _grid(table, {*of_u, *of_y}, sizes.pop(), how)
+    grid = grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
     history = [*table.notes, *grid.notes]
     for x, column in zip(given, named_u, strict=True):
         history += held(x, column.name or "u")
@@ -245,7 +260,7 @@ def _samples(
     )
     put_in = np.ones(grid.size, np.bool_)
     put_in[grid.at if grid.times is None else slice(None)] = False
-    history += _hold(u, put_in, [column.name or "u" for column in named_u], how)
+    history += hold_inputs(u, put_in, [column.name or "u" for column in named_u], how)
     known = np.isfinite(u).all(axis=1)
     if not known.any():
         raise FileError("no row has a value of each input; leave an input out, or fill it in")
@@ -283,7 +298,13 @@ def _columns(
                 found[what] += of_matrix or [chosen(table, name, what)]
             except NoColumnError as err:
                 missing.append((what, name, err))
-    has_times = how.time or how.Ts is not None or table.Ts is not None or time_columns(table)
+    has_times = bool(
+        how.time
+        or how.Ts is not None
+        or table.Ts is not None
+        or time_columns(table)
+        or isinstance(table, GridTable)
+    )
     if len(missing) + (not has_times) > 1:
         said = " and ".join(f"{what} {shown(name)}" for what, name, _ in missing)
         said += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
@@ -323,7 +344,7 @@ def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> 
     return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
 
 
-def _hold(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[str]:
+def hold_inputs(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[str]:
     """Hold missing inputs, everywhere or in short gaps of the file; return history steps."""
     unknown = np.isnan(u) & ~put_in[:, np.newaxis]
     for x, missing, name in zip(u.T, unknown.T, names, strict=True):
@@ -331,9 +352,10 @@ def _hold(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[st
         known = int(rows - np.count_nonzero(missing))
         # Without most of the rows the data would be distorted.
         if not how.hold_input and known < _MIN_KNOWN_INPUTS * rows:
-            raise FileError(
+            raise ReadingError(
                 f"{shown(name)} has a value in {known} of {rows} rows; if it is written only where "
-                "it changes, give --hold-input"
+                "it changes, give --hold-input",
+                "--hold-input",
             )
         for gap in stretches(np.isnan(x)):
             if gap.start and (how.hold_input or _is_short(x, gap, put_in)):
@@ -350,21 +372,20 @@ def _is_short(x: Vector, gap: slice, put_in: Mask) -> bool:
     return bool(same and put_in[gap].all() and gap.stop - gap.start <= _MAX_HELD)
 
 
-def _grid(table: Table, taken: set[int], N: int, how: Reading) -> Grid:
+def grid_of_rows(table: Table, taken: Collection[int], N: int, how: Reading) -> Grid:
     """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
     Ts = how.Ts
     if Ts is not None and not _MIN_TS <= Ts <= 1 / _MIN_TS:
         allowed = f"and from {_MIN_TS:g} to {1 / _MIN_TS:g}" if 0 < Ts < np.inf else "and > 0"
         raise FileError(f"Ts={Ts} must be finite {allowed}, in s")
-    if how.time is not None:
-        at = [chosen(table, how.time, "time")]
-    elif Ts is None and table.Ts is not None:
+    if isinstance(table, GridTable):
+        return _grid_of_import(table, how)
+    if how.time is None and Ts is None and table.Ts is not None:
         return unit_grid(N, table.Ts)
-    else:
-        at = [i for i in time_columns(table) if i not in taken]
-    if len(at) == 1:
+    at = time_column(table, taken, how)
+    if at is not None:
         try:
-            times = times_of(table, at[0])
+            times = times_of(table, at)
             if times.t.size != N:
                 raise FileError(f"{times.name} are {times.t.size}, for {plural(N, 'sample')}")
             return grid_of(times, Ts=Ts, resample=how.resample)
@@ -378,10 +399,29 @@ def _grid(table: Table, taken: set[int], N: int, how: Reading) -> Grid:
     msg = "the sampling time is not known: give it in s (--Ts)"
     if len(table.columns) > len(taken):
         msg += f", or the column of times: {listed(table, 'time')}"
-    raise FileError(msg)
+    raise ReadingError(msg, "--time NAME")
 
 
-def _values(table: Table, i: int, what: str) -> Vector:
+def time_column(table: Table, taken: Collection[int], how: Reading) -> int | None:
+    """Return the index of the column of times; None without a single such column."""
+    if how.time is not None:
+        return chosen(table, how.time, "time")
+    at = [i for i in time_columns(table) if i not in taken]
+    return at[0] if len(at) == 1 else None
+
+
+def _grid_of_import(table: GridTable, how: Reading) -> Grid:
+    """Return the grid of imported rows; refuse options that only an import takes."""
+    given = [name for name in ("time", "Ts", "resample", "topic") if getattr(how, name)]
+    if given:
+        raise FileError(
+            f"--{given[0]}: imported data have their times, {table.grid.Ts:g} s apart; import the "
+            "original file again with this option"
+        )
+    return table.grid
+
+
+def values_of(table: Table, i: int, what: str) -> Vector:
     """Return the values of a column, NaN where missing; refuse infinities and empty columns."""
     values = table.numbers(i)
     infinite = np.isinf(values)

@@ -30,6 +30,15 @@ class NoColumnError(FileError):
     """A requested column does not exist."""
 
 
+class ReadingError(FileError):
+    """The file can be read only with an option of reading."""
+
+    def __init__(self, text: str, option: str) -> None:
+        """Set the message, and the option as a person types it."""
+        super().__init__(text)
+        self.option = option
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
     """Name and unit of a column."""

@@ -5,12 +5,16 @@ Each sample that was due has a row. If the sample is missing, or shows no angle,
 
 from __future__ import annotations
 
+import csv
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from armrig_core.process.imports import imported
+from numpy.typing import NDArray
 
+from armrig.data.files.imported_file import ImportedData
 from armrig.recordings.recording import Recording, export_columns, export_metadata
 
 _BLOCK_ROWS = 65_536  # rows of a CSV file that are converted to text in one step
@@ -21,11 +25,14 @@ def write_csv(recording: Recording, path: Path, *, raw: bool = False) -> None:
 
     Numbers are written with all their digits. `armrig identify` reads the file.
     """
-    found = export_columns(recording, raw=raw)
+    _write_csv(export_columns(recording, raw=raw), path)
+
+
+def _write_csv(found: dict[str, NDArray[Any]], path: Path) -> None:
     columns = [c.astype(np.uint8) if c.dtype == np.bool_ else c for c in found.values()]
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join(found) + "\n")
-        for begin in range(0, recording.N, _BLOCK_ROWS):
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(found)
+        for begin in range(0, columns[0].size, _BLOCK_ROWS):
             some = [map(repr, c[begin : begin + _BLOCK_ROWS].tolist()) for c in columns]
             file.writelines(",".join(row) + "\n" for row in zip(*some, strict=True))
 
@@ -58,12 +65,46 @@ def write_mat(
         savemat(file, {**variables, **about}, oned_as="column", do_compression=True)
 
 
+def write_imported_columns(data: ImportedData, path: Path) -> None:
+    """Write imported columns as CSV, MAT-file or Parquet, by the suffix of `path`.
+
+    The first column, t, is the time in s. Each instant has a row; a missing value is NaN. The names
+    of the variables of a MAT-file contain letters, digits and underscores only.
+    """
+    columns = data.on_grid()
+    match path.suffix.lower():
+        case ".csv":
+            _write_csv(columns, path)
+        case ".mat":
+            from scipy.io import savemat
+
+            names = [
+                re.sub(r"\W", "_", f"x{c}" if c[:1].isdigit() else c, flags=re.A) for c in columns
+            ]
+            variables = dict(zip(names, columns.values(), strict=True)) | {"Ts": data.Ts}
+            with path.open("wb") as file:
+                savemat(
+                    file,
+                    variables,
+                    oned_as="column",
+                    do_compression=True,
+                    long_field_names=True,
+                )
+        case _:
+            units = {f"unit_{c.name}": c.unit for c in data.facts.columns}
+            _write_parquet(columns, {"Ts": repr(data.Ts), "unit_t": "s"} | units, path)
+
+
 def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> None:
     """Write the columns as a Parquet file, with units, Ts, hash and run in its metadata.
 
     Raises ImportError if pyarrow is not installed.
     """
+    _write_parquet(export_columns(recording, raw=raw), export_metadata(recording), path)
+
+
+def _write_parquet(columns: dict[str, NDArray[Any]], about: dict[str, str], path: Path) -> None:
     pyarrow = imported("pyarrow", "parquet")
     parquet = imported("pyarrow.parquet", "parquet")
-    table = pyarrow.table(export_columns(recording, raw=raw))
-    parquet.write_table(table.replace_schema_metadata(export_metadata(recording)), str(path))
+    table = pyarrow.table(columns)
+    parquet.write_table(table.replace_schema_metadata(about), str(path))

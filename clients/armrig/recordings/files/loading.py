@@ -29,12 +29,13 @@ from armrig_core.rig.channels import sample_names
 from armrig_core.telemetry import channels as rig_channels
 from numpy.typing import NDArray
 
-from armrig.data.files import OTHER_DATA, RECORDING
+from armrig.data.files import IMPORTED, OTHER_DATA, RECORDING
 from armrig.numerics.quantities import plural
 from armrig.recordings.channels import channels_of
 from armrig.recordings.daemon_reports import Clock, Gap, reports_of
 from armrig.recordings.files.attachment_hashes import attachment_fault, without_hash
 from armrig.recordings.files.container import Content, Part, read
+from armrig.recordings.files.imports import imported_data, recording_of
 from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import is_foreign, is_recording
 from armrig.recordings.grid import Grid, check_sampling_time, grid
@@ -119,6 +120,10 @@ def load(
             msg = f"{file}: is a recording, not a calibration; give the parts of a run as a list, "
             raise FileError(f'{msg}armrig.load(["{paths[0].name}", "{file.name}"])')
         calibration = read_calibration(file)
+    if len(paths) == 1 and (data := imported_data(name)) is not None:
+        if (start, stop) != (None, None) or calibration is not None:
+            raise FileError(f"{name}: imported data are loaded whole, without a calibration")
+        return recording_of(name, str(given[0]), data)
     found = run_content(paths, start, stop)
     called = str(given[0]) if str(given[0]).startswith("@") and len(given) == 1 else name.name
     recording = _assembled(name, called, found, calibration or found.calibration)
@@ -206,12 +211,16 @@ def run_content(
 
 
 _READABLE_FILES = (
-    f"give a recording (*{RECORDING}, or @NAME of `armrig ls`); sampling, hints, identify, "
-    f"validate and check also read {OTHER_DATA}"
+    f"give a recording (*{RECORDING}, or @NAME of `armrig ls`); `armrig import` makes one of "
+    f"{OTHER_DATA}"
 )
 _FOREIGN = (
-    "not made by armrig; sampling, hints, identify, validate and check read a topic of it "
-    "(--topic NAME --input FIELD --signal FIELD), and `armrig hints {path}` lists the topics"
+    "not made by armrig; `armrig import {path} --topic NAME --input FIELD --signal FIELD` reads a "
+    "topic of it, and without --topic lists the topics"
+)
+_IMPORTED = (
+    "was imported and belongs to no rig, but a recording of a rig is needed here; sampling, hints, "
+    "identify, validate, compare, check, linearity, plot, info and export read imported data"
 )
 _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
@@ -244,12 +253,15 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
             records.check_whole_numbers(ended)
         if recovered is not None:
             records.check_whole_numbers(recovered)
+        is_imported = manifest.kind == IMPORTED
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         why = (str(err).splitlines() or [type(err).__name__])[0][:300]
         raise FileError(
             f"{path}: armrig did not write the manifest, the outcome or the calibration of this "
             f"file: {why}"
         ) from err
+    if is_imported:
+        raise FileError(f"{path}: {_IMPORTED}")
     try:
         check_sampling_time(manifest)
     except DamageError as err:

@@ -36,14 +36,14 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata, MetadataIndex
 
-from armrig.data.files import RECORDING
+from armrig.data.files import IMPORTED, RECORDING
 from armrig.numerics.quantities import plural
 from armrig.recordings.grid import check_sampling_time
 
 VALIDATION_OF = "validation_of"
 """Key in a run's details; the value is the id of the run that this run validates."""
-KINDS = ("blackbox", "greybox", "step", "staircase", "bla")
-"""Kinds of experiments of `armrig collect`; a name that a person chose may follow the kind."""
+KINDS = ("blackbox", "greybox", "step", "staircase", "bla", IMPORTED)
+"""Kinds of recordings; a name that a person chose may follow the kind."""
 REMOTE = "remote"
 """Kind of all recordings of `armrig record`."""
 TEXT_LIMIT = 4096
@@ -240,7 +240,8 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
             raise DamageError(
                 f"its {name} has {plural(len(text), 'character')}, more than {TEXT_LIMIT}"
             )
-    check_sampling_time(manifest)
+    if manifest.kind != IMPORTED:
+        check_sampling_time(manifest)
     return RecordingSummary(
         folder=path.parent,
         file=path.name,

@@ -6,6 +6,7 @@ attachment is refused by `load`, and so by `verify`.
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -26,10 +27,13 @@ from armrig_protocol.messages import CODE_FULL_SCALE
 from numpy.typing import NDArray
 
 from armrig.data.columns import Vector
+from armrig.data.files.imported_file import ImportedData
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.quantities import NBSP, digits, listed, plural
 from armrig.recordings.files.attachment_hashes import attachment_fault, attachment_names
+from armrig.recordings.files.imports import imported_data
 from armrig.recordings.files.loading import beginning, load
+from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import REMOTE
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.recording import Recording
@@ -80,11 +84,24 @@ def verify(path: str | Path) -> Verification:
 
     The path is a path as for `load`. Raises the errors of `load`.
     """
-    return verify_recording(load(path))
+    file = named_path(path)
+    data = imported_data(file)
+    return verify_recording(load(path)) if data is None else _verified_import(file, data)
+
+
+def _verified_import(file: Path, data: ImportedData) -> Verification:
+    """Return the result for imported data, whose reading has checked their hash."""
+    rows, sha256 = plural(len(data.at), "row"), hashlib.sha256(file.read_bytes()).hexdigest()
+    text = f"complete, {rows} as imported, by their hash {data.sha256[:12]}"
+    return Verification(
+        path=file, sha256=sha256, checks=(good("file", text),), samples=len(data.at)
+    )
 
 
 def verify_recording(recording: Recording) -> Verification:
     """Check a loaded recording, as `verify` does."""
+    if (data := imported_data(recording.path)) is not None:
+        return _verified_import(recording.path, data)
     checks = (
         check_file(recording),
         check_samples(recording),

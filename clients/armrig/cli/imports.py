@@ -1,0 +1,207 @@
+"""The command import: foreign files become a recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from armrig_core.errors import InputError
+from armrig_core.process.options import argument, chosen, group
+
+from armrig.cli.next_step import say_next
+from armrig.cli.options import Json, Verbose
+from armrig.cli.printing import print_json, print_table, spinner
+from armrig.cli.recorded_data import names
+from armrig.cli.results import check_output
+from armrig.cli.runs import check_name_is_free, experiment_name
+from armrig.data.finding import few_samples
+from armrig.data.step import DOUBT
+from armrig.numerics.quantities import plural
+
+if TYPE_CHECKING:
+    from armrig.data.files.imported_file import ImportedData
+
+Files = Annotated[
+    list[Path],
+    argument("FILE…", "Files of one experiment: tables of text, .mat, .npz, .parquet or .mcap."),
+]
+_MAX_NAME = 20
+_MAX_SHOWN = 12  # columns without --verbose
+_STAMP = "%Y%m%dT%H%M%S"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadingOptions:
+    """Options of reading foreign files."""
+
+    input: str | None = chosen(
+        None,
+        "Column of an input: its name, or its number from 1.",
+        "u, if there is it",
+        metavar="NAME",
+    )
+    signal: str | None = chosen(None, "Column of an output.", "y, if there is it", metavar="NAME")
+    time: str | None = chosen(
+        None, "Column of the times.", "t or time, if the file has it", metavar="NAME"
+    )
+    Ts: float | None = chosen(None, "Sampling time, in s.", "from the times")
+    topic: str | None = chosen(
+        None,
+        "Topic of an MCAP file of another program; its messages' fields are the columns.",
+        metavar="NAME",
+    )
+    decimal: Literal[",", "."] | None = chosen(
+        None, "Decimal mark: comma or point.", "found from all numbers of the file"
+    )
+    resample: bool = chosen(False, "Interpolate rows at uneven times; needs --input.")
+    hold_input: bool = chosen(False, "Hold the input where its cell is empty.")
+    mask_rails: bool = chosen(False, "Mark samples at a rail of the converter as missing.")
+    unwrap: float | None = chosen(
+        None,
+        "Range of a counter or angle that wraps, such as 65536 or 360; its jumps are removed.",
+        metavar="RANGE",
+    )
+
+
+def import_(
+    files: Files,
+    reading: Annotated[
+        dict[str, Any], group(ReadingOptions, made=dict, repeatable=("input", "signal"))
+    ],
+    name: str | None = chosen(None, "Name of the recording, as in @NAME.", "the file's name"),
+    out: Path | None = chosen(
+        None,
+        "MCAP file to write.",
+        "a file in the folder of the recordings",
+        names="-o --out",
+        metavar="MCAP",
+    ),
+    json: Json = False,
+    verbose: Verbose = False,
+) -> None:
+    """Read data of another program, and write a recording.
+
+    The command prints what it read: columns, units, times, gaps and what it left out. Each other
+    command then reads the recording, @NAME, without a question. With several files, the rows have
+    the times of the output.
+    """
+    from armrig.data.files.imported_file import write_imported
+    from armrig.data.files.importing import import_files
+    from armrig.data.files.loading import Reading
+
+    inputs, outputs = (
+        names(f"--{role}", ",".join(reading.pop(role) or ())) for role in ("input", "signal")
+    )
+    if name is None:
+        name = _free_name(files[0])
+    else:
+        experiment_name("imported", name)
+        check_name_is_free(name)
+    with spinner("reading"):
+        data = import_files(files, Reading(**reading), inputs=inputs, outputs=outputs)
+    now = datetime.now(UTC).astimezone()
+    run_id, content = write_imported(
+        data, name=name, started=now.isoformat(timespec="milliseconds"), armrig=version("armrig")
+    )
+    if out is None:
+        out = _folder() / f"imported-{name}-{now.strftime(_STAMP)}-{run_id}.mcap"
+    else:
+        check_output(out, files, "-o", "a recording", ".mcap")
+    _write(out, content)
+    called = f"@{name}" if out.parent == _folder() else str(out)
+    if json:
+        print_json(import_facts(data) | {"recording": out, "name": name, "run_id": run_id})
+        return
+    print_table(*import_rows(data, called, out, verbose=verbose), verdict=True)
+    known = {column.name for column in data.facts.columns}
+    ready = (data.facts.inputs or "u" in known) and (data.facts.outputs or "y" in known)
+    say_next("hints" if ready else "plot", file=quote(called), given="")
+
+
+def import_facts(data: ImportedData) -> dict[str, object]:
+    """Return the facts of imported data as a dict for JSON."""
+    return {
+        "import": data.facts,
+        "Ts": data.Ts,
+        "samples": len(data.at),
+        "missing": data.size - len(data.at),
+    }
+
+
+def import_rows(
+    data: ImportedData, called: str, path: Path, *, verbose: bool
+) -> Iterator[tuple[str, str]]:
+    """Yield the rows of a table of imported data, with the verdict as the first row."""
+    facts, rows = data.facts, len(data.at)
+    doubts = [text for text, code in facts.history if code == DOUBT]
+    doubts += [finding.text for finding in few_samples(rows, called)]
+    yield (
+        "verdict",
+        "; ".join(["doubtful: " + doubts[0], *doubts[1:]] if doubts else ["read without a doubt"]),
+    )
+    yield "recording", f"{called}: {path}" if called != str(path) else called
+    yield "from", ", ".join(source.name for source in facts.sources)
+    if facts.options:
+        yield "options", ", ".join(f"{key} {value}" for key, value in facts.options.items())
+    shown = facts.columns if verbose else facts.columns[:_MAX_SHOWN]
+    listed = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in shown]
+    more = len(facts.columns) - len(shown)
+    yield "columns", ", ".join(listed) + (f" and {more} more (--verbose)" if more else "")
+    for role, columns in (("inputs", facts.inputs), ("outputs", facts.outputs)):
+        if columns:
+            yield role, ", ".join(columns)
+    missing = f", {data.size - rows} missing" if data.size > rows else ""
+    breaks = f", in {plural(len(facts.breaks) + 1, 'experiment')}" if facts.breaks else ""
+    yield "samples", f"{rows} at {data.Ts:g} s{missing}{breaks}"
+    for text, code in facts.history:
+        if code != DOUBT:
+            yield "read", text
+    if verbose:
+        for source in facts.sources:
+            yield "sha256", f"{source.sha256} {source.name}"
+
+
+def _free_name(file: Path) -> str:
+    """Return a free name like that of the file."""
+    from armrig.cli.next_step import own_recordings
+
+    stem = re.sub(r"[^a-z0-9]+", "-", file.stem.lower())[:_MAX_NAME].strip("-") or "data"
+    stem = (
+        f"data-{stem}" if stem in ("last", "validation") or stem.startswith("validation-") else stem
+    )
+    used = {x for s in own_recordings() for x in s.names(validation=False)}
+    return next(
+        name
+        for k in range(1, len(used) + 2)
+        if (name := f"{stem}-{k}" if k > 1 else stem) not in used
+    )
+
+
+def _folder() -> Path:
+    from armrig.recordings.files.recording_names import recording_folder
+
+    return recording_folder()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a new file; a file that exists stays."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("xb") as file:
+            try:
+                file.write(content)
+            except BaseException:
+                with suppress(OSError):
+                    path.unlink()
+                raise
+    except PermissionError as err:
+        raise InputError(
+            f"{path.parent}: this user may not write there; give a file of your own, -o data.mcap"
+        ) from err

@@ -1,0 +1,197 @@
+"""Import of foreign files: all their columns of numbers, on one grid of instants."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from armrig_core.errors import FileError, InputError
+from armrig_core.process.bounded import read_bounded
+
+from armrig.data.columns import MAX_SIZE, Vector
+from armrig.data.files.clocks import on_one_clock
+from armrig.data.files.column_faults import treated
+from armrig.data.files.imported_file import (
+    GridTable,
+    Import,
+    ImportedColumn,
+    ImportedData,
+    ImportedSource,
+    history_of,
+)
+from armrig.data.files.kinds import table_of
+from armrig.data.files.loading import (
+    MOST_BYTES,
+    Reading,
+    grid_of_rows,
+    hold_inputs,
+    naming_file,
+    time_column,
+)
+from armrig.data.files.table import NoColumnError, Table, chosen, listed
+from armrig.numerics.quantities import plural
+
+_MAX_COLUMNS = 1000
+_OF_INPUTS, _OF_OUTPUTS = ("resample", "hold_input"), ("mask_rails", "unwrap")
+"""Reading options that need to know the inputs, or the outputs."""
+
+
+def import_files(
+    paths: Sequence[Path],
+    how: Reading,
+    *,
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
+) -> ImportedData:
+    """Return all columns of numbers of files on one grid of instants.
+
+    Columns that are not numbers, or have no value, are left out, and the history names them. The
+    rows of several files, or of a file with two clocks, are put on the clock of the output.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files, each of at most 128 MiB.
+    how : Reading
+        Options of reading.
+    inputs, outputs : sequence of str, optional
+        Columns by name or number. An input is held between the times of its rows, in gaps with
+        `hold_input`, and for `resample`.
+
+    Raises
+    ------
+    FileError
+        A file cannot be read as data. The message names the problem and the remedy.
+    """
+    contents = [read_bounded(path, MOST_BYTES) for path in paths]
+    tables = []
+    for path, content in zip(paths, contents, strict=True):
+        with naming_file(path):
+            tables.append(
+                (path.name, table_of(content, path.suffix.lower(), how.decimal, how.topic))
+            )
+            if isinstance(tables[-1][1], GridTable):
+                raise FileError("was imported already")
+    sources = tuple(
+        ImportedSource(name=path.name, sha256=hashlib.sha256(content).hexdigest())
+        for path, content in zip(paths, contents, strict=True)
+    )
+    with naming_file(paths[0]):
+        return _on_grid(tables, sources, how, inputs, outputs)
+
+
+def _on_grid(
+    tables: Sequence[tuple[str, Table]],
+    sources: tuple[ImportedSource, ...],
+    how: Reading,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+) -> ImportedData:
+    table = on_one_clock(tables, output=outputs[0] if outputs else None, time=how.time)
+    of_u = _roles(table, "input", inputs, "u", [name for name in _OF_INPUTS if getattr(how, name)])
+    of_y = _roles(
+        table, "signal", outputs, "y", [name for name in _OF_OUTPUTS if getattr(how, name)]
+    )
+    at = time_column(table, {*of_u, *of_y}, how)
+    times = {at}
+    if table is not tables[0][1]:  # columns without a name are then times of other clocks
+        times |= {i for i, column in enumerate(table.columns) if not column.name}
+    columns, notes = _numbers(table, times, {*of_u, *of_y})
+    if not columns:
+        raise FileError(f"it has no column of numbers to import; {listed(table, 'signal')}")
+    sizes = {x.size for x in columns.values()}
+    if len(sizes) > 1:
+        raise FileError(
+            f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}; save columns of one "
+            "length"
+        )
+    grid = grid_of_rows(table, [i for i in columns if i != at], sizes.pop(), how)
+    names = _names(table, [*columns])
+    history = [*table.notes, *grid.notes, *notes]
+    for i in of_y:
+        columns[i], steps = treated(
+            columns[i], names[i], mask_rails=how.mask_rails, unwrap=how.unwrap
+        )
+        history += steps
+    placed = {i: grid.placed(x, held=i in of_u) for i, x in columns.items()}
+    put_in = np.ones(grid.size, np.bool_)
+    put_in[grid.at if grid.times is None else slice(None)] = False
+    if of_u and how.hold_input:
+        u = np.column_stack([placed[i] for i in of_u])
+        history += hold_inputs(u, put_in, [names[i] for i in of_u], how)
+        placed |= dict(zip(of_u, u.T, strict=True))
+    rows = np.flatnonzero(~put_in)
+    given = {k: str(v) for k, v in how._asdict().items() if v is not None and v is not False}
+    return ImportedData(
+        facts=Import(
+            sources=sources,
+            options=given,
+            columns=tuple(
+                ImportedColumn(name=names[i], unit=table.columns[i].unit) for i in placed
+            ),
+            inputs=tuple(names[i] for i in of_u) if inputs else (),
+            outputs=tuple(names[i] for i in of_y) if outputs else (),
+            breaks=tuple(map(int, grid.breaks)),
+            history=history_of(history),
+        ),
+        Ts=grid.Ts,
+        at=rows,
+        size=grid.size,
+        values=np.column_stack([x[rows] for x in placed.values()]),
+    )
+
+
+def _roles(
+    table: Table, what: str, wanted: Sequence[str], usual: str, options: Sequence[str]
+) -> list[int]:
+    """Return the indices of the inputs or outputs: those wanted, or the column of the usual name.
+
+    Without such a column, the options that need it are refused.
+    """
+    try:
+        return [chosen(table, name, what) for name in wanted or [usual]]
+    except NoColumnError:
+        if wanted:
+            raise
+        if options:
+            flag = options[0].replace("_", "-")
+            raise FileError(f"--{flag} needs --{what} NAME; {listed(table, what)}") from None
+        return []
+
+
+def _numbers(
+    table: Table, times: set[int | None], needed: set[int]
+) -> tuple[dict[int, Vector], list[str]]:
+    """Return the columns of numbers by index, and notes on the columns that are left out."""
+    columns, left_out = dict[int, Vector](), list[str]()
+    for i, column in enumerate(table.columns):
+        if i in times:
+            continue
+        try:
+            values = table.numbers(i)
+            if not np.isfinite(values).any():
+                raise InputError("has no value")
+            if not (np.abs(values[~np.isnan(values)]) <= MAX_SIZE).all():
+                raise InputError(f"has a value beyond {MAX_SIZE:g}")
+        except InputError as err:
+            if i in needed:
+                raise
+            left_out.append(f"left out column {column.name or i + 1}: {err}")
+            continue
+        columns[i] = values
+        if len(columns) > _MAX_COLUMNS:
+            raise FileError(f"has more than {_MAX_COLUMNS} columns of numbers; save fewer")
+    left_out += [f"left out {name}: it {why}" for name, why in table.refused.items()]
+    return columns, left_out
+
+
+def _names(table: Table, of: Sequence[int]) -> dict[int, str]:
+    """Return a name for each column: its own, or its number; a repeated name gets the number."""
+    names, used = dict[int, str](), set[str]()
+    for i in of:
+        name = table.columns[i].name or str(i + 1)
+        names[i] = f"{name}:{i + 1}" if name in used else name
+        used.add(names[i])
+    return names
