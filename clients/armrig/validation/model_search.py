@@ -125,7 +125,8 @@ def search(
         Akaike's FPE ranks the models on the data that estimated them.
     families : sequence of str, optional
         Names of structures in discrete time, such as "oe". The default is all but "ararx" and "ss";
-        in closed loop those whose noise model prevents a bias by feedback. For several signals it
+        in closed loop those whose noise model prevents a bias by feedback. "iv4" is left out if
+        feedback is found at the level 5 %, unless a direct term explains it. For several signals it
         is "ss", "n4sid" and "oe", or only "oe" with an integrator or a level.
     orders : iterable of int, optional
         Numbers of poles to try, >= 1, including the pole of an integrator, which does not count for
@@ -301,7 +302,13 @@ def _planned(
         poles = (False, True) if both else (decided.integrates,)
         if families is None:
             rows = [(name, row) for name, row in OFFERED.items() if row.searched]
-            families = [name for name, row in rows if row.closed_loop or not known.closed]
+            feedback = known.loop is not None and known.loop.feedback
+            biased = ["iv4"] if feedback and not (may_be_0 or open_loop) else []
+            families = [
+                name
+                for name, row in rows
+                if row.closed_loop or not (known.closed or name in biased)
+            ]
         offered = several_of("families", families, _SEARCHABLE)
         if not decided.integrates:
             offset, notes = _offset(data, validation, offset, offered)
