@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
-_MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"})
+_MISSING = frozenset(
+    {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "unavailable", "unknown"}
+)
 _NUMBER = re.compile(r"[+-]?(?P<whole>[\d.,]*?)(?:(?P<mark>[.,])(?P<part>\d*))?(?P<power>[eE].*)?")
 _OTHER = {".": ",", ",": "."}
 _GROUPED = {
@@ -32,26 +34,30 @@ def number(cell: str, mark: str) -> float | None:
         return None
 
 
-def mark_of(column: Iterable[str], others: Iterable[Iterable[str]], *, mixed: bool) -> str | None:
+def is_missing(cell: str) -> bool:
+    """Return whether a cell contains no value."""
+    return cell.strip().casefold() in _MISSING
+
+
+def mark_of(column: Iterable[str], of_file: Callable[[], set[str]], *, mixed: bool) -> str | None:
     """Return the decimal mark of a column, or None if its numbers may be read with either mark.
 
     A cell such as 0,5 or 1,234.5 proves its mark; 1,493 may be thousands. The column decides, then
-    the other columns of the file. If none proves a mark, a point is the mark, except in two cases:
-    all numbers have a point before exactly three digits, or the other numbers are whole and have
-    three digits. If `mixed`, a comma does not separate the cells, and a column may contain both
-    marks, as in a merged file; the result is then "".
+    the marks that all columns of the file prove. If none proves a mark, a point is the mark. There
+    are two exceptions: all numbers have a point before exactly three digits, or the other numbers
+    are whole and have three digits. If `mixed`, a comma does not separate the cells, and a column may
+    contain both marks, as in a merged file; the result is then "".
     """
     cells = {_plain(cell) for cell in set(column)}
     found = {cell: _mark(cell) for cell in cells}
     doubtful = {mark for mark, is_sure in found.values() if not is_sure}
-    proved = _proved(cells)
+    proved = proved_marks(cells)
     if len(proved) == 1 or not doubtful:
         return proved.pop() if len(proved) == 1 else "" if mixed and proved else "."
     if proved:
         return None
-    proved = set().union(*map(_proved, others))
-    if len(proved) == 1:
-        return proved.pop()
+    if len(proved := of_file()) == 1:
+        return next(iter(proved))
     plain = [cell for cell in cells if found[cell][1] and cell.casefold() not in _MISSING]
     if "," in doubtful or (mixed and not plain):
         return None
@@ -59,9 +65,16 @@ def mark_of(column: Iterable[str], others: Iterable[Iterable[str]], *, mixed: bo
     return None if whole and _LARGE <= max(whole) < 10**_GROUP else "."
 
 
+def proved_marks(cells: Iterable[str]) -> set[str]:
+    """Return the decimal marks that cells prove."""
+    return {mark for mark, is_sure in map(_mark, map(_plain, cells)) if is_sure} - {""}
+
+
 def contradicts(column: Iterable[str], mark: str) -> int | None:
     """Return the index of the first cell that proves another decimal mark; None if none does."""
-    return next((k for k, cell in enumerate(column) if _proved([cell]) == {_OTHER[mark]}), None)
+    return next(
+        (k for k, cell in enumerate(column) if proved_marks([cell]) == {_OTHER[mark]}), None
+    )
 
 
 def doubtful_cell(column: Sequence[str]) -> tuple[int, str]:
@@ -72,13 +85,9 @@ def doubtful_cell(column: Sequence[str]) -> tuple[int, str]:
 
 
 def _plain(cell: str) -> str:
-    """Return the text of a cell with an ASCII minus and without blanks between thousands."""
-    return _BETWEEN_GROUPS.sub("", cell.strip().replace("\N{MINUS SIGN}", "-"))
-
-
-def _proved(cells: Iterable[str]) -> set[str]:
-    """Return the decimal marks that cells prove."""
-    return {mark for mark, is_sure in map(_mark, map(_plain, cells)) if is_sure} - {""}
+    """Return the text of a cell with an ASCII minus, without blanks after it or in thousands."""
+    text = _BETWEEN_GROUPS.sub("", cell.strip().replace("\N{MINUS SIGN}", "-"))
+    return text[0] + text[1:].lstrip() if text[:1] in ("+", "-") else text
 
 
 def _mark(cell: str) -> tuple[str, bool]:

@@ -2,23 +2,45 @@
 
 from __future__ import annotations
 
-import csv
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 from armrig_core.errors import FileError
 
-from armrig.data.files.decimal_marks import contradicts, doubtful_cell, mark_of, number
+from armrig.data.files.cells import REWRITTEN, SEPARATORS, SWITCH, Kind, kind, quantity, split
+from armrig.data.files.decimal_marks import (
+    contradicts,
+    doubtful_cell,
+    is_missing,
+    mark_of,
+    number,
+    proved_marks,
+)
+from armrig.data.files.instrument_headers import (
+    PROBED_LINES,
+    TIMES,
+    Head,
+    Lines,
+    has_values,
+    head_of,
+    head_of_instrument,
+    longest_run,
+)
+from armrig.data.files.labelled_rows import json_rows, without_labels
+from armrig.data.files.long_tables import long_table
 from armrig.data.files.table import Column, Table, Vector, shown, titled
+from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
 _REMARK_MARKS = ("#", "%")
-_SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma", "": "blanks"}
-_MAX_UNIT_CHARACTERS = 16
-_QUANTITY = re.compile(r"[+-]?\d[\d.,]*\s*[^\d\s/^.,]")  # 2 s, but not the unit 1/s
-_PROBED_LINES = 20  # to find the separator
+_RECEIPT = re.compile(r"\s*(?P<time>\d{1,2}:\d\d:\d\d(?:[.,]\d+)?)\s*->(?P<line>.*)")
+_HALVES = re.compile(r"\s*\d+ +[+-]?\d+\s*")
+_BLOCK_CELLS = 1 << 20  # that are kept of adjacent columns, so that wide files are split once
+_MAX_NAMED = 4  # columns in a note
+_MAX_ROWS_WITHOUT_VALUE = 1000  # at the beginning of a column whose values have units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,10 +66,20 @@ class TextTable(Table):
     """Line number of each row, from 1."""
     separator: str
     """Separator of the cells; "" for blanks."""
+    is_mixed: bool
+    """True if a comma may be part of a number, because none separates the cells of the file."""
     decimal: str | None
-    """Decimal mark that the user gave, or None."""
+    """Decimal mark that the user gave, or that the file states; None if neither does."""
+    units_in_cells: Mapping[int, str] = field(default_factory=dict)
+    """Unit that each value of a column is followed by, by the index of the column."""
+    switches: Collection[int] = ()
+    """Indices of the columns of a switch: True and on are 1, False and off are 0."""
     ways_out: WaysOut = _OF_DATA
     """Remedies that errors name."""
+    _block: dict[int, list[str]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    _marks: list[set[str]] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, counted from 0; NaN where a value is missing."""
@@ -62,13 +94,36 @@ class TextTable(Table):
         for k, cell in enumerate(cells):
             value = number(cell, mark)
             if value is None:
-                raise self._fault(i, k, cell, "is not a number", self.ways_out.not_a_number)
+                raise self._not_a_number(i, k, cell)
             values[k] = value
         return values
 
-    def texts(self, i: int) -> list[str]:
-        """Return the cells of column i, counted from 0."""
-        return [_cells(row, self.separator)[i] for row in self.rows]
+    def texts(self, i: int) -> Sequence[str]:
+        """Return the cells of column i, counted from 0; a number without its unit."""
+        cells = self._cells(i)
+        if i in self.switches:
+            return [SWITCH.get(cell.strip().casefold(), cell) for cell in cells]
+        if i not in self.units_in_cells:
+            return cells
+        unit, bare = self.units_in_cells[i], list[str]()
+        for k, cell in enumerate(cells):
+            value, named = quantity(cell)
+            if named != unit and not is_missing(cell):
+                text = f"has the unit {shown(named)}" if named else "has no unit"
+                more = "give every value of the column the same unit"
+                raise self._fault(i, k, cell, f"{text}, the values above it {shown(unit)}; {more}")
+            bare.append(value)
+        return bare
+
+    def _cells(self, i: int) -> list[str]:
+        """Return the cells of column i as they are in the file."""
+        if i not in self._block:
+            self._block.clear()
+            width = min(len(self.columns) - i, max(1, _BLOCK_CELLS // max(1, len(self.rows))))
+            rows = (split(row, self.separator)[i : i + width] for row in self.rows)
+            cells = list(chain.from_iterable(rows))
+            self._block.update((i + k, cells[k::width]) for k in range(width))
+        return self._block[i]
 
     def place(self, k: int) -> str:
         """Return the line of instant k as text, such as `line 4`."""
@@ -81,13 +136,35 @@ class TextTable(Table):
                 said = f"has another decimal mark than --decimal {self.decimal}"
                 raise self._fault(i, k, cells[k], said)
             return self.decimal
-        others = (self.texts(j) for j in range(len(self.columns)) if j != i)
-        mark = mark_of(cells, others, mixed=self.separator != ",")
+        mark = mark_of(cells, self._proved_marks, mixed=self.is_mixed)
         if mark is None:
             k, readings = doubtful_cell(cells)
             said = f"may be {readings}: a decimal mark, or a mark between thousands? "
             raise self._fault(i, k, cells[k], said, self.ways_out.doubtful_mark)
         return mark
+
+    def _proved_marks(self) -> set[str]:
+        """Return the decimal marks that the columns prove."""
+        if not self._marks:
+            proofs = set[str]()
+            for i in range(len(self.columns)):
+                cells: Iterable[str] = self._cells(i)
+                if i in self.units_in_cells:
+                    cells = (quantity(cell)[0] for cell in cells)
+                proofs |= proved_marks(cells)
+            self._marks.append(proofs)
+        return self._marks[0]
+
+    def _not_a_number(self, i: int, k: int, cell: str) -> FileError:
+        """Return the error for a cell without a number."""
+        if k and not has_values(split(self.rows[k], self.separator)):
+            text = "is not a number; the line is like a second line of names: cut the file there"
+            return self._fault(i, k, cell, text)
+        value, unit = quantity(cell)
+        if unit and number(value, "") is not None:
+            text = "has a unit, the values above it have none; give every value the same unit"
+            return self._fault(i, k, cell, text)
+        return self._fault(i, k, cell, "is not a number", self.ways_out.not_a_number)
 
     def _fault(self, i: int, k: int, cell: str, *said: str) -> FileError:
         name = shown(self.columns[i].name) or str(i + 1)
@@ -98,96 +175,169 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
     """Return the table that a text contains; `ways_out` are the remedies that its errors name.
 
     Lines that are empty, or begin with # or %, are remarks. A first line such as `sep=;` names the
-    separator. Otherwise semicolon, tab, comma and blank are tried in this order on the first 20
+    separator. Otherwise semicolon, tab, comma and blank are tried in this order on the first 65
     lines, which must have an equal number of cells. The first line that is not a remark contains
     names if none of its cells is a number. The line after the names contains units if none of its
-    cells is a number. The numbers show the decimal mark, or `decimal` gives it.
+    cells is a number. Up to 30 lines above the names are left out. The numbers show the decimal
+    mark, or `decimal` gives it.
+
+    Headers of known instruments, JSON, `name=value`, and the times that the serial monitor of
+    Arduino writes (`->`) are read, too. A column for each name is made of a long table.
     """
-    numbered = [
-        (k, line)
-        for k, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
-    ]
-    declared = numbered[0][1].strip('" \r') if numbered else ""
-    if declared.casefold() in {f"sep={mark}" for mark in _SEPARATORS if mark}:
-        del numbered[0]  # Excel's line
-        separator = declared[-1]
+    labelled = json_rows(text)
+    receipts: Mapping[int, str] = {}
+    if labelled is not None:
+        decimal = decimal or "."
     else:
-        separator = _separator([line for _, line in numbered[:_PROBED_LINES]])
-    header: list[str] = []
-    if numbered and _are_names(first := _cells(numbered[0][1], separator)):
-        header = [cell.strip() for cell in first]
-        del numbered[0]
-    units, notes = [""] * len(header), []
-    if header and numbered and _are_units(second := _cells(numbered[0][1], separator), header):
-        units = [cell.strip().strip("[]()") for cell in second]
-        notes = [f"read line {numbered.pop(0)[0]} as units"]
-    if not numbered:
-        names = f" below its names, {shown(', '.join(header))}" if header else ""
-        raise FileError(f"there is no row of numbers{names}; a row for each sample is needed")
-    lines, rows = zip(*numbered, strict=True)
-    if header and not header[-1]:
-        del header[-1]
-    width = len(header) or len(_cells(rows[0], separator))
-    # A separator at the end of each row is not followed by a column, unless a name follows it.
-    ends = separator and (not header or len(_cells(rows[0], separator)) == width + 1)
-    if ends and all(row.rstrip(" \r").endswith(separator) for row in rows):
-        rows = tuple(row.rstrip(" \r")[:-1] for row in rows)
-        width = len(header) or width - 1
-    for k, row in enumerate(rows):
-        if (cells := len(_cells(row, separator))) != width:
-            raise FileError(_ragged(lines[k], cells, width, separator, names=bool(header)))
-    columns = [titled(heading) for heading in header] or [Column(name="")] * width
-    units += [""] * (width - len(units))
-    return TextTable(
-        columns=[c if c.unit else replace(c, unit=u) for c, u in zip(columns, units, strict=False)],
-        notes=notes,
+        lines: Lines = [
+            (k, line)
+            for k, line in enumerate(text.splitlines(), start=1)
+            if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
+        ]
+        receipts, lines = _without_receipts(lines)
+        labelled = without_labels(lines)
+    if labelled is not None:
+        names, lines, of_file = labelled
+        head, separator = Head(names=names), REWRITTEN
+    elif (known := head_of_instrument(text, lines)) is not None:
+        head, lines, separator = known
+        of_file = ","
+    else:
+        of_file, lines = _separator(lines)
+        (head, lines), separator = head_of(lines, of_file), of_file
+    if not lines:
+        shown_names = f" below its names, {shown(', '.join(head.names))}" if head.names else ""
+        msg = f"there is no row of numbers{shown_names}; a row for each sample is needed"
+        raise FileError(msg)
+    numbers, rows, width = _even_rows(lines, separator, head.names)
+    columns = [titled(name) for name in head.names] or [Column(name="")] * width
+    units = [*head.units, *[""] * width]
+    columns = [c if c.unit else replace(c, unit=u) for c, u in zip(columns, units, strict=False)]
+    if receipts:
+        is_taken = any(column.name.casefold() in TIMES for column in columns)
+        columns = [Column(name="received" if is_taken else "time"), *columns]
+        mark = separator or " "
+        rows = [f"{receipts[k]}{mark}{row}" for k, row in zip(numbers, rows, strict=True)]
+    table = TextTable(
+        columns=columns,
+        notes=head.notes,
         rows=rows,
-        lines=lines,
+        lines=numbers,
         separator=separator,
-        decimal=decimal,
+        is_mixed=of_file != ",",
+        decimal=decimal or head.decimal,
         ways_out=ways_out,
     )
+    firsts = _first_cells(table)
+    if long := long_table(table.columns, firsts, table.texts):
+        note, columns, rows = long
+        notes = [*table.notes, note]
+        table = replace(table, columns=columns, rows=rows, separator=REWRITTEN, notes=notes)
+        firsts = _first_cells(table)
+    return _with_plain_cells(table, firsts)
 
 
-def _separator(lines: Sequence[str]) -> str:
-    """Return the separator of the cells of these lines; "" for blanks."""
-    present = [s for s in _SEPARATORS if not s or any(s in line for line in lines)]
+def _without_receipts(lines: Lines) -> tuple[Mapping[int, str], Lines]:
+    """Return the times before `->` by their line, and the lines without them."""
+    if not lines or not _RECEIPT.fullmatch(lines[0][1]):
+        return {}, lines
+    times, rest = dict[int, str](), []
+    for k, line in lines:
+        if (part := _RECEIPT.fullmatch(line)) is None:
+            raise FileError(
+                f"line {k}: '{shown(line.strip())}' does not begin with a time and ->, as the "
+                "first line does; delete the line, or begin it with #"
+            )
+        if part["line"].strip():
+            times[k] = part["time"]
+            rest.append((k, part["line"].strip(" ")))
+    return times, rest
+
+
+def _separator(lines: Lines) -> tuple[str, Lines]:
+    """Return the separator of the cells, "" for blanks, and the lines without Excel's `sep=`."""
+    declared = lines[0][1].strip('" \r') if lines else ""
+    if declared.casefold() in {f"sep={mark}" for mark in SEPARATORS if mark}:
+        return declared[-1], lines[1:]
+    probed = lines[:PROBED_LINES]
+    texts = [line for _, line in probed]
+    present = [s for s in SEPARATORS if not s or any(s in text for text in texts)]
+    even = []
     for separator in present:
-        widths = {len(_cells(line.rstrip(f" \r{separator}"), separator)) for line in lines}
-        if len(widths) == 1 and widths != {1} and not _are_names(_cells(lines[-1], separator)):
-            return separator
-    return present[0]
+        widths = {len(split(text.rstrip(f" \r{separator}"), separator)) for text in texts}
+        if len(widths) == 1 and widths != {1} and has_values(cells := split(texts[-1], separator)):
+            even.append((_has_halves(cells), separator))
+    if even:
+        return min(even, key=lambda pair: pair[0])[1], lines
+    runs = {separator: longest_run(probed, separator) for separator in present}
+    rows = {s: split(texts[run[-1]], s) for s, run in runs.items() if run}
+    several = [s for s, cells in rows.items() if len(cells) > 1]
+    best = max(several, key=lambda s: (not _has_halves(rows[s]), len(runs[s])), default=present[0])
+    return best, lines
 
 
-def _cells(line: str, separator: str) -> list[str]:
-    if not separator:
-        return line.split()
-    if '"' not in line:
-        return line.split(separator)
-    try:
-        # Not strict=True, which refuses blanks after a quote.
-        return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    except csv.Error as err:
-        raise FileError(f"'{shown(line)}' cannot be split into cells: {err}") from err
+def _has_halves(cells: Iterable[str]) -> bool:
+    """Return whether a cell contains parts of two numbers with a comma, such as 0,5 1,5."""
+    return any(map(_HALVES.fullmatch, cells))
 
 
-def _are_names(cells: Sequence[str]) -> bool:
-    """Return whether the cells can be names: none of them is a number."""
-    return not any(cell.strip() and number(cell, "") is not None for cell in cells)
+def _even_rows(
+    lines: Lines, separator: str, names: Sequence[str]
+) -> tuple[Sequence[int], Sequence[str], int]:
+    """Return the line numbers, the rows, and the number of cells that each row has."""
+    numbers, rows = zip(*lines, strict=True)
+    width = len(names) or len(split(rows[0], separator))
+    # A separator at the end of each row is not followed by a column, unless a name follows it.
+    ends = separator and (not names or len(split(rows[0], separator)) == width + 1)
+    if ends and all(row.rstrip(" \r").endswith(separator) for row in rows):
+        rows = tuple(row.rstrip(" \r")[:-1] for row in rows)
+        width = len(names) or width - 1
+    for k, row in enumerate(rows):
+        if (cells := len(split(row, separator))) != width:
+            raise FileError(_ragged(numbers[k], cells, width, separator, names=bool(names)))
+    return numbers, rows, width
 
 
-def _are_units(cells: Sequence[str], header: Sequence[str]) -> bool:
-    """Return whether the cells can be units: short texts, not numbers, one for each name."""
-    fits = all(len(cell.strip()) <= _MAX_UNIT_CHARACTERS for cell in cells)
-    fits &= not any(_QUANTITY.match(cell.strip()) for cell in cells)
-    fits &= len(cells) == len(header)
-    return fits and any(cell.strip() for cell in cells) and _are_names(cells)
+def _first_cells(table: TextTable) -> list[str]:
+    """Return the first cell with a value of each column; "" if the first rows have none."""
+    firsts = [""] * len(table.columns)
+    pending: Sequence[int] = range(len(firsts))
+    for row in table.rows[:_MAX_ROWS_WITHOUT_VALUE]:
+        cells = split(row, table.separator)
+        for i in pending:
+            firsts[i] = "" if is_missing(cells[i]) else cells[i]
+        if not (pending := [i for i in pending if not firsts[i]]):
+            break
+    return firsts
+
+
+def _with_plain_cells(table: TextTable, firsts: Sequence[str]) -> TextTable:
+    """Return the table with the units that are in its cells, and with its switches as numbers."""
+    kinds, columns, notes = list(map(kind, firsts)), list(table.columns), list(table.notes)
+    units = {i: quantity(firsts[i])[1] for i, k in enumerate(kinds) if k is Kind.QUANTITY}
+    for i, unit in units.items():
+        if columns[i].unit not in ("", unit):
+            text = f"{shown(columns[i].name)}: the unit {shown(unit)} of the values is read, not "
+            notes.append(Step(f"{text}{shown(columns[i].unit)} of the header", DOUBT))
+        columns[i] = replace(columns[i], unit=unit)
+    switches = [i for i, k in enumerate(kinds) if k is Kind.SWITCH and _is_switch(table.texts(i))]
+    if switches:
+        names = ", ".join(shown(columns[i].name) or str(i + 1) for i in switches[:_MAX_NAMED])
+        more = f", … {len(switches)} columns" * (len(switches) > _MAX_NAMED)
+        notes.append(f"read the words of a switch as 1 and 0: {names}{more}")
+    return replace(table, columns=columns, notes=notes, units_in_cells=units, switches=switches)
+
+
+def _is_switch(cells: Iterable[str]) -> bool:
+    """Return whether the cells are True and False, or only on and off."""
+    words = {cell.strip().casefold() for cell in cells if not is_missing(cell)}
+    return not words.isdisjoint(("true", "false")) or words <= SWITCH.keys()
 
 
 def _ragged(line: int, cells: int, width: int, separator: str, *, names: bool) -> str:
     whose = "the line of names" if names else "the first row"
-    text = f"line {line} has {plural(cells, 'cell')} (separated by {_SEPARATORS[separator]}), "
-    text += f"{whose} {plural(width, 'cell')}; give every row the same number, and begin remarks "
+    how = f" (separated by {SEPARATORS[separator]})" if separator in SEPARATORS else ""
+    text = f"line {line} has {plural(cells, 'cell')}{how}, {whose} {plural(width, 'cell')}; "
+    text += "give every row the same number, and begin remarks "
     more = "; if decimals have a comma, separate the cells by semicolon or tab"
     return text + "with #" + more * (separator == "," and width < cells <= 2 * width)

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import armrig
 import numpy as np
 import pytest
 from armrig import FileError, load_data
 from armrig.data.files import loading, text
+from armrig.data.step import DOUBT, codes_of
 from hypothesis import given
 from hypothesis import strategies as st
+
+
+def counted(function: Callable[..., Any], calls: Counter[str]) -> Callable[..., Any]:
+    """Return the function, whose calls are counted."""
+
+    def count(*args: object) -> object:
+        calls[function.__name__] += 1
+        return function(*args)
+
+    return count
+
 
 U, Y = [1.0, -2.5, 3.0, 0.125], [0.5, 1e-3, -7.0, 1e6]
 
@@ -146,8 +160,8 @@ def test_every_finite_number_of_a_table_is_read_exactly() -> None:
             r"line 2 has 3 cells \(separated by blanks\), the first row 2 cells; give",
         ),
         (
-            "A title\nu;y\n1;2\n",
-            r"line 2 has 2 cells \(separated by semicolon\), the line of names 1",
+            "A title\nu;y\n1;2\n1;2\n1;2;3\n",
+            r"line 5 has 3 cells \(separated by semicolon\), the line of names 2",
         ),
         ("u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
         ("u;y\n1.23,4,5;2\n", "line 2, column u: '1.23,4,5' is not a number; leave a missing"),
@@ -228,7 +242,7 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
     ("text", "said"),
     [
         ("t,u,y\n0,1,2\n0,1,2\n0,1,2\n", "line 3: the times in column t do not increase"),
-        ("t,u,y\n2,1,2\n1,1,2\n0,1,2\n", "line 3: the times in column t do not increase"),
+        ("t,u,y\n2,1,2\n2,1,2\n2,1,2\n", "line 3: the times in column t do not increase"),
         ("t,u,y\n0,1,2\n,1,2\n2,1,2\n", "line 3: the times in column t have no value here; add it"),
         (
             "t,u,y\n0,1,2\n",
@@ -310,8 +324,81 @@ def test_a_line_of_units_below_the_names_is_recognised(units: str, tmp_path: Pat
 def test_values_with_units_below_the_names_are_data(row: str, tmp_path: Path) -> None:
     path = written(tmp_path, f"t;u;y\n{row}\n2;3;4\n3;5;6\n")
 
-    with pytest.raises(FileError, match=r"line 2, column u: '0.*' is not a number"):
+    with pytest.raises(
+        FileError, match=r"line 3, column [tuy]: '\d' has no unit, the values above"
+    ):
         load_data(path)
+
+
+@pytest.mark.parametrize(
+    ("cells", "unit"),
+    [
+        ("20 °C|21 °C", "°C"),
+        ("0.5%|.25%", "%"),
+        ("9.81 m/s2|-1e-3 m/s2", "m/s2"),
+        ('"1,000 V"|"1,5.0"', None),
+        ("1 V|2", None),
+        ("999 mV|1 V", None),
+        ("|3 rpm", "rpm"),
+        ("1|2 V", None),
+        ("0x10|0x11", None),
+        ("+  1.0|- 2", ""),
+    ],
+)
+def test_the_unit_of_every_cell_is_the_unit_of_the_column(cells: str, unit: str | None) -> None:
+    """A unit that changes, begins or ends within a column is refused."""
+    read = text.read_text("t,u\n" + "".join(f"0,{cell}\n" for cell in cells.split("|")))
+
+    if unit is None:
+        with pytest.raises(FileError, match=r"line [23], column u: '.*(unit|not a number)"):
+            read.numbers(1)
+        return
+    plain = cells.replace(unit, "").replace("+  ", "").replace("- ", "-").split("|")
+    np.testing.assert_array_equal(read.numbers(1), [float(x or "nan") for x in plain])
+    assert read.columns[1].unit == unit
+
+
+def test_a_unit_of_cells_that_contradicts_the_header_is_a_doubt() -> None:
+    read = text.read_text("t,u [K]\n0,20 °C\n1,21 °C\n")
+
+    assert read.columns[1].unit == "°C"
+    assert codes_of(read.notes) == [DOUBT]
+
+
+@pytest.mark.parametrize(
+    ("cells", "numbers"),
+    [
+        ("True|False|", [1, 0, np.nan]),
+        ("off|ON|nan", [0, 1, np.nan]),
+        ("on|auto|off", None),
+        ("true|3.5|x", None),
+    ],
+)
+def test_the_words_of_a_switch_are_1_and_0(cells: str, numbers: list[float] | None) -> None:
+    read = text.read_text("t,u\n" + "".join(f"0,{cell}\n" for cell in cells.split("|")))
+
+    if numbers is None:
+        with pytest.raises(FileError, match=r"column u: '(on|x)' is not a number"):
+            read.numbers(1)
+        return
+    np.testing.assert_array_equal(read.numbers(1), numbers)
+    assert list(read.notes) == ["read the words of a switch as 1 and 0: u"]
+
+
+def test_wide_and_doubtful_columns_are_split_and_decided_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The time is proportional to the number of cells, not to its square."""
+    names, values = (
+        [f"{a}{i % b:03d}" for i in range(4000)] for a, b in (("c", 9999), ("1.", 1000))
+    )
+    read = text.read_text("\n".join(map(",".join, (names, values, values, values))))
+    calls = Counter[str]()
+    for name in ("split", "proved_marks"):
+        monkeypatch.setattr(text, name, counted(getattr(text, name), calls))
+
+    assert [read.numbers(i)[-1] for i in range(4000)][:2] == [1.0, 1.001]
+    assert (calls["split"], calls["proved_marks"]) == (3, 4000)
 
 
 def test_a_unit_in_the_header_has_precedence_over_one_below(tmp_path: Path) -> None:
