@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -31,6 +31,8 @@ class ClockTable(Table):
     """Beginning of the name of a place; the table of the clock, and its rows."""
     faults: Mapping[int, str] = field(default_factory=dict)
     """Reasons why columns have no value at the instants, by index."""
+    other_times: Collection[int] = ()
+    """Indices of columns of times that are not those of the rows."""
 
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, counted from 0; NaN where a value is missing."""
@@ -58,6 +60,7 @@ def rows_of(
     columns: Sequence[Column] = (),
     held: Mapping[int, Rows] | None = None,
     faults: Mapping[int, str] | None = None,
+    other_times: Collection[int] = (),
     notes: Sequence[str] = (),
 ) -> ClockTable:
     """Return a table with these rows, in which the columns `held` have other rows."""
@@ -76,6 +79,7 @@ def rows_of(
         sources=sources,
         clock=("", table, rows),
         faults=faults or {},
+        other_times=other_times or getattr(table, "other_times", ()),
     )
 
 

@@ -34,6 +34,7 @@ from armrig.data.files.joined_files import joined_files
 from armrig.data.files.sparse_rows import complete_rows
 from armrig.data.files.stamps import (
     DATE_NAMES,
+    TIME_NAMES,
     base_and_unit,
     has_nanoseconds,
     is_time,
@@ -43,7 +44,7 @@ from armrig.data.files.stamps import (
 from armrig.data.files.table import Column, Table, Vector, shown
 from armrig.data.step import DOUBT, Step
 
-_WORD = r"(?:times?|time_?stamps?|stamp|datetime|zeit|t)"
+_WORD = f"(?:{'|'.join(map(re.escape, sorted(TIME_NAMES | {'stamp'}, key=len, reverse=True)))})"
 _LABELLED = (
     re.compile(rf"{_WORD}[\s_./:-]+(?P<label>.+)"),
     re.compile(rf"(?P<label>.+?)[\s_./:-]+{_WORD}"),
@@ -51,10 +52,12 @@ _LABELLED = (
 )
 _SAMPLED_ROWS = 64  # pairs of rows that show the order
 _MIN_FALLING = 0.9  # share of these pairs
+_MIN_ORDER = 0.8  # mean sign of the intervals of times, some of which go back
 _EVEN = 0.05  # relative deviation of an interval of even times from the usual one
 _MAX_DRIFT = 0.01  # between two clocks of the same rows
 _COARSE = 1 - 1e-6  # of the last digit, by which a coarse copy of times differs at most
 _MIN_ROWS = 3
+_COUNTERS = frozenset({"k", "n", "i", "no", "nr", "id", "index", "row", "sample", "entry_id"})
 
 
 def on_one_clock(
@@ -96,26 +99,45 @@ def _of_file(table: Table, output: str | None, time: str | None) -> Table:
     clocks = _clocks(table, of_y, of_time)
     if len(clocks) > 1:
         table, of_time = _on_master(table, clocks, of_y, of_time)
-    table = _oldest_first(table, of_y, of_time)
+    if of_time is None:
+        table = _with_finest_times(table, [i for i in time_columns(table) if i != of_y])
+    table = _in_order(table, of_y, of_time)
     return complete_rows(table, of_y, of_time)
 
 
-def _oldest_first(table: Table, of_y: int | None, of_time: int | None) -> Table:
-    """Return the rows in rising order of time if they are in falling order."""
+def _in_order(table: Table, of_y: int | None, of_time: int | None) -> Table:
+    """Return the rows in rising order of time if they are in falling order, or in none."""
+    columns, is_unnamed = table.columns, not any(column.name for column in table.columns)
     named = [i for i in time_columns(table) if i != of_y] if of_time is None else [of_time]
-    if not named or not all(_falls(table, i, is_given=of_time is not None) for i in named):
+    # Numbers of rows, too, show which row is the oldest.
+    counters = [i for i, c in enumerate(columns) if c.name.casefold() in _COUNTERS and i != of_y]
+    at = named or counters or [0] * (is_unnamed and of_y != 0 and len(columns) > 1)
+    falls = [_share_of_falls(table, i, is_sure=i == of_time) for i in at]
+    if not at or min(falls) < 1 - _MIN_FALLING:
         return table
-    rows = np.arange(sizes_of(table)[named[0]])[::-1]
-    return rows_of(table, rows, notes=["rows in falling order of time: turned round"])
+    if min(falls) >= _MIN_FALLING:
+        what = "time" if named else names_of(table, at[:1])
+        text = f"rows in falling order of {what}: turned round"
+        notes = [text if named or counters else Step(text, DOUBT)]
+        return rows_of(table, np.arange(sizes_of(table)[at[0]])[::-1], notes=notes)
+    clock = _clock(table, at[0], "") if named[:1] and not named[1:] else None
+    order = np.argsort(clock.times.t) if clock else np.empty(0, np.intp)
+    # A clock that begins again gives equal times, or uneven ones.
+    if clock is None or not are_near(d := np.diff(clock.times.t[order]), NEAR) or d.min() <= 0:
+        return table
+    notes = [Step("rows in no order of time: sorted by time", DOUBT)]
+    return rows_of(table, clock.rows[order], notes=notes)
 
 
-def _falls(table: Table, i: int, *, is_given: bool) -> bool:
-    """Return whether times fall from row to row; a few pairs of rows show it."""
-    d = _some_intervals(table, i)
+def _share_of_falls(table: Table, i: int, *, is_sure: bool) -> float:
+    """Return the share of rows after which times fall; a few pairs of rows show it."""
+    d, name = _some_intervals(table, i), table.columns[i].name
     d = d[d != 0]
-    # A temperature may be named T.
-    is_certain = is_given or table.columns[i].name != "T" or are_near(d, _EVEN)
-    return bool(d.size and np.mean(d < 0) >= _MIN_FALLING and is_certain)
+    # A temperature may be named T, and a column without a name may be a signal.
+    is_even = is_sure or name not in ("T", "") or are_near(d, NEAR if not name else _EVEN)
+    if not d.size or not is_even or (name.casefold() in _COUNTERS and not np.all(d == -1)):
+        return 0.0
+    return float(np.mean(d < 0))
 
 
 def _some_intervals(table: Table, i: int) -> Vector:
@@ -136,8 +158,8 @@ def _some_intervals(table: Table, i: int) -> Vector:
 def _labels(table: Table, of_y: int | None, of_time: int | None = None) -> dict[int, str]:
     """Return the columns that may contain times, each with a label, "" for plain names.
 
-    The label of times is the name of the column to which they belong, or another text that tells
-    them from other times.
+    The label of times is the name of the column to which they belong, or another text by which
+    they differ from other times.
     """
     columns = table.columns
     names = [column.name.casefold() for column in columns]
@@ -180,24 +202,18 @@ def _clocks(table: Table, of_y: int | None, of_time: int | None) -> list[Clock]:
         labels = {i: labels[i] for i, sign in signs.items() if sign.size == abs(sign.sum()) > 0}
     if len(labels) < 2:
         return []
-    clean, clocks = _unlabelled(table), dict[int, Clock]()
+    clocks = dict[int, Clock]()
     names = {column.name.casefold() for column in table.columns}
     for at, label in labels.items():
-        if (known := known_rows(table, at, words=True)) is None:
+        if (clock := _clock(table, at, label)) is None or clock.rows.size < _MIN_ROWS:
             continue
-        rows = np.flatnonzero(known)
-        try:
-            times = times_of(rows_of(table, rows, columns=clean), at)
-        except FileError:
-            continue  # words
-        d = np.diff(times.t)
         # A signal may have a name as of times, but it does not rise regularly.
-        column = table.columns[at]
+        column, d = table.columns[at], np.diff(clock.times.t)
         is_certain = label in names or (column.name not in ("", "T") and is_time(column))
-        is_ordered = d.size and d.any() and (np.all(d >= 0) or np.all(d <= 0))
+        order = abs(np.sign(d[d != 0]).mean()) if d.any() else 0.0
+        is_ordered = order == 1 or (label in names and order > _MIN_ORDER)
         if at == of_time or (is_ordered and (is_certain or are_near(d, NEAR))):
-            name = shown(table.columns[at].name) or f"column {at + 1}"
-            clocks[at] = Clock(at=at, name=name, label=label, rows=rows, times=times)
+            clocks[at] = clock
     if not any(names) and not _are_beside(list(clocks.values()), len(table.columns)):
         return []
     owned = _owned(table, list(clocks.values()))
@@ -209,6 +225,34 @@ def _clocks(table: Table, of_y: int | None, of_time: int | None) -> list[Clock]:
         k = next((k for k, clock in enumerate(owners) if of_y in clock.columns), 0)
         owners[k] = replace(clocks[of_time], columns=owners[k].columns)
     return owners
+
+
+def _with_finest_times(table: Table, named: Sequence[int]) -> Table:
+    """Return a table in which the finest of several columns of the same times is the only one."""
+    clocks = [_clock(table, i, "") for i in named] if len(named) > 1 else []
+    complete = [clock for clock in clocks if clock is not None]
+    if not complete or len(complete) < len(named):
+        return table
+    finest = min(complete, key=lambda clock: clock.times.resolution)
+    if not all(_are_same(finest, clock) for clock in complete):
+        return table
+    others = {*named} - {finest.at}
+    columns = [Column(name="") if i in others else c for i, c in enumerate(table.columns)]
+    note = f"{names_of(table, named)} are the same times: {finest.name} is used"
+    return rows_of(table, finest.rows, columns=columns, other_times=others, notes=[note])
+
+
+def _clock(table: Table, at: int, label: str) -> Clock | None:
+    """Return the times of a column with the rows that have one; None for words."""
+    column = table.columns[at]
+    heading = f"{column.name} ({column.unit})" if label == column.unit.casefold() else column.name
+    name = shown(heading.removesuffix(" ()")) or f"column {at + 1}"
+    with suppress(FileError):
+        if (known := known_rows(table, at, words=True)) is not None:
+            rows = np.flatnonzero(known)
+            times = times_of(rows_of(table, rows, columns=_unlabelled(table)), at)
+            return Clock(at=at, name=name, label=label, rows=rows, times=times)
+    return None
 
 
 def _are_beside(clocks: Sequence[Clock], count: int) -> bool:
@@ -288,7 +332,15 @@ def _on_master(
             columns[clock.at] = Column(name="")
     if of_time is None and master.at not in time_columns(table):
         columns[master.at] = Column(name="time", unit=base_and_unit(columns[master.at])[1])
-    view = rows_of(table, master.rows, columns=columns, held=held, faults=faults, notes=notes)
+    view = rows_of(
+        table,
+        master.rows,
+        columns=columns,
+        held=held,
+        faults=faults,
+        other_times=[clock.at for clock in clocks if clock.at != master.at],
+        notes=notes,
+    )
     return view, master.at
 
 

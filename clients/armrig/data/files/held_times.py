@@ -33,7 +33,7 @@ class Clock:
     name: str
     """Name of the column of times in messages."""
     label: str
-    """Text in the name of the times that tells them from other times."""
+    """Text in the name of the times by which they differ from other times."""
     rows: Rows
     """Rows of the table that have a time, shape (N,)."""
     times: Times
@@ -91,12 +91,20 @@ def newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tuple
             "both times from the same beginning, with their units in the names; if they belong to "
             f"the same rows, delete {other.name}"
         )
+    for clock in (other, master):
+        d = np.diff(clock.times.t)
+        if np.any(d < 0) and np.any(d > 0):
+            k = int(np.argmax(d < 0 if np.median(d) > 0 else d > 0)) + 1
+            raise FileError(
+                f"{clock.times.place(k)}: {clock.name} goes back here, so {columns} cannot be held "
+                f"to the times of {signal}; cut the file there"
+            )
     rows, k, skipped = held_at(a.t, b.t + (b.begin - a.begin), rounding(a, b, usual_interval(a.t)))
     more = ""
     if skipped > MIN_UNUSED * b.t.size:
         more += f"; {plural(skipped, 'value')} of {columns} between these times are not used"
     if k:
-        more += f"; {plural(k, 'row')} more than {_MAX_HELD:g} intervals after a value have none"
+        more += f"; not known in {plural(k, 'row')}, over {_MAX_HELD:g} intervals after a value"
     return np.append(other.rows, -1)[rows], more
 
 

@@ -11,6 +11,7 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 
 from armrig.data.columns import MAX_SIZE, Vector
+from armrig.data.files.clock_table import ClockTable
 from armrig.data.files.clocks import on_one_clock
 from armrig.data.files.column_faults import treated
 from armrig.data.files.imported_file import (
@@ -95,9 +96,7 @@ def _on_grid(
         table, "signal", outputs, "y", [name for name in _OF_OUTPUTS if getattr(how, name)]
     )
     at = time_column(table, {*of_u, *of_y}, how)
-    times = {at}
-    if table is not tables[0][1]:  # columns without a name are then times of other clocks
-        times |= {i for i, column in enumerate(table.columns) if not column.name}
+    times = {at, *(table.other_times if isinstance(table, ClockTable) else ())}
     columns, notes = _numbers(table, times, {*of_u, *of_y})
     if not columns:
         raise FileError(f"it has no column of numbers to import; {listed(table, 'signal')}")

@@ -56,7 +56,8 @@ def complete_rows(table: Table, of_y: int | None, of_time: int | None) -> Table:
         held[i] = np.append(others, -1)[k]
         more = max(more, skipped if skipped > MIN_UNUSED * others.size else 0)
     columns, y = names_of(table, [*held]), names_of(table, [output])
-    note = f"{columns} and {y} have values in different rows: {columns} held to the rows of {y}"
+    have = "has its" if len(held) == 1 else "have their"
+    note = f"{columns} {have} values in other rows than {y}: held to the rows of {y}"
     note += f"; {plural(more, 'value')} between these rows are not used" * bool(more)
     return rows_of(table, rows, held=held, notes=[Step(note, DOUBT)])
 

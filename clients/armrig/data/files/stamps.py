@@ -6,11 +6,11 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 from armrig_core.errors import FileError
 
+from armrig.data.files.dates import DAY_S, TIME_OF_DAY, UTC_ZONE, moment, month_first
 from armrig.data.files.decimal_marks import number
 from armrig.data.files.table import Column, Table, Vector, shown
 from armrig.data.step import DOUBT, Step, codes_of
@@ -30,15 +30,16 @@ _KNOWN = ", ".join(names.split()[0] for names in _UNITS.values())
 _WITH_UNIT = re.compile(
     rf"(?:(?P<base>.+?)(?:\s+in\s+|[\s_/.,-]+))?(?P<unit>{'|'.join(_SECONDS)})\.?"
 )
-_TIME_NAMES = frozenset(
+TIME_NAMES = frozenset(
     {"t", "time", "times", "timestamp", "timestamps", "time_stamp", "datetime", "date_time"}
     | {"elapsed", "elapsed_time", "zeit", "uhrzeit", "tid", "temps", "tiempo", "millis", "micros"}
-    | {"tout", "x_value", "datum_zeit", "zeitstempel", "created_at", "last_changed"}
+    | {"tout", "x_value", "datum_zeit", "zeitstempel", "created_at", "last_changed", "ts"}
+    | {"epoch", "clock", "unixtime"}
 )
+"""Names of columns of times, without a unit."""
 _BETWEEN_WORDS = re.compile(r"[\s/_-]+")
 DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
-"""Names of a column of dates beside one of times of day."""
-_DAY_S = 86400.0
+"""Names of a column of dates, if another column contains times of day."""
 _NANO = 1e-9
 _FRACTIONS = (_NANO, 1e-6, 1e-3)  # units, in s, of a second column
 _EPOCH = "s since 1970"
@@ -47,28 +48,14 @@ _DOUBTFUL_S = 1.0  # smallest usual interval without a unit that may be ms
 _LONG_S = 100.0  # usual interval from which a unit of ms or µs is more usual
 _YEAR_S = 3.2e7  # times without a unit are not seconds beyond it
 _MOST_MS = 1000.0  # usual interval in ms; longer ones are µs
-_TIME_OF_DAY = re.compile(
-    r"(?:(?P<days>-?\d+) days?,? \+?)?(?:(?P<h>\d{1,3}):)?(?P<m>\d{1,3}):"
-    r"(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-)
-_DATE = re.compile(r"(?P<a>\d{1,2})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)")
 _HOURS_AND_MINUTES = re.compile(r"\d{1,3}:\d\d")
 _SECONDS_WRITTEN = re.compile(r":\d\d[:.,]\d")
-_FRACTION = re.compile(r"(?<=:\d\d:\d\d)[.,](\d+)")
-_ZONE = re.compile(
-    r"(?P<moment>.*?:\d\d(?:[.,]\d+)?(?: [AP]M)?)\s*(?P<name>Z|[A-Z]{3,5})?"
-    r"(?:(?P<sign>[+-])(?P<h>\d\d?)(?::?(?P<m>[0-5]\d))?)?(?:\[.*\])?",
-    re.IGNORECASE,
-)
-_UTC = "UTC"
-_MATLAB = "%d-%b-%Y %H:%M:%S"
-_BEGIN = (datetime(1970, 1, 1), datetime(1970, 1, 1, tzinfo=UTC))  # of dates as numbers
 _TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
 _BY_SIZE = (
     *((_EPOCH_S[0] / unit, _EPOCH_S[1] / unit, np.inf, unit) for unit, _ in _TICKS),
-    (7e5, 8e5, 0.5, _DAY_S),  # MATLAB's days since year 0, from 1916 to 2190
-    (3.6e4, 5.5e4, 0.05, _DAY_S),  # Excel's days since 1900, from 1998 to 2050
+    (7e5, 8e5, 0.5, DAY_S),  # MATLAB's days since year 0, from 1916 to 2190
+    (3.6e4, 5.5e4, 0.05, DAY_S),  # Excel's days since 1900, from 1998 to 2050
 )
 """Range of the times, their largest usual interval, and the unit in s."""
 _NAMES = (
@@ -102,20 +89,22 @@ class Times:
     clock: str = ""
     """Origin of the clock, such as `s since 1970`; "" if it is not known."""
     has_unit: bool = True
-    """Whether the header, or the size of the times, states their unit."""
+    """True if the header, or the size of the times, states their unit."""
 
 
 def time_columns(table: Table) -> list[int]:
     """Return the indices of the columns whose names mean the time; the plainest names first."""
     names = [_folded(column) for column in table.columns]
     plain = [i for i, name in enumerate(names) if name in ("t", "time")]
+    # A temperature may be named T.
+    plain = [i for i in plain if table.columns[i].name != "T"] or plain
     named = [i for i in range(len(names)) if is_time(table.columns[i]) or has_nanoseconds(table, i)]
     return plain or [i for i in named if not (i and has_nanoseconds(table, i - 1))]
 
 
 def is_time(column: Column) -> bool:
-    """Return whether the name of a column means the time."""
-    return _base(_folded(column)) in _TIME_NAMES
+    """Return whether the name of a column means the time; Ts is a sampling time."""
+    return _base(_folded(column)) in TIME_NAMES and column.name != "Ts"
 
 
 def _folded(column: Column) -> str:
@@ -126,7 +115,7 @@ def _folded(column: Column) -> str:
 def _base(name: str) -> str:
     """Return a name of times without a unit at its end, such as t for t_ms."""
     found, plain = _WITH_UNIT.fullmatch(name), _BETWEEN_WORDS.sub("_", name)
-    return plain if plain in _TIME_NAMES or found is None else (found["base"] or "t")
+    return plain if plain in TIME_NAMES or found is None else (found["base"] or "t")
 
 
 def _unit_of(column: Column, named: str) -> float | None:
@@ -168,6 +157,13 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
         )
     unit, notes, clock = _unit_of(table.columns[i], named), list[str](), ""
     has_unit = unit is not None
+    _, suffix = base_and_unit(column := table.columns[i])
+    if (
+        not column.unit
+        and suffix not in ("", "s")
+        and suffix in (c.name.casefold() for c in table.columns)
+    ):
+        notes.append(Step(f"{named} are read in {suffix}, and not as the times of {suffix}", DOUBT))
     middle = float(np.median(t)) if t.size else 0.0
     usual = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if unit is None:
@@ -224,7 +220,7 @@ def _without_unit(t: Vector, usual: float, named: str, name: str) -> tuple[float
     others = " or ".join(f"{name or 'time'}_{u}" for u in ("s", "ms", "us") if u != unit)
     text = (
         f"{named} have no unit and are {usual:.10g} apart: read as {unit}, so Ts is "
-        f"{usual * sizes[unit]:g} s; if they are not, rename the column to {others}, or give Ts in "
+        f"{usual * sizes[unit]:g} s. If they are not, rename the column to {others}, or give Ts in "
         "s (--Ts)"
     )
     return sizes[unit], [Step(text, DOUBT)]
@@ -247,10 +243,9 @@ def has_nanoseconds(table: Table, i: int) -> bool:
 
 def _with_fractions(table: Table, i: int, times: Times) -> Times:
     """Add the next column, if it contains the fractions of times in whole seconds."""
-    d_s, n = np.diff(times.t), np.empty(0)
-    if i + 1 >= len(table.columns) or not d_s.any() or np.any((d_s < 0) | (d_s != np.rint(d_s))):
+    if i + 1 >= len(table.columns) or times.t.size < 2 or np.any(times.t != np.rint(times.t)):
         return times
-    column = table.columns[i + 1]
+    column, n = table.columns[i + 1], np.empty(0)
     base, unit = base_and_unit(column)
     is_named = bool(unit) and base in ("", base_and_unit(table.columns[i])[0])
     if column.name and not is_named:
@@ -259,14 +254,17 @@ def _with_fractions(table: Table, i: int, times: Times) -> Times:
         n = table.numbers(i + 1)
     if n.shape != times.t.shape or not np.all((n >= 0) & (n < 1 / _NANO) & (n == np.rint(n))):
         return times
+    d_s, d_n = np.diff(times.t), np.diff(n)
+    rises = d_s > 0
     # Without names, only a fraction falls where the seconds rise.
-    if not is_named and (np.all(d_s > 0) or not np.array_equal(d_s > 0, np.diff(n) < 0)):
+    if not is_named and (np.all(rises) or np.any(d_s < 0) or not np.array_equal(rises, d_n < 0)):
         return times
-    for size in [_SECONDS[unit]] if is_named else _FRACTIONS:
-        d = d_s + size * np.diff(n)
-        is_even = is_named or abs(np.median(d[d_s > 0]) - np.median(d)) <= np.median(d) / 2
-        if size < 1 and n.max() * size < 1 and d.min() >= 0 and is_even:
-            text = f"added column {shown(column.name) or i + 2} to {times.name}, in {size:g} s"
+    for size in [_SECONDS[unit]] if is_named else _FRACTIONS[: 3 if rises.any() else 1]:
+        d = d_s + size * d_n
+        is_even = not rises.any() or abs(np.median(d[rises]) - np.median(d)) <= np.median(d) / 2
+        if size < 1 and n.max() * size < 1 and (is_named or (d.min() > 0 and is_even)):
+            name = shown(column.name) or str(i + 2)
+            text = f"added column {name} to {times.name}, in {dict(_TICKS)[size]}"
             return replace(
                 times,
                 t=times.t + size * (n - n[0]),
@@ -300,7 +298,7 @@ def _last_digit(t: Vector) -> float:
 
 def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
     """Return the times of dates or times of day, without the changes of a clock."""
-    is_time = bool(_TIME_OF_DAY.fullmatch(cells[0].strip()))
+    is_time = bool(TIME_OF_DAY.fullmatch(cells[0].strip()))
     dates = [j for j, column in enumerate(table.columns) if column.name.casefold() in DATE_NAMES]
     if is_time and dates and dates[0] != i:
         days, is_time = table.texts(dates[0]), False
@@ -308,11 +306,11 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
     notes: list[str] = []
     if not table.columns[i].unit and _HOURS_AND_MINUTES.fullmatch(cells[0].strip()):
         notes.append(Step(f"times such as {cells[0].strip()} are read as hours:minutes", DOUBT))
-    month_first, zones = _month_first(cells), dict[str, int]()
+    is_american, zones = month_first(cells), dict[str, int]()
     whole, part = np.empty(len(cells)), np.empty(len(cells))
     for k, cell in enumerate(map(str.strip, cells)):
         try:
-            whole[k], part[k], zone = _moment(cell, month_first)
+            whole[k], part[k], zone = moment(cell, month_first=is_american)
         except (ValueError, OverflowError):
             raise FileError(
                 f"{table.place(k)}: '{shown(cell)}' is not a time; write a number, or a time such "
@@ -327,12 +325,14 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
     t = (whole - whole[0]) + (part - part[0])  # exact, because the differences are small
     is_span = "day" in cells[0]
     if is_time and not is_span:
-        t += _DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -_DAY_S / 2)  # midnight
+        t += DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -DAY_S / 2)  # midnight
     if "" in zones:
         t, changes = _without_clock_changes(t, table.place)
         notes += changes
     has_seconds = any(map(_SECONDS_WRITTEN.search, cells)) or ":" not in cells[0]
-    clock = _EPOCH if zones.keys() == {_UTC} else f"{_EPOCH} in {''.join(zones) or 'local time'}"
+    clock = (
+        _EPOCH if zones.keys() == {UTC_ZONE} else f"{_EPOCH} in {''.join(zones) or 'local time'}"
+    )
     clock = "s since midnight" if is_time else clock
     return Times(
         t=t,
@@ -343,67 +343,6 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
         begin=begin,
         clock="" if is_span else clock,
     )
-
-
-def _month_first(cells: Sequence[str]) -> bool:
-    """Return whether dates are written as 3/31/2024, not as 31.3.2024."""
-    if not _DATE.match(cells[0].strip()):
-        return False
-    parts = [part for cell in cells if (part := _DATE.match(cell.strip()))]
-    firsts, seconds = ([int(part[m]) for part in parts] for m in "ab")
-    if max(firsts) > 12 or max(seconds) > 12:
-        return max(firsts) <= 12
-    # The times lie closer together in the right order.
-    american, other = (
-        max(np.abs(np.diff(31 * np.array(months) + days)), default=0)
-        for months, days in ((firsts, seconds), (seconds, firsts))
-    )
-    if american != other:
-        return bool(american < other)
-    return any(part["mark"] == "/" for part in parts)
-
-
-def _moment(text: str, month_first: bool) -> tuple[float, float, str]:
-    """Return the seconds of a date, those to add, and the time zone, "" if none is written."""
-    part = 0.0
-    if found := _FRACTION.search(text):
-        part, text = float(f"0.{found[1]}"), text[: found.start()] + text[found.end() :]
-    with suppress(ValueError):  # first, because it is fast
-        moment = datetime.fromisoformat(text)
-        span = moment - _BEGIN[moment.tzinfo is not None]
-        seconds = span.days * _DAY_S + span.seconds
-        return seconds, part + 1e-6 * span.microseconds, _UTC if moment.tzinfo else ""
-    if (found := _ZONE.fullmatch(text)) and text != found["moment"]:
-        seconds, more, zone = _moment(found["moment"], month_first)
-        name, sign = (found["name"] or _UTC).upper(), found["sign"]
-        offset = 3600.0 * int(found["h"] or 0) + 60.0 * int(found["m"] or 0)
-        zone = zone or (_UTC if sign or name in ("Z", "GMT") else name)
-        return seconds - offset * (-1 if sign == "-" else 1), part + more, zone
-    if _TIME_OF_DAY.fullmatch(text):
-        return 0.0, part + _time_of_day(text), ""
-    if found := _DATE.match(text):
-        a, b, year = int(found["a"]), int(found["b"]), int(found["year"])
-        month, day = (a, b) if month_first else (b, a)
-        begin = datetime(year + 2000 * (year < 100), month, day) - _BEGIN[0]
-        rest = text[found.end() :].strip(" T,") or "0:00:00"
-        return begin.total_seconds(), part + _time_of_day(rest), ""
-    plain = text.replace(",", ".").replace("/", "-")
-    if plain != text:
-        seconds, more, zone = _moment(plain, month_first)
-        return seconds, part + more, zone
-    return (datetime.strptime(text, _MATLAB) - _BEGIN[0]).total_seconds(), part, ""
-
-
-def _time_of_day(text: str) -> float:
-    found = _TIME_OF_DAY.fullmatch(text)
-    if found is None:
-        raise ValueError(text)
-    hours, minutes, seconds = int(found["h"] or 0), int(found["m"]), found["s"].replace(",", ".")
-    if found["h"] is None and "." not in seconds:  # 1:59 is in hours, Excel's 1:59.5 in minutes
-        hours, minutes, seconds = minutes, int(seconds), "0"
-    if half := (found["half"] or "").casefold()[:1]:
-        hours = hours % 12 + 12 * (half == "p")
-    return _DAY_S * int(found["days"] or 0) + 3600.0 * hours + 60.0 * minutes + float(seconds)
 
 
 def _without_clock_changes(t: Vector, place: Callable[[int], str]) -> tuple[Vector, list[str]]:
