@@ -155,11 +155,13 @@ def _importable(file: Path, roles: Sequence[str]) -> Iterator[None]:
     try:
         yield
     except ReadingError as err:
-        from armrig.recordings.files.imports import imported_as
+        from armrig.recordings.files.imports import import_of, imported_as
 
         if name := imported_as(hashlib.sha256(file.read_bytes()).hexdigest()):
             raise InputError(f"{file} was imported as {name}: use {name}") from err
-        words = ["armrig import", quote(str(file)), *roles, err.option]
+        facts = import_of(file) if file.suffix == RECORDING else None
+        original = facts.sources[0].name if facts else str(file)
+        words = ["armrig import", quote(original), *roles, err.option]
         raise InputError(f"{err}; import the file first: `{' '.join(words)}`") from err
 
 

@@ -29,6 +29,7 @@ _MIN_HELD_VALUES = 10
 _MIN_STUCK = 20  # rows
 _MIN_STUCK_RATIO = 4  # of the longest to the second longest sequence of one value
 _MIN_STEPS = 20
+_MIN_COUNTER_VALUES = 8  # a signal of few levels is no counter
 _MIN_JUMP = 0.5  # of the modulus
 _MAX_JUMP_SHARE = 0.25  # of the steps
 _MIN_RANGE = 0.7  # of the modulus
@@ -139,7 +140,7 @@ def rails_of(y: Vector) -> tuple[Mask, list[float]]:
 def _modulus_of(known: Vector) -> tuple[float, bool] | None:
     """Return the range of a counter that wraps, or None, and whether the range is a usual one."""
     d = np.diff(known)
-    if d.size < _MIN_STEPS:
+    if d.size < _MIN_STEPS or np.unique(known).size < _MIN_COUNTER_VALUES:
         return None
     span = float(np.ptp(known))
     at = np.flatnonzero(np.abs(d) > _MIN_JUMP * span)

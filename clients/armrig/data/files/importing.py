@@ -106,7 +106,7 @@ def _on_grid(
             f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}; save columns of one "
             "length"
         )
-    grid = grid_of_rows(table, [i for i in columns if i != at], sizes.pop(), how)
+    grid = grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
     names = _names(table, [*columns])
     history = [*table.notes, *grid.notes, *notes]
     for i in of_y:
@@ -117,10 +117,11 @@ def _on_grid(
     placed = {i: grid.placed(x, held=i in of_u) for i, x in columns.items()}
     put_in = np.ones(grid.size, np.bool_)
     put_in[grid.at if grid.times is None else slice(None)] = False
-    if of_u and how.hold_input:
+    if of_u:  # refuses inputs that are written only where they change, unless they are held
         u = np.column_stack([placed[i] for i in of_u])
         history += hold_inputs(u, put_in, [names[i] for i in of_u], how)
-        placed |= dict(zip(of_u, u.T, strict=True))
+        if how.hold_input:
+            placed |= dict(zip(of_u, u.T, strict=True))
     rows = np.flatnonzero(~put_in)
     given = {k: str(v) for k, v in how._asdict().items() if v is not None and v is not False}
     return ImportedData(

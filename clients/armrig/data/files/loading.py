@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from shlex import quote
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -219,7 +220,8 @@ def naming_file(path: Path) -> Iterator[None]:
     except ReadingError as err:
         raise ReadingError(f"{path}: {err}", err.option) from err
     except InputError as err:
-        raise FileError(f"{path}: {err}") from err
+        text = str(err).replace("FILE", quote(str(path)))  # in a command that converts the file
+        raise FileError(f"{path}: {text}") from err
     except OSError as err:
         if err.errno != errno.EFBIG:
             raise

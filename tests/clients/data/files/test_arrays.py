@@ -589,11 +589,11 @@ def test_a_time_that_is_missing_in_numpy_is_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("begin", "line"),
     [
-        (b"MDF     4.10    ", "asammdf .*MDF.'FILE'.*export"),
-        (b"TDSm\x0e\0\0\0", "nptdms .*TdmsFile.read.'FILE'.*to_csv"),
-        (b"ULog\x01\x12\x35\x01", "ulog2csv FILE"),
-        (b"\xa3\x95\x80\x80", "mavlogdump.py --format csv --types RATE FILE > RATE.csv"),
-        (b"ARROW1\0\0", "pandas.read_feather.'FILE'.*to_parquet"),
+        (b"MDF     4.10    ", r"asammdf .*MDF.'\S*data.bin'.*export"),
+        (b"TDSm\x0e\0\0\0", r"nptdms .*TdmsFile.read.'\S*data.bin'.*to_csv"),
+        (b"ULog\x01\x12\x35\x01", r"ulog2csv \S*data.bin"),
+        (b"\xa3\x95\x80\x80", r"mavlogdump.py --format csv --types RATE \S*data.bin > RATE.csv"),
+        (b"ARROW1\0\0", r"pandas.read_feather.'\S*data.bin'.*to_parquet"),
     ],
 )
 def test_a_foreign_kind_is_refused_with_the_line_that_converts_it(
