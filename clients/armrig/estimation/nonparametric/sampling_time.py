@@ -202,8 +202,13 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         t, response, tau, transient = _from_impulse(data, integrates)
     else:
         t, response = np.append(0.0, steps.smooth_t), np.append(0.0, steps.smooth / steps.gain)
-        tau, transient = steps.tau, steps.settling
-    estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
+        tau, transient = steps.tau, steps.settling - steps.dead_time
+        if np.isnan(transient):
+            raise InputError(
+                f"the step ends before {steps.output} settles, so its times are not determined: "
+                "hold u longer after the step"
+            )
+    estimate = _spectrum(data, steps.settling if steps else None, integrates=integrates)
     if not stepped:
         explained(estimate)
     known = estimate.magnitude[np.isfinite(estimate.G)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -20,6 +20,7 @@ from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.data_faults import require_moving_output
 from armrig.estimation.nonparametric.step_answer import Answer, step_answer
+from armrig.estimation.nonparametric.step_process import ProcessAnswer, step_process
 from armrig.numerics.quantities import digits, plural, times, with_std
 from armrig.numerics.rounding import rounding_std
 from armrig.numerics.step_times import area_above, lag_of_angle
@@ -42,6 +43,9 @@ _CURVE_ERROR = 0.1
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
 _MAX_OVERSHOOT_STD = 0.03  # with a larger std the overshoot may be noise
+_UNKNOWN = "not determined"
+_MAX_RELATIVE_STD = 0.2  # with a larger std, a number of a record that has not settled is unknown
+_MAX_DISTINCT_SHARE = 0.5  # of the samples; with fewer distinct values y is rounded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -52,12 +56,22 @@ class StepAnalysis(OfDataset):
     """Time in s from the step, (n,); negative before the step."""
     y: Vector
     """Mean response less the level before the step, per unit of u, (n,)."""
+    form: str
+    """Process model that fits the response, P1D or P2D; "" if neither fits, or if y integrates."""
     gain: float
-    """Final value: mean of the last third, in units of y (per s if y integrates) per unit of u."""
+    """Final value in units of y (per s if y integrates) per unit of u, by the process model or as
+    mean of the last third. NaN if not determined, as are the times."""
     gain_std: float
-    """Standard deviation of `gain`, from scatter in the last third and motion before the step."""
+    """Standard deviation of `gain`."""
+    gain_interval: tuple[float, float]
+    """95 % interval of the gain, also if `gain` is not determined."""
+    time_constants: tuple[float, ...]
+    """Time constants of a P2D response in s, longest first; () otherwise. The time constant of P1D
+    is `tau`."""
+    time_constants_std: tuple[float, ...]
+    """Standard deviations of `time_constants`, in s."""
     dead_time: float
-    """Dead time in s; 0.0 if the probability of no dead time is 1 % or more."""
+    """Dead time in s; 0.0 if there may be none: without `form`, at a probability of 1 % or more."""
     dead_time_interval: tuple[float, float]
     """95 % interval of the dead time in s, which contains `dead_time`."""
     tau: float
@@ -108,16 +122,23 @@ class StepAnalysis(OfDataset):
             of = next((output for output, rate in RATES.items() if rate == name), "")
             name = f"the rate of {of}" if of else f"the {name}"
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
-        dead_time = f"{self.dead_time:.4g} s" if self.dead_time else "not determined"
+        dead_time = f"{self.dead_time:.4g} s" if self.dead_time or self.form else _UNKNOWN
+        gain = f"{with_std(self.gain, self.gain_std)} {unit}".rstrip()
+        if np.isnan(self.gain):
+            least, most = (f"{x:.4g}" for x in self.gain_interval)
+            gain = f"{_UNKNOWN} (95 %: {least} … {most} {unit}".rstrip() + ")"
+        bandwidth = f", so omega_B = 1/tau = {digits(self.bandwidth, 3)} rad/s"
+        constants = zip(self.time_constants, self.time_constants_std, strict=True)
         lines = [
-            f"step analysis of {name}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s",
-            f"  gain {with_std(self.gain, self.gain_std)} {unit}".rstrip(),
+            f"step analysis of {name}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s"
+            + f", {self.form} fit" * bool(self.form),
+            f"  gain {gain}",
             f"  dead time {dead_time} (95 %: {low:.4g} … {high:.4g} s)",
-            f"  63 % time {with_std(self.tau, self.tau_std)} s, so omega_B = 1/tau = "
-            f"{digits(self.bandwidth, 3)} rad/s",
-            f"  equivalent time {with_std(self.equivalent_time, self.equivalent_time_std)} s "
+            *(f"  time constant {i} {_seconds(*x)}" for i, x in enumerate(constants, 1)),
+            f"  63 % time {_seconds(self.tau, self.tau_std)}{bandwidth * bool(self.tau > 0)}",
+            f"  equivalent time {_seconds(self.equivalent_time, self.equivalent_time_std)} "
             "(area above the response)",
-            f"  within 5 % after {with_std(self.settling, self.settling_std)} s, "
+            f"  within 5 % after {_seconds(self.settling, self.settling_std)}, "
             f"{self._overshoot_text()}",
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
@@ -132,6 +153,10 @@ class StepAnalysis(OfDataset):
         return f"overshoot {with_std(100 * self.overshoot, 100 * self.overshoot_std)} %"
 
 
+def _seconds(value: float, std: float) -> str:
+    return _UNKNOWN if np.isnan(value) else f"{with_std(value, std)} s"
+
+
 @takes_recordings
 def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnalysis:
     """Return the 63 % time, the dead time and the gain of the response to a step.
@@ -140,12 +165,17 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     subtracted, and each response is weighted by the size of its step. If y integrates, the rate is
     analysed. The value (y(t) - y(t-1))/Ts of the rate belongs to the middle of the interval.
 
-    The 63 % time, settling, overshoot and dead time are computed from curves. The curves are drawn
-    from the posterior of a Gaussian process, given all samples. Each curve is divided by its own
-    final value (see `armrig.estimation.nonparametric.step_answer`). The standard deviations are
-    computed from the scatter of the curves, and increase if samples are missing. A dead time is
-    reported only if the probability of no dead time is below 1 %; otherwise `dead_time` is 0. The
-    standard deviation of the 63 % time then includes a possible dead time.
+    If y settles like P1D or P2D, one or two time constants with a dead time, all numbers are those
+    of this process model, with the steps of a converter in their deviations (see
+    `armrig.estimation.nonparametric.step_process`). The response may then end before it settles: a
+    number that the record leaves open is NaN.
+
+    Any other response, and a rate, is described by curves that are drawn from the posterior of a
+    Gaussian process, given all samples. Each curve is divided by its own final value (see
+    `armrig.estimation.nonparametric.step_answer`). The standard deviations are computed from the
+    scatter of the curves, and increase if samples are missing. A dead time is reported only if the
+    probability of no dead time is below 1 %; otherwise `dead_time` is 0. The standard deviation of
+    the 63 % time then includes a possible dead time.
 
     Parameters
     ----------
@@ -204,44 +234,128 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
             + "; or y settles (--assume settling, integrator=False)"
             * bool(decided.reason)
         )
-    answer = _answer(own, k, weight, data, gain, integrates=integrates)
+    process = None if integrates else _process(y, k, weight, data, steps)
+    if process is None:
+        answer = _answer(own, k, weight, data, gain, integrates=integrates)
+    else:
+        answer = process.answer
     crossing, L = answer.crossing, answer.dead_time
     if not crossing > 0:
         raise InputError(
             f"{treated.output} is at its final value at the step, which is no response to it: use "
             "a larger step, or hold u longer"
         )
+    unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
+    hidden = _hidden(own, k, crossing, data.Ts)
+    notes = (
+        *decided.notes,
+        *(_warnings(tail / gain, unsettled / gain, answer, hidden, data, process)),
+    )
+    common: dict[str, Any] = {
+        "t": t,
+        "y": y,
+        "dead_time": L,
+        "dead_time_interval": answer.dead_time_interval,
+        "smooth_t": answer.t,
+        "hidden": hidden,
+        "rate": integrates,
+        "steps": len(steps.at),
+        "warnings": notes,
+        **labels(treated),
+    }
+    if process is not None:
+        return StepAnalysis(**common, **_process_numbers(process))
     low, high = answer.dead_time_interval
     L_std = (high - low) / 4 if L else 0.0
     lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
-    unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
-    hidden = _hidden(own, k, crossing, data.Ts)
     above, above_std = answer.overshoot
     above = above if above_std < _MAX_OVERSHOOT_STD else float("nan")
+    gain_std = float(np.hypot(gain_std, unsettled))
     return StepAnalysis(
-        t=t,
-        y=y,
+        **common,
+        form="",
         gain=gain,
-        gain_std=float(np.hypot(gain_std, unsettled)),
-        dead_time=L,
-        dead_time_interval=(low, high),
+        gain_std=gain_std,
+        gain_interval=(gain - 1.96 * gain_std, gain + 1.96 * gain_std),
+        time_constants=(),
+        time_constants_std=(),
         tau=crossing - L,
         tau_std=float(np.hypot(answer.tau_std, _CURVE_ERROR * data.Ts**2 / crossing)),
         equivalent_time=lag - L,
         equivalent_time_std=float(np.hypot(lag_std, L_std)),
-        smooth_t=answer.t,
         smooth=answer.y * gain,
         smooth_std=answer.std * abs(gain),
-        hidden=hidden,
         settling=answer.settling,
         settling_std=answer.settling_std,
         overshoot=above,
         overshoot_std=above_std,
-        rate=integrates,
-        steps=len(steps.at),
-        **labels(treated),
-        warnings=(*decided.notes, *_warnings(tail / gain, unsettled / gain, answer, hidden, data)),
     )
+
+
+def _process(
+    y: Vector, k: NDArray[np.int_], weight: Vector, data: Dataset, steps: _Steps
+) -> ProcessAnswer | None:
+    """Return the response as P1D or P2D, or None."""
+    y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y)
+    return step_process(
+        np.asarray(data.Ts * k, dtype=np.float64),
+        y,
+        weight,
+        data.Ts,
+        quantum=_converter_step(data) / float(np.sqrt(weight.max())),
+        steps=len(steps.at),
+        decays=_left_to_settle(y, k, steps, 1.0) != 0,
+        band=SETTLING_BAND,
+    )
+
+
+def _converter_step(data: Dataset) -> float:
+    """Return the quantisation step of y, also if the steps of its printed values differ."""
+    y = data.y[np.isfinite(data.y)]
+    values = np.unique(y)
+    gaps = np.diff(values)
+    gaps = gaps[gaps > rounding_std(y)]
+    rounded = values.size < _MAX_DISTINCT_SHARE * y.size and gaps.size > 0
+    return quantum(data) or (float(np.median(gaps)) if rounded else 0.0)
+
+
+def _process_numbers(process: ProcessAnswer) -> dict[str, Any]:
+    """Return the numbers of P1D or P2D that the record determines; NaN for any other."""
+    answer = process.answer
+
+    def number(draws: Vector, value: float) -> tuple[float, float]:
+        # The 95 % interval may lie unevenly about the value; its farther end is 1.96 std away.
+        low, high = np.quantile(draws, [0.025, 0.975])
+        std = float(max(high - value, value - low)) / 1.96
+        return (value, std) if std < _MAX_RELATIVE_STD * abs(value) else (np.nan, np.nan)
+
+    lags = process.time_constants.sum(axis=1)
+    gain, gain_std = number(process.gains, process.scale)
+    tau, tau_std = number(answer.crossings - answer.delays, answer.crossing - answer.dead_time)
+    lag, lag_std = number(lags, float(np.median(lags)))
+    settling, settling_std = number(answer.settlings, answer.settling)
+    constants = [number(draws, float(np.median(draws))) for draws in process.time_constants.T]
+    if process.form != "P2D" or np.isnan(constants).any():
+        constants = []
+    low, high = np.quantile(process.gains, [0.025, 0.975])
+    return {
+        "form": process.form,
+        "gain": gain,
+        "gain_std": gain_std,
+        "gain_interval": (float(low), float(high)),
+        "time_constants": tuple(value for value, _ in constants),
+        "time_constants_std": tuple(std for _, std in constants),
+        "tau": tau,
+        "tau_std": tau_std,
+        "equivalent_time": lag,
+        "equivalent_time_std": lag_std,
+        "smooth": answer.y * process.scale,
+        "smooth_std": answer.std * abs(process.scale),
+        "settling": settling,
+        "settling_std": settling_std,
+        "overshoot": 0.0,
+        "overshoot_std": float(answer.std[-1]),
+    }
 
 
 class _Steps(NamedTuple):
@@ -402,6 +516,7 @@ def _warnings(
     answer: Answer,
     hidden: tuple[float, float] | None,
     data: Dataset,
+    process: ProcessAnswer | None = None,
 ) -> Iterator[str]:
     if hidden:
         yield (
@@ -417,7 +532,12 @@ def _warnings(
     half = tail.size // 2
     change = float(abs(np.mean(tail[half:]) - np.mean(tail[:half]))) if half else 0.0
     noise = float(np.std(np.diff(tail))) / np.sqrt(max(tail.size, 1))  # a slope does not count
-    if change > 0.04 + 4 * noise:
+    if process is not None and process.end < 1 - SETTLING_BAND:
+        yield (
+            f"{data.output} ends at {100 * process.end:.0f} % of its final value, so all numbers "
+            f"but the dead time rest on the {process.form} fit: hold u longer"
+        )
+    elif process is None and change > 0.04 + 4 * noise:
         yield "the response has not settled in the last third of the hold: hold u longer"
     if answer.crossing < 3 * data.Ts:
         yield (
