@@ -45,8 +45,8 @@ def mark_of(column: Iterable[str], of_file: Callable[[], set[str]], *, mixed: bo
     A cell such as 0,5 or 1,234.5 proves its mark; 1,493 may be thousands. The column decides, then
     the marks that all columns of the file prove. If none proves a mark, a point is the mark. There
     are two exceptions: all numbers have a point before exactly three digits, or the other numbers
-    are whole and have three digits. If `mixed`, a comma does not separate the cells, and a column may
-    contain both marks, as in a merged file; the result is then "".
+    are whole and have three digits. If `mixed`, a comma does not separate the cells. A column may
+    then contain both marks, as in a merged file, and the result is "".
     """
     cells = {_plain(cell) for cell in set(column)}
     found = {cell: _mark(cell) for cell in cells}

@@ -99,6 +99,10 @@ def head_of(lines: Lines, separator: str) -> tuple[Head, Lines]:
 def _head(lines: Lines, separator: str, at: int, units: int, begin: int) -> tuple[Head, Lines]:
     """Return the names in line `at`, the units `units` lines below, and the rows from `begin`."""
     names, notes = _names(split(lines[at][1], separator)), list[str]()
+    if numbered := [name for name in names if name.isdecimal()]:
+        # A number chooses a column by its place.
+        names = [f"CH{name}" if name.isdecimal() else name for name in names]
+        notes.append(f"line {lines[at][0]}: the name {numbered[0]} is read as CH{numbered[0]}")
     if at:
         notes.append(_left_out(lines[:at], "names"))
     if units:
@@ -125,8 +129,7 @@ def _head_at_begin(lines: Lines, separator: str) -> tuple[Head, Lines]:
     if not are_names(first, last if second else ()):
         if len(lines) <= 2 or not _are_numbered_names(lines[0][0], first, second, last):
             return Head(), lines
-        head, rows = _head(lines, separator, 0, 0, 1)
-        return replace(head, notes=[f"read line {lines[0][0]} as names", *head.notes]), rows
+        return _head(lines, separator, 0, 0, 1)
     if not _fit_units(second, first):
         return _head(lines, separator, 0, 0, 1)
     if are_units(second, first) is not False:
@@ -144,9 +147,8 @@ def _are_numbered_names(line: int, cells: Sequence[str], *rows: Sequence[str]) -
     if str(words[0]).casefold() in {*TIMES, "x-axis"}:  # the latter is of Keysight
         return True
     raise FileError(
-        f"line {line}: '{shown(str(words[0]))}' is above numbers, like a name, but the line "
-        "contains a number, too; give each column a name that is not a number, or begin the line "
-        "with #"
+        f"line {line}: '{shown(str(words[0]))}' is above numbers, like a name, but a number is "
+        "next to it; give each column a name that is not a number, or begin the line with #"
     )
 
 
@@ -306,7 +308,8 @@ def _rigol_counts(lines: Lines, cells: Sequence[list[str]], _: str) -> HeadAndRo
     """Return the rows of counts; the second line contains units, the start and the increment."""
     n = cells[0].index("Start")
     head = Head(names=cells[0][:n], units=units_of(cells[1][:n]))
-    return _with_times(head, lines[2:], cells[2:], *cells[1][n : n + 2])
+    start, step = cells[1][n : n + 2]
+    return _with_times(head, lines[2:], cells[2:], start, step)
 
 
 def _rigol_t0(lines: Lines, cells: Sequence[list[str]], _: str) -> HeadAndRows:

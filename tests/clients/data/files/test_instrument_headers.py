@@ -67,7 +67,7 @@ TEKSCOPE = (
         ),
         (
             "x-axis,1,2\nsecond,Volt,Volt\n" + rows("{t:+.9E},{u:+.9E},{y:+.9E}"),
-            "x-axis [s]|1 [V]|2 [V]",
+            "x-axis [s]|CH1 [V]|CH2 [V]",
         ),
         (GRAPHTEC + rows("{k},{t:.2f},+  {u:.4f},+ {y:.4f}"), "Number|Time [s]|CH1 [V]|CH2 [degC]"),
         (TOA5 + rows('"{t:.2f}",{u},{y}'), "TIMESTAMP|u_Avg [V]|y_Avg [degC]"),
@@ -153,12 +153,13 @@ def test_lines_above_the_names_are_left_out_and_named(above: str, separator: str
             "Title\na,b,c\nu,v,y\n" + ROWS,
             "line 2 or line 3 may contain the names; delete the other",
         ),
-        ("idx,0,1\n" + ROWS, "line 1: 'idx' is above numbers, like a name, but the line contains"),
+        ("idx,0,1\n" + ROWS, "line 1: 'idx' is above numbers, like a name, but a number is"),
         ("Title\nidx,0,1\n" + ROWS, "line 2: 'idx' is above numbers, like a name"),
         ("t,u,y\n" + ROWS + "t,u\n", "line 42 has 2 cells"),
         ("0.5\n" + ROWS, "line 2 has 3 cells .*, the first row 1 cell"),
         ("t,u,y\n" + ROWS[:192] + "0,1\n" + ROWS, "line 14 has 2 cells .*, the line of names 3"),
         (LABVIEW.format("One"), "the header of LabVIEW is damaged; export again"),
+        ("X,A,Start,Increment\nSequence,V\n1,2\n", "the header of Rigol is damaged"),
         ("t0 = 1, tInc =\n1,2\n", "the header of Rigol is damaged"),
         ('{"t": 0}\n{"t": ', "line 2: JSON is damaged here"),
         ('{"t": 0}\n[1]', "line 2 is JSON, but not an object with a name for each value"),
@@ -176,7 +177,7 @@ def test_a_doubtful_or_damaged_head_is_refused(text: str, said: str) -> None:
 def test_names_with_numbers_are_names_below_a_name_of_times() -> None:
     table = read_text("Title\ntime,1,2\ns,V,V\n" + ROWS)
 
-    assert titles(table) == ["time [s]", "1 [V]", "2 [V]"]
+    assert titles(table) == ["time [s]", "CH1 [V]", "CH2 [V]"]
     assert table.numbers(1).size == K.size
 
 

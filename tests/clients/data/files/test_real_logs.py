@@ -332,7 +332,6 @@ def test_an_unusual_range_is_not_guessed(tmp_path: Path) -> None:
         ("t,u,y\n0,1,1\n1,1,9\n2,1,3\n", {"unwrap": 1e-9}, "give the range of the counter"),
         ("t,u,y\n0,1,1\n1,1,9\n2e300,1,3\n", {}, "span 2e\\+300 s, allowed are 1e-09 to 1e\\+11"),
         ("t,u,y\n0,1,1\n1e-300,1,9\n2e-300,1,3\n", {}, "span 2e-300 s, allowed are 1e-09 to"),
-        ("sep=.\nt,u,y\n0,1,1\n1,1,9\n", {}, "line 2 has 3 cells"),
     ],
 )
 def test_an_option_that_contradicts_the_file_is_refused(
