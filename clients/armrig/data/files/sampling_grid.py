@@ -28,6 +28,7 @@ _MAX_ROUNDING = 1.1  # range of the deviations of even times, in steps of the la
 _MAX_LEFT_OUT = 20  # rows that are put in at one place; a longer gap begins an experiment
 _MAX_CAUGHT_UP = 10  # intervals within which late rows catch up
 _MAX_INTERPOLATED = 3.0  # usual intervals; y is missing inside a longer one
+_MAX_BACK = 0.3  # share of intervals in which a clock may go back
 _MIN_SHARE = 1e-6
 _MAX_EARLY = 1e-3  # of Ts, by which a held input may change after an instant and count at it
 _UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # in s, that times without a unit may have
@@ -103,6 +104,11 @@ def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) ->
     if not np.any(np.diff(t) > 0):
         msg = f"{times.place(1)}: {times.name} do not increase"
         raise FileError(f"{msg}; give Ts in s (--Ts) if the times are wrong")
+    if (back := int(np.count_nonzero(d := np.diff(t) < 0))) > _MAX_BACK * d.size:
+        raise FileError(
+            f"{times.place(int(np.argmax(d)) + 1)}: {times.name} go back here, and in {back} of "
+            f"{d.size} intervals in all; sort the rows, or name another column (--time)"
+        )
     coarse = _coarse(times)
     if resample:
         if coarse:

@@ -44,6 +44,7 @@ _NANO = 1e-9
 _FRACTIONS = (_NANO, 1e-6, 1e-3)  # units, in s, of a second column
 _EPOCH = "s since 1970"
 _EPOCH_S = (9e8, 4.2e9)  # 1998 to 2103, in seconds since 1970, or since 1904
+_MONTH_S = 2.7e6
 _DOUBTFUL_S = 1.0  # smallest usual interval without a unit that may be ms
 _LONG_S = 100.0  # usual interval from which a unit of ms or µs is more usual
 _YEAR_S = 3.2e7  # times without a unit are not seconds beyond it
@@ -51,9 +52,10 @@ _MOST_MS = 1000.0  # usual interval in ms; longer ones are µs
 _HOURS_AND_MINUTES = re.compile(r"\d{1,3}:\d\d")
 _SECONDS_WRITTEN = re.compile(r":\d\d[:.,]\d")
 _TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
+_MAX_RETURNS = 0.3  # share of intervals at which a clock begins again; more are shuffled rows
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
 _BY_SIZE = (
-    *((_EPOCH_S[0] / unit, _EPOCH_S[1] / unit, np.inf, unit) for unit, _ in _TICKS),
+    *((_EPOCH_S[0] / unit, _EPOCH_S[1] / unit, _MONTH_S / unit, unit) for unit, _ in _TICKS),
     (7e5, 8e5, 0.5, DAY_S),  # MATLAB's days since year 0, from 1916 to 2190
     (3.6e4, 5.5e4, 0.05, DAY_S),  # Excel's days since 1900, from 1998 to 2050
 )
@@ -164,11 +166,11 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
         and suffix in (c.name.casefold() for c in table.columns)
     ):
         notes.append(Step(f"{named} are read in {suffix}, and not as the times of {suffix}", DOUBT))
-    middle = float(np.median(t)) if t.size else 0.0
+    low, middle = map(float, np.quantile(t, (0.1, 0.5)) if t.size else (0.0, 0.0))
     usual = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if unit is None:
         for name, (least, most, largest, size) in zip(_NAMES, _BY_SIZE, strict=True):
-            if least <= middle < most and usual < largest:
+            if least <= low and middle < most and usual < largest:
                 unit, has_unit, clock = size, True, f"s, from {name.partition(';')[0]}"
                 notes.append(Step(f"read {named} as {name}", *codes_of([name])))
                 break
@@ -185,7 +187,7 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
     for bits in _TIMER_BITS:
         steps = np.diff(t)
         wraps = (steps < 0) & (np.abs(steps + 2.0**bits - usual) <= usual)
-        if wraps.any():
+        if wraps.any() and np.mean(steps < 0) < _MAX_RETURNS:
             t = t + 2.0**bits * np.append(0, np.cumsum(wraps))
             notes.append(f"{named} begin again after {2**bits}: joined, as of a timer")
     span = float(np.ptp(t)) * unit
@@ -349,6 +351,8 @@ def _without_clock_changes(t: Vector, place: Callable[[int], str]) -> tuple[Vect
     """Remove jumps of one hour, as at the begin and the end of summer time."""
     intervals, notes, moved = np.diff(t), list[str](), np.zeros(t.size)
     usual = float(np.median(intervals)) if intervals.size else 0.0
+    if not intervals.size or np.mean(intervals < 0) >= _MAX_RETURNS:
+        return t, []
     for hours, way in ((1, "forward"), (-1, "back")):
         jumps = np.abs(intervals - usual - hours * _HOUR_S) <= max(usual / 2, 1.0)
         if 0 < usual < _HOUR_S / 6 and np.count_nonzero(jumps) == 1:

@@ -448,3 +448,22 @@ def test_a_clock_that_begins_again_cannot_hold(tmp_path: Path) -> None:
 def test_a_suffix_that_is_a_column_is_doubted_as_a_unit(tmp_path: Path) -> None:
     data = load(tmp_path, text({"t_h": T, "h": U, "y": Y}), input="h")
     first_is_doubt(data, "the times in column t_h are read in h, and not as the times of h")
+
+
+@pytest.mark.parametrize("times", [1_741_684_360_000 + 500_000 * np.arange(N), dates(20 * T * 100)])
+def test_shuffled_times_are_no_timer_that_wraps(times: Sequence[object], tmp_path: Path) -> None:
+    order = np.random.default_rng(4).permutation(N)
+    cells = {"time": np.array(times)[order], "u": U[order], "y": Y[order]}
+
+    data = load(tmp_path, text(cells))
+
+    same_data(data, U, Ts=data.Ts)
+    first_is_doubt(data, "rows in no order of time: sorted by time")
+
+
+@pytest.mark.parametrize("resample", [False, True])
+def test_times_without_an_order_are_not_resampled(resample: bool, tmp_path: Path) -> None:
+    t = np.random.default_rng(4).exponential(1.0, N)
+
+    with pytest.raises(FileError, match=r"t go back here, and in \d+ of 199 .* sort the rows"):
+        load(tmp_path, text({"t": seconds(t), "u": U, "y": Y}), resample=resample)
