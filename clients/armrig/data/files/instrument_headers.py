@@ -147,8 +147,8 @@ def _are_numbered_names(line: int, cells: Sequence[str], *rows: Sequence[str]) -
     if str(words[0]).casefold() in {*TIMES, "x-axis"}:  # the latter is of Keysight
         return True
     raise FileError(
-        f"line {line}: '{shown(str(words[0]))}' is above numbers, like a name, but a number is "
-        "next to it; give each column a name that is not a number, or begin the line with #"
+        f"line {line}: '{shown(str(words[0]))}' is above numbers, like a name, but next to a "
+        "number; name each column by a word, or begin the line with #"
     )
 
 

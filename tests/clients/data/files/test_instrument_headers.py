@@ -153,7 +153,7 @@ def test_lines_above_the_names_are_left_out_and_named(above: str, separator: str
             "Title\na,b,c\nu,v,y\n" + ROWS,
             "line 2 or line 3 may contain the names; delete the other",
         ),
-        ("idx,0,1\n" + ROWS, "line 1: 'idx' is above numbers, like a name, but a number is"),
+        ("idx,0,1\n" + ROWS, "line 1: 'idx' is above numbers, like a name, but next to a"),
         ("Title\nidx,0,1\n" + ROWS, "line 2: 'idx' is above numbers, like a name"),
         ("t,u,y\n" + ROWS + "t,u\n", "line 42 has 2 cells"),
         ("0.5\n" + ROWS, "line 2 has 3 cells .*, the first row 1 cell"),
