@@ -296,7 +296,7 @@ def _planned(
         decided, late = known.integration, known.late
         likely = [max(late.nk, 1)] if isinstance(late, Delay) else [1]
         direct = isinstance(late, Delay) and late.interval[0] == 0
-        may_be_0 = direct and (open_loop or not may_follow_output(data))
+        may_be_0 = direct and (open_loop or not may_follow_output(as_dataset(whole)))
         likely = [0, *likely] if may_be_0 else likely
         both = integration(as_dataset(whole), mark).undecided
         poles = (False, True) if both else (decided.integrates,)

@@ -90,3 +90,22 @@ def test_a_search_in_a_closed_loop_tries_neither_a_direct_term_nor_iv4() -> None
     assert not any("IV4" in model.candidate.name for model in found.ranked)
     assert any("nk = 0 was not tried" in note for note in found.notes)
     assert not any("nk = 0 was not tried" in note for note in allowed.notes)
+
+
+def test_all_data_decide_whether_a_search_tries_a_direct_term(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The half that estimates has too few changes of u for the tests."""
+    sizes, rng = list[int](), np.random.default_rng(2)
+
+    def free(data: armrig.Dataset) -> bool:
+        sizes.append(data.N)
+        return False
+
+    data = _with_direct_term(np.repeat(rng.uniform(-1, 1, N // 10), 10), rng)
+    monkeypatch.setattr("armrig.validation.model_search.may_follow_output", free)
+
+    found = armrig.search(data, families=["arx"], orders=[1])
+
+    assert sizes == [N]
+    assert found.fit.heading == "ARX(na=1, nb=1, nk=0)"
