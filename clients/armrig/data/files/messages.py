@@ -31,7 +31,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from armrig.data.files.table import Column, Table, Vector, require_room, shown
+from armrig.data.files.table import Column, ReadingError, Table, Vector, require_room, shown
 from armrig.data.step import DOUBT, Step
 
 _DECODERS = {"protobuf": "mcap_protobuf.decoder", "cdr": "mcap_ros2.decoder"}
@@ -64,7 +64,8 @@ def read_mcap(data: bytes, topic: str | None) -> Table:
         require_room(8 * len(columns) * len(times), len(data))
     missing = [shown(name) for name, (times, _) in series.items() if not times]
     if missing or not names:
-        raise FileError("".join(f"topic {n}: no such topic; " for n in missing) + _listed(data))
+        text = "".join(f"topic {n}: no such topic; " for n in missing) + _listed(data)
+        raise ReadingError(text, "--topic NAME")
     if names[:-1]:
         others = " and ".join(map(shown, names[:-1]))
         notes.append(f"held the newest value of {others} at the times of {shown(names[-1])}")

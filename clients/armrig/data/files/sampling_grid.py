@@ -12,7 +12,7 @@ from armrig_core.errors import FileError
 from numpy.typing import NDArray
 
 from armrig.data.files.stamps import Times
-from armrig.data.files.table import Vector
+from armrig.data.files.table import ReadingError, Vector
 from armrig.data.step import DOUBT, Step, codes_of
 from armrig.numerics.quantities import digits, plural
 from armrig.numerics.stretches import Mask, pieces
@@ -37,7 +37,7 @@ _MAX_FINER = 100.0  # samples for each row
 _MAX_DIGITS = 12
 
 
-class UnevenTimesError(FileError):
+class UnevenTimesError(ReadingError):
     """The times are not on an equidistant grid."""
 
 
@@ -249,7 +249,8 @@ def _uneven(times: Times, irregular: Mask, usual: float) -> UnevenTimesError:
         f"{times.place(k)}: {times.name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, and {count} of "
         f"{plural(t.size - 1, 'interval')} {'is' if count == 1 else 'are'} not the usual "
         f"{usual:.6g} s. Give --resample to interpolate, another column (--time), or Ts in s "
-        "(--Ts) if the times are wrong"
+        "(--Ts) if the times are wrong",
+        "--resample",
     )
 
 

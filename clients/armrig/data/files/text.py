@@ -31,7 +31,7 @@ from armrig.data.files.instrument_headers import (
 )
 from armrig.data.files.labelled_rows import json_rows, without_labels
 from armrig.data.files.long_tables import long_table
-from armrig.data.files.table import Column, Table, Vector, shown, titled
+from armrig.data.files.table import Column, ReadingError, Table, Vector, shown, titled
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
@@ -140,7 +140,8 @@ class TextTable(Table):
         if mark is None:
             k, readings = doubtful_cell(cells)
             said = f"may be {readings}: a decimal mark, or a mark between thousands? "
-            raise self._fault(i, k, cells[k], said, self.ways_out.doubtful_mark)
+            fault = self._fault(i, k, cells[k], said, self.ways_out.doubtful_mark)
+            raise ReadingError(str(fault), "--decimal ,")
         return mark
 
     def _proved_marks(self) -> set[str]:

@@ -281,19 +281,23 @@ def run(line: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     return code, said.out + said.err
 
 
-def test_the_command_line_reads_a_topic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_reads_a_topic(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = mcap(tmp_path / "log.mcap", as_json())
-    given = "--input voltage --signal angle --topic /motor"
+    given = "--input voltage --signal angle"
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "recordings"))
 
-    code, said = run(f"identify {path} {given} --structure arx --na 1 --nb 1", capsys)
     refused, listed = run(f"hints {path}", capsys)
-    _, named = run(f"identify {path} --structure oe --input voltage --signal angle", capsys)
+    _, named = run(f"identify {path} --structure oe {given}", capsys)
+    assert run(f"import {path} {given} --topic /motor", capsys)[0] == 0
+    code, said = run("identify @log --structure arx --na 1 --nb 1", capsys)
 
     assert code == 0
     assert "a1 …   -0.89951 ± 0.00027\n  b1 …   0.20076 ± 0.00047" in said
-    assert said.endswith(f"next: armrig check {path} {given}\n")
     assert refused == 1
     assert "/motor (t, voltage, angle)" in listed
+    assert f"`armrig import {path} {given} --topic NAME`" in named
     assert "/motor (t, voltage, angle)" in named
 
 
