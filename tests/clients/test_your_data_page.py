@@ -34,7 +34,7 @@ def _text(rows: list[str], names: str = _MINE) -> str:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(("page", "expected"), [("your-data", (6, 4)), ("files", (1, 1))])
+@pytest.mark.parametrize(("page", "expected"), [("your-data", (8, 4)), ("files", (2, 1))])
 def test_every_line_of_the_page_prints_the_output_shown_there(
     page: str,
     expected: tuple[int, int],
@@ -43,7 +43,11 @@ def test_every_line_of_the_page_prints_the_output_shown_there(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("mine.csv").write_text(_text(_rows()))
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
+    u = np.random.default_rng(2).integers(1, 3, 400)
+    y = np.convolve([0, *u], 0.9 ** np.arange(400))[:400]
+    rows = [f"{0.1 * k:.1f},{a},{b:.2f}" for k, (a, b) in enumerate(zip(u, y, strict=True))]
+    Path("mine.csv").write_text(_text(rows))
     names: dict[str, Any] = {}
     commands = compared = 0
     printed = ""
@@ -57,10 +61,9 @@ def test_every_line_of_the_page_prints_the_output_shown_there(
             exec(compile(text, page, "exec"), names)
         lines = text.splitlines() if language == "sh" else []
         refused = [line for line in lines if main(shlex.split(line)[1:])]
-        assert refused == [line for line in lines if line == "armrig hints mine.csv"]
+        assert refused == []
         commands += len(lines)
-        shown = capsys.readouterr()
-        printed = shown.err if refused else shown.out
+        printed = capsys.readouterr().out
 
     assert (commands, compared) == expected
     assert page == "files" or (tmp_path / "heater.png").stat().st_size > 0
@@ -151,13 +154,22 @@ def test_armrig_prints_a_message_of_the_page_and_its_remedy_helps(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
     content, before, after = _CASES[message]
     remedy = _remedies()[message]
     Path("mine.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     said = re.compile(".*".join(map(re.escape, message.split("…"))))
     command = ["hints"] if message == "is taken as …" else ["identify", *_ARX]
 
-    refused = main([*command, "mine.csv", *before])
+    def read(options: list[str], name: str) -> int:
+        """Import the file, and give the options of the data to the command."""
+        of_data = [option for option in options if option in ("--detrend", "--hampel")]
+        of_file = [option for option in options if option not in of_data]
+        refused = main(["import", "mine.csv", "--name", name, *of_file])
+        roles = [] if "--input" in of_file or "--signal" not in of_file else of_file[:2]
+        return refused or main([*command, f"@{name}", *roles, *of_data])
+
+    refused = read(before, "before")
 
     assert said.search("".join(capsys.readouterr()))
     if after is None:
@@ -165,7 +177,7 @@ def test_armrig_prints_a_message_of_the_page_and_its_remedy_helps(
     for line in re.findall(r"`([^`]+ > new.csv)`", remedy):
         subprocess.run(f"{line}; mv new.csv mine.csv", shell=True, check=True)
     assert all(option in remedy for option in after if option not in before and option[0] == "-")
-    assert main([*command, "mine.csv", *after]) == 0
+    assert read(after, "after") == 0
     assert refused or not said.search("".join(capsys.readouterr()))
 
 
