@@ -132,8 +132,13 @@ def load_data(
                 "load_data reads one of each: use armrig.load_signals(path, inputs=…, outputs=…)"
             )
         of_u, of_y = inputs[0], outputs[0]
+        names = _names([of_u], "u", [of_y]) if of_y.name == "u" else None  # of swapped columns
         return Signals(
-            outputs=of_y.name or "y", units=of_y.unit, input_units=of_u.unit, **found
+            inputs=names,
+            outputs=of_y.name or "y",
+            units=of_y.unit,
+            input_units=of_u.unit,
+            **found,
         ).dataset()
 
 
