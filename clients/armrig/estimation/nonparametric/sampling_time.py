@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.impulse import impulse_response, long_enough
 from armrig.estimation.nonparametric.spectra import explained, filled
 from armrig.estimation.nonparametric.spectral import spa
-from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
+from armrig.estimation.nonparametric.step_analysis import (
+    StepAnalysis,
+    step_analysis,
+    step_integration,
+)
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.numerics.quantities import digits, plural, times, with_std
 from armrig.numerics.step_times import linear_crossing, rise_time
@@ -194,7 +197,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
       spectrum:  -3 dB first at 10... rad/s, ...
       ...
     """
-    decided = integration(data, integrator)
+    decided = step_integration(data, integrator)
     integrates = decided.integrates
     steps = _settled_steps(data, integrates=integrates)
     stepped = steps is not None

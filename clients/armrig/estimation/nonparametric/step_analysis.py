@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
 from armrig.data.treatment import difference
-from armrig.data.treatment.integrating import integration
+from armrig.data.treatment.integrating import Integration, integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.data_faults import require_moving_output
 from armrig.estimation.nonparametric.step_answer import Answer, step_answer
@@ -43,6 +43,7 @@ _CURVE_ERROR = 0.1
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
 _MAX_OVERSHOOT_STD = 0.03  # with a larger std the overshoot may be noise
+_MIN_RISING_SHARE = 0.02  # least reported rise after the record, as a share of the gain
 _UNKNOWN = "not determined"
 _MAX_RELATIVE_STD = 0.2  # with a larger std, a number of a record that has not settled is unknown
 _MAX_DISTINCT_SHARE = 0.5  # of the samples; with fewer distinct values y is rounded
@@ -213,7 +214,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     >>> print(f"gain {found.gain:.1f}, 63 % time {1000 * found.tau:.0f} ms, {found.steps} step")
     gain 1.0, 63 % time 95 ms, 1 step
     """
-    decided = integration(data, integrator)
+    decided = step_integration(data, integrator)
     integrates = decided.integrates
     treated = difference(data) if integrates else data
     steps = _steps(treated)
@@ -246,10 +247,11 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
             "a larger step, or hold u longer"
         )
     unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
+    rising = 0.0 if integrates or process is not None else _left_to_rise(y[k > 0] / gain)
     hidden = _hidden(own, k, crossing, data.Ts)
     notes = (
         *decided.notes,
-        *(_warnings(tail / gain, unsettled / gain, answer, hidden, data, process)),
+        *(_warnings(tail / gain, unsettled / gain, answer, hidden, data, process, rising)),
     )
     common: dict[str, Any] = {
         "t": t,
@@ -270,23 +272,29 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
     above, above_std = answer.overshoot
     above = above if above_std < _MAX_OVERSHOOT_STD else float("nan")
-    gain_std = float(np.hypot(gain_std, unsettled))
+    gain_std = float(np.linalg.norm([gain_std, unsettled, rising * gain]))
+    # A multiplication by `known` makes a number NaN that the record does not determine.
+    known = 1.0 if rising < _MAX_RELATIVE_STD else np.nan
     return StepAnalysis(
         **common,
         form="",
-        gain=gain,
-        gain_std=gain_std,
+        gain=known * gain,
+        gain_std=known * gain_std,
         gain_interval=(gain - 1.96 * gain_std, gain + 1.96 * gain_std),
         time_constants=(),
         time_constants_std=(),
-        tau=crossing - L,
-        tau_std=float(np.hypot(answer.tau_std, _CURVE_ERROR * data.Ts**2 / crossing)),
-        equivalent_time=lag - L,
-        equivalent_time_std=float(np.hypot(lag_std, L_std)),
+        tau=known * (crossing - L),
+        tau_std=float(
+            np.linalg.norm(
+                [answer.tau_std, _CURVE_ERROR * data.Ts**2 / crossing, rising * crossing]
+            )
+        ),
+        equivalent_time=known * (lag - L),
+        equivalent_time_std=float(np.linalg.norm([lag_std, L_std, rising * lag])),
         smooth=answer.y * gain,
         smooth_std=answer.std * abs(gain),
-        settling=answer.settling,
-        settling_std=answer.settling_std,
+        settling=known * answer.settling,
+        settling_std=float(np.hypot(answer.settling_std, rising * answer.settling)),
         overshoot=above,
         overshoot_std=above_std,
     )
@@ -338,6 +346,7 @@ def _process_numbers(process: ProcessAnswer) -> dict[str, Any]:
     if process.form != "P2D" or np.isnan(constants).any():
         constants = []
     low, high = np.quantile(process.gains, [0.025, 0.975])
+    last_std = float(answer.std[-1])
     return {
         "form": process.form,
         "gain": gain,
@@ -353,9 +362,36 @@ def _process_numbers(process: ProcessAnswer) -> dict[str, Any]:
         "smooth_std": answer.std * abs(process.scale),
         "settling": settling,
         "settling_std": settling_std,
-        "overshoot": 0.0,
-        "overshoot_std": float(answer.std[-1]),
+        "overshoot": 0.0 if last_std < _MAX_OVERSHOOT_STD else np.nan,
+        "overshoot_std": last_std,
     }
+
+
+def step_integration(data: Dataset, integrator: bool | None) -> Integration:
+    """Decide whether y integrates; a step whose P1D or P2D has a gain shows that y settles."""
+    decided = integration(data, integrator)
+    if not decided.reason:
+        return decided
+    try:
+        steps = _steps(data)
+        k, y, weight = _averaged(data, steps, slope=False)
+    except InputError:
+        return decided
+    process = _process(y, k, weight, data, steps)
+    settles = process is not None and np.isfinite(_process_numbers(process)["gain"])
+    return Integration(integrates=False) if settles else decided
+
+
+def _left_to_rise(y: Vector) -> float:
+    """Return the further rise of y, divided by its last third, that a decaying rise would have."""
+    last = np.array_split(y, 6)[3:]
+    before, first, second = (float(np.nanmean(part)) for part in last)
+    noise = float(np.nanstd(np.diff(last[2]))) / np.sqrt(last[2].size)
+    change, earlier = second - first, first - before
+    if not abs(change) > 4 * noise + rounding_std(y) or change * earlier <= 0:
+        return 0.0
+    ratio = change / earlier
+    return abs(change) * (0.5 + ratio / (1 - ratio)) if ratio < 1 else float("inf")
 
 
 class _Steps(NamedTuple):
@@ -517,6 +553,7 @@ def _warnings(
     hidden: tuple[float, float] | None,
     data: Dataset,
     process: ProcessAnswer | None = None,
+    rising: float = 0.0,
 ) -> Iterator[str]:
     if hidden:
         yield (
@@ -537,7 +574,7 @@ def _warnings(
             f"{data.output} ends at {100 * process.end:.0f} % of its final value, so all numbers "
             f"but the dead time rest on the {process.form} fit: hold u longer"
         )
-    elif process is None and change > 0.04 + 4 * noise:
+    elif process is None and (change > 0.04 + 4 * noise or rising > _MIN_RISING_SHARE):
         yield "the response has not settled in the last third of the hold: hold u longer"
     if answer.crossing < 3 * data.Ts:
         yield (

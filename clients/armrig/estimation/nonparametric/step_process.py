@@ -222,7 +222,9 @@ class _Record:
     def __init__(self, rows: _Rows, Ts: float, quantum: float, *, shortened: bool) -> None:
         self._rows = rows.shortened() if shortened else rows
         self._root, self._q, self._Ts = np.sqrt(self._rows.weight), quantum, Ts
-        self._N, self._largest = rows.y.size, float(np.max(np.abs(rows.y)))
+        self._N = rows.y.size
+        floor = (_MIN_NOISE_SHARE * float(np.max(np.abs(rows.y)))) ** 2
+        self._least = max(self._q**2 / 12, floor)
         self._within = float(rows.weight @ rows.y**2 - self._rows.weight @ self._rows.y**2)
         duration = float(rows.t[-1])
         self._low = np.array([np.log(_MIN_T * Ts), _MIN_RATIO, 0.0])
@@ -264,8 +266,7 @@ class _Record:
         both = self._search(near, 3)
         freedom = self._N - self._Q.shape[1] - 4
         cost = float(self._solve(both[None])[0][0]) + self._within
-        floor = (_MIN_NOISE_SHARE * self._largest) ** 2
-        self.variance = max(cost / freedom, self._q**2 / 12, floor)
+        self.variance = max(cost / freedom, self._least)
         return [slow, both]
 
     def excess(self, ends: list[Vector]) -> float:
@@ -302,9 +303,12 @@ class _Record:
 
     def misfits(self, theta: Vector) -> bool:
         """Return whether the residual of white noise has a shape that P2D has not."""
-        score = self._root * self._residual(theta) / self.variance
+        r = self._residual(theta)
+        # A smooth misfit is part of the variance, but not of the differences.
+        variance = np.clip(np.mean(np.diff(r) ** 2) / 2, self._least, self.variance)
         fixed = self._Q / self._root[:, None]
-        return _misfits(self._rows.t, theta, fixed, score, self._rows.weight / self.variance)
+        weight = self._rows.weight / variance
+        return _misfits(self._rows.t, theta, fixed, self._root * r / variance, weight)
 
     def misfits_codes(self, rows: _Rows, draws: _Draws) -> bool:
         """Return the same for the codes of a converter, by the most likely draw."""

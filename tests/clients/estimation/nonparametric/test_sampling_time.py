@@ -164,6 +164,19 @@ def test_a_dead_time_belongs_to_no_rule() -> None:
     assert delayed == pytest.approx(times, rel=0.1)
 
 
+def test_a_dead_time_after_a_step_belongs_to_no_rule() -> None:
+    """The transient contained the dead time, and the 63 % time if none was sure."""
+    u = np.repeat([0.0, 2.0], [100, 700])
+    prompt = first_order(1.0, 0.01, u, 0.005)
+    late = prompt.replaced(y=np.append(np.zeros(80), prompt.y[:-80]), step=None)
+
+    times, delayed = (sampling_time(x, integrator=False) for x in (prompt, late))
+
+    assert delayed.tau == pytest.approx(times.tau, rel=0.03)
+    assert delayed.settling == pytest.approx(times.settling, rel=0.03)
+    assert delayed.settling == pytest.approx(3.0, rel=0.03)
+
+
 @pytest.mark.parametrize(
     ("holds", "settling", "is_analysed"),
     [

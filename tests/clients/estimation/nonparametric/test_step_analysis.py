@@ -10,6 +10,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.merging import merge
 from armrig.data.treatment.wrong_samples import quantum
+from armrig.estimation.nonparametric.sampling_time import sampling_time
 from armrig.estimation.nonparametric.step_analysis import (
     _alone,
     _averaged,
@@ -62,11 +63,10 @@ def test_the_dead_time_is_not_part_of_the_time_constant() -> None:
     unclaimed = step_analysis(first_order(dead=8, std=0.05), integrator=False)
 
     assert found.dead_time == pytest.approx(0.08, abs=0.015)
-    low, high = found.dead_time_interval
-    assert low > 0
+    assert found.dead_time_interval[0] > 0
     assert found.tau == pytest.approx(TAU, rel=0.1)
     assert found.equivalent_time == pytest.approx(TAU, rel=0.1)
-    assert (high - low) / 4 < found.equivalent_time_std < (high - low) / 3
+    assert abs(found.equivalent_time - TAU) < 3 * found.equivalent_time_std < 0.01
     assert unclaimed.dead_time in (0.0, pytest.approx(0.08, abs=0.03))
     assert abs(unclaimed.tau - TAU) < 2 * unclaimed.tau_std
 
@@ -349,10 +349,7 @@ def test_data_without_a_step_are_refused() -> None:
         ValueError, match=r"y does not respond to the step: .*; use a larger step, or hold"
     ):
         step_analysis(deaf, integrator=False)
-    short = step_analysis(first_order()[:150], integrator=False)
-    said = "the response has not settled in the last third of the hold: hold u longer"
-    assert said in short.warnings
-    assert said not in step_analysis(first_order(), integrator=False).warnings
+    assert not step_analysis(first_order(), integrator=False).warnings
 
 
 @pytest.mark.parametrize("integrator", [False, True])
@@ -465,7 +462,7 @@ def test_the_smoothed_response_begins_after_the_step(sampled: Any) -> None:
 
 
 def test_a_dead_time_lies_inside_its_interval() -> None:
-    """The interval of this record was 10 to 14 s, and the estimate 0 s; the dead time is 12 s."""
+    """The estimate of this record was 0 s once; the dead time is 12 s."""
     rng = np.random.default_rng(26)
     u, t = np.repeat([0.0, 50.0], [100, 700]), np.arange(800) - 112.0
     y = 22 + 40 * (1 - np.exp(-np.maximum(t, 0) / 99.5)) + 0.45 * rng.standard_normal(800)
@@ -473,10 +470,10 @@ def test_a_dead_time_lies_inside_its_interval() -> None:
     found = step_analysis(Dataset(u=u, y=y, Ts=1.0), integrator=False)
 
     low, high = found.dead_time_interval
-    assert low == found.dead_time == 0
-    assert high == pytest.approx(12, abs=3)
+    assert low < 12 < high
+    assert high - low < 2
     assert found.tau == pytest.approx(99.5, abs=2 * found.tau_std)
-    assert f"dead time not determined (95 %: 0 … {high:.4g} s)" in repr(found)
+    assert f"dead time {found.dead_time:.4g} s (95 %: {low:.4g} … {high:.4g} s)" in repr(found)
 
 
 @pytest.mark.parametrize(("zeros", "shown"), [(2, True), (10, False), (30, False)])
@@ -488,3 +485,73 @@ def test_the_interval_excludes_0_only_if_a_dead_time_is_shown(zeros: int, shown:
 
     assert (low > 0, answer.dead_time > 0) == (shown, shown)
     assert low <= answer.dead_time <= high
+
+
+def heated(length: float, noise: float = 0.05) -> Dataset:
+    """Return TCLab's step of 50 %, held for `length` time constants: 175 s, and 15 s dead time."""
+    n = round(175 * length)
+    t = np.maximum(np.arange(-100, n) - 15.0, 0.0)
+    y = 23 + 30 * (1 - np.exp(-t / 175)) + noise * np.random.default_rng(1).standard_normal(t.size)
+    u = np.repeat([0.0, 50.0], [100, n])
+    return Dataset(u=u, y=0.3 * np.round(y / 0.3), Ts=1.0, output="heat")
+
+
+@pytest.mark.parametrize("length", [2.0, 5.0, 12.0])
+def test_a_heater_that_has_not_settled_has_the_numbers_of_a_process_or_none(length: float) -> None:
+    """The gain was 23 to 32 deviations too small, and the dead time was in the time constant."""
+    found = step_analysis(heated(length))
+
+    assert (found.form, found.rate) == ("P1D", False)
+    assert abs(found.gain - 0.6) < 3 * found.gain_std < 0.02
+    low, high = found.dead_time_interval
+    assert 12 < low < found.dead_time < high < 16
+    assert found.dead_time == pytest.approx(15, abs=0.75 * (high - low))
+    for value, std in ((found.tau, found.tau_std), (found.equivalent_time, found.tau_std)):
+        assert abs(value - 175) < 3 * std < 10
+    assert any("of its final value" in w for w in found.warnings) is (length == 2)
+    assert repr(found).splitlines()[0].endswith(", P1D fit")
+
+
+def test_what_a_step_leaves_open_is_not_determined() -> None:
+    """The record ends after a third of a time constant: only the dead time is known."""
+    found = step_analysis(heated(0.3, noise=0.5), integrator=False)
+
+    assert np.isnan([found.gain, found.tau, found.equivalent_time, found.settling]).all()
+    low, high = found.gain_interval
+    assert low < 0.6 < high
+    assert found.dead_time == pytest.approx(15, abs=3)
+    assert f"gain not determined (95 %: {low:.4g} … {high:.4g}" in repr(found)
+    assert "63 % time not determined\n" in repr(found)
+    with pytest.raises(InputError, match=r"ends before heat settles, .*: hold u longer after"):
+        sampling_time(heated(0.3, noise=0.5), integrator=False)
+
+
+def test_two_time_constants_are_reported_if_both_are_sure() -> None:
+    u = np.repeat([0.0, -2.0], [80, 400])
+    t = np.maximum(np.arange(-80, 400) - 20.5, 0.0)
+    y = 3.0 * (1 - (50 * np.exp(-t / 50) - 15 * np.exp(-t / 15)) / 35)
+    y += 0.02 * np.random.default_rng(2).standard_normal(480)
+
+    found = step_analysis(Dataset(u=u, y=y, Ts=1.0))
+
+    assert found.form == "P2D"
+    for value, std, true in zip(
+        found.time_constants, found.time_constants_std, (50, 15), strict=True
+    ):
+        assert abs(value - true) < 3 * std < true / 3
+    assert "time constant 2 " in repr(found)
+
+
+@pytest.mark.parametrize(("length", "known"), [(40.0, True), (8.0, False)])
+def test_a_response_that_is_no_process_has_not_its_numbers(length: float, known: bool) -> None:
+    """A fast and a slow part: the last third of a short record is not the final value."""
+    t = np.linspace(0, length, 400)
+    y = 1 - 0.5 * np.exp(-t) - 0.5 * np.exp(-t / 10)
+    y = np.append(np.zeros(150), y) + 0.005 * np.random.default_rng(1).standard_normal(550)
+    u = np.repeat([0.0, 1.0], [151, 399])
+
+    found = step_analysis(Dataset(u=u, y=y, Ts=float(t[1])), integrator=False)
+
+    assert found.form == ""
+    assert any("has not settled" in w for w in found.warnings) is not known
+    assert np.isnan(found.gain) or abs(found.gain - 1) < 4 * found.gain_std
