@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from armrig_core.errors import FileError
 from numpy.typing import NDArray
 
 from armrig.data.files.decimal_marks import is_missing, number
-from armrig.data.files.table import Column, Table, Vector, chosen, shown
+from armrig.data.files.table import Table, Vector, chosen, shown
 from armrig.data.files.text import TextTable
 from armrig.numerics.quantities import listed
 from armrig.numerics.stretches import Mask
 
 Rows = NDArray[np.intp]
-_MAX_LISTED = 3
+_MAX_LISTED = 4
 _MAX_CELLS = 64  # that show whether a column contains numbers
 
 
@@ -53,33 +53,20 @@ class ClockTable(Table):
         return file + table.place(int(rows[k]))
 
 
-def rows_of(
-    table: Table,
-    rows: Rows,
-    *,
-    columns: Sequence[Column] = (),
-    held: Mapping[int, Rows] | None = None,
-    faults: Mapping[int, str] | None = None,
-    other_times: Collection[int] = (),
-    notes: Sequence[str] = (),
-) -> ClockTable:
-    """Return a table with these rows, in which the columns `held` have other rows."""
+def rows_of(table: Table, rows: Rows, *notes: str) -> ClockTable:
+    """Return a table with these rows, and with further first notes; shorter columns stay."""
     longest = int(rows.max(initial=-1))
-    sources = [
-        (table, i, rows if size > longest else np.arange(size))
-        for i, size in enumerate(sizes_of(table))
-    ]
-    for i, others in (held or {}).items():
-        sources[i] = (table, i, others)
     return ClockTable(
-        columns=columns or table.columns,
+        columns=table.columns,
         refused=table.refused,
         Ts=table.Ts,
         notes=[*notes, *table.notes],
-        sources=sources,
+        sources=[
+            (table, i, rows if size > longest else np.arange(size))
+            for i, size in enumerate(sizes_of(table))
+        ],
         clock=("", table, rows),
-        faults=faults or {},
-        other_times=other_times or getattr(table, "other_times", ()),
+        other_times=getattr(table, "other_times", ()),
     )
 
 
@@ -92,14 +79,6 @@ def sizes_of(table: Table) -> list[int]:
     return [len(column) for column in table.values]
 
 
-def few_rows(table: Table, rows: Rows) -> Table:
-    """Return some rows of a table, without the conversion of the others."""
-    if not isinstance(table, TextTable):
-        return rows_of(table, rows)
-    lines = [table.lines[k] for k in rows]
-    return replace(table, rows=[table.rows[k] for k in rows], lines=lines)
-
-
 def index_of(table: Table, wanted: str, what: str) -> int | None:
     """Return the index of a column, or of the first column of a matrix; None if there is none."""
     for name in (wanted, f"{wanted}:1"):
@@ -108,20 +87,19 @@ def index_of(table: Table, wanted: str, what: str) -> int | None:
     return None
 
 
-def known_rows(table: Table, i: int, *, words: bool = False) -> Mask | None:
+def rows_with_value(table: Table, i: int, *, words: bool = False) -> Mask | None:
     """Return the rows in which a column has a value; None for words, if they are not asked for."""
     if not len(cells := table.texts(i)):
         with suppress(FileError):
             return ~np.isnan(table.numbers(i))
         return None
-    known = ~np.array(list(map(is_missing, cells)), np.bool_)
-    some = (cells[k] for k in np.flatnonzero(known)[:_MAX_CELLS])
-    return known if words or not any(number(cell, "") is None for cell in some) else None
+    has_value = ~np.array(list(map(is_missing, cells)), np.bool_)
+    some = (cells[k] for k in np.flatnonzero(has_value)[:_MAX_CELLS])
+    return has_value if words or all(number(cell, "") is not None for cell in some) else None
 
 
-def names_of(table: Table, columns: Sequence[int | None]) -> str:
+def names_of(table: Table, columns: Sequence[int]) -> str:
     """Return the names of columns for a message."""
-    at = [i for i in columns if i is not None]
-    names = [shown(table.columns[i].name) or f"column {i + 1}" for i in at]
-    more = [f"{len(names) - _MAX_LISTED} more"] if len(names) > _MAX_LISTED + 1 else []
-    return listed([*names[:_MAX_LISTED], *more] if more else names)
+    names = [shown(table.columns[i].name) or f"column {i + 1}" for i in columns]
+    more = names[_MAX_LISTED - 1 :] if len(names) > _MAX_LISTED else []
+    return listed([*names[: _MAX_LISTED - 1], f"{len(more)} more"] if more else names)

@@ -3,61 +3,50 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
+from pathlib import PurePath
 
 import numpy as np
 from armrig_core.errors import FileError
 
 from armrig.data.files.clock_table import (
-    Rows,
-    few_rows,
+    ClockTable,
     index_of,
-    known_rows,
     names_of,
     rows_of,
+    rows_with_value,
     sizes_of,
 )
-from armrig.data.files.held_times import (
-    NEAR,
-    Clock,
-    are_near,
-    newest_rows,
-    no_output,
-    overlap,
-    rounding,
-    usual_interval,
-)
-from armrig.data.files.joined_files import joined_files
-from armrig.data.files.sparse_rows import complete_rows
+from armrig.data.files.held_times import EVEN, NEAR, Clock, are_near, are_same, on_master
 from armrig.data.files.stamps import (
     DATE_NAMES,
     TIME_NAMES,
+    Times,
     base_and_unit,
     has_nanoseconds,
     is_time,
     time_columns,
     times_of,
 )
-from armrig.data.files.table import Column, Table, Vector, shown
+from armrig.data.files.table import Column, ReadingError, Table, listed, shown
 from armrig.data.step import DOUBT, Step
+from armrig.numerics import quantities
+from armrig.numerics.quantities import plural
+from armrig.numerics.stretches import Mask
 
 _WORD = f"(?:{'|'.join(map(re.escape, sorted(TIME_NAMES | {'stamp'}, key=len, reverse=True)))})"
 _LABELLED = (
-    re.compile(rf"{_WORD}[\s_./:-]+(?P<label>.+)"),
+    re.compile(rf"{_WORD}(?:[\s_./:-]+|(?=\d+$))(?P<label>.+)"),
     re.compile(rf"(?P<label>.+?)[\s_./:-]+{_WORD}"),
-    re.compile(rf"{_WORD}(?P<label>\d+)"),
 )
-_SAMPLED_ROWS = 64  # pairs of rows that show the order
-_MIN_FALLING = 0.9  # share of these pairs
+_MIN_FALLING = 0.9  # share of the intervals of times in falling order
 _MIN_ORDER = 0.8  # mean sign of the intervals of times, some of which go back
-_EVEN = 0.05  # relative deviation of an interval of even times from the usual one
-_MAX_DRIFT = 0.01  # between two clocks of the same rows
-_COARSE = 1 - 1e-6  # of the last digit, by which a coarse copy of times differs at most
 _MIN_ROWS = 3
 _COUNTERS = frozenset({"k", "n", "i", "no", "nr", "id", "index", "row", "sample", "entry_id"})
+_MAX_SHARED = 0.05  # share of rows with both values, of two columns in separate rows
+_MIN_APART = 0.2  # share of rows that have only the one value, and of rows with only the other
 
 
 def on_one_clock(
@@ -90,72 +79,67 @@ def on_one_clock(
         The clock of the output is not known, or the times of two files cannot be compared.
     """
     single = [(name, _of_file(table, output, time)) for name, table in tables]
-    return single[0][1] if len(single) == 1 else joined_files(single, output, time)
+    return single[0][1] if len(single) == 1 else _join(single, output, time)
 
 
 def _of_file(table: Table, output: str | None, time: str | None) -> Table:
     of_y = index_of(table, output or "y", "signal")
     of_time = None if time is None else index_of(table, time, "time")
-    clocks = _clocks(table, of_y, of_time)
-    if len(clocks) > 1:
-        table, of_time = _on_master(table, clocks, of_y, of_time)
-    if of_time is None:
-        table = _with_finest_times(table, [i for i in time_columns(table) if i != of_y])
-    table = _in_order(table, of_y, of_time)
-    return complete_rows(table, of_y, of_time)
-
-
-def _in_order(table: Table, of_y: int | None, of_time: int | None) -> Table:
-    """Return the rows in rising order of time if they are in falling order, or in none."""
-    columns, is_unnamed = table.columns, not any(column.name for column in table.columns)
+    table, of_time = _on_one_column(table, of_y, of_time)
     named = [i for i in time_columns(table) if i != of_y] if of_time is None else [of_time]
-    # Numbers of rows, too, show which row is the oldest.
-    counters = [i for i, c in enumerate(columns) if c.name.casefold() in _COUNTERS and i != of_y]
-    at = named or counters or [0] * (is_unnamed and of_y != 0 and len(columns) > 1)
-    falls = [_share_of_falls(table, i, is_sure=i == of_time) for i in at]
-    if not at or min(falls) < 1 - _MIN_FALLING:
-        return table
-    if min(falls) >= _MIN_FALLING:
-        what = "time" if named else names_of(table, at[:1])
-        text = f"rows in falling order of {what}: turned round"
-        notes = [text if named or counters else Step(text, DOUBT)]
-        return rows_of(table, np.arange(sizes_of(table)[at[0]])[::-1], notes=notes)
-    clock = _clock(table, at[0], "") if named[:1] and not named[1:] else None
-    order = np.argsort(clock.times.t) if clock else np.empty(0, np.intp)
-    # A clock that begins again gives equal times, or uneven ones.
-    if clock is None or not are_near(d := np.diff(clock.times.t[order]), NEAR) or d.min() <= 0:
-        return table
-    notes = [Step("rows in no order of time: sorted by time", DOUBT)]
-    return rows_of(table, clock.rows[order], notes=notes)
-
-
-def _share_of_falls(table: Table, i: int, *, is_sure: bool) -> float:
-    """Return the share of rows after which times fall; a few pairs of rows show it."""
-    d, name = _some_intervals(table, i), table.columns[i].name
-    d = d[d != 0]
-    # A temperature may be named T, and a column without a name may be a signal.
-    is_even = is_sure or name not in ("T", "") or are_near(d, NEAR if not name else _EVEN)
-    if not d.size or not is_even or (name.casefold() in _COUNTERS and not np.all(d == -1)):
-        return 0.0
-    return float(np.mean(d < 0))
-
-
-def _some_intervals(table: Table, i: int) -> Vector:
-    """Return intervals of times between adjacent rows; none if the times cannot be read."""
-    size = sizes_of(table)[i]
-    if size >= _MIN_ROWS:
-        at = np.unique(np.linspace(0, size - 2, min(size - 1, _SAMPLED_ROWS)).astype(np.intp))
-        pairs = np.column_stack([at, at + 1]).ravel()
-        for view in (few_rows, rows_of):  # few rows may not show the decimal mark
-            with suppress(FileError):
-                return np.diff(times_of(view(table, pairs), i).t)[::2]
-    return np.empty(0)
+    table = _in_order(table, of_y, named, is_sure=of_time is not None)
+    clocks = _sparse_clocks(table, of_y, named)
+    return (on_master(table, clocks, of_y, None)[0] or table) if clocks else table
 
 
 # ---- several columns of times
 
 
-def _labels(table: Table, of_y: int | None, of_time: int | None = None) -> dict[int, str]:
+def _on_one_column(table: Table, of_y: int | None, of_time: int | None) -> tuple[Table, int | None]:
+    """Return the table with one column of times for all its rows, and this column if it is sure."""
+    labels = _labels(table, of_y, of_time)
+    columns = [
+        replace(c, unit="") if labels.get(i) == c.unit.casefold() != "" else c
+        for i, c in enumerate(table.columns)
+    ]
+    plain = replace(table, columns=columns) if columns != table.columns else table
+    clocks = dict[int, Clock]()
+    for at, label in labels.items() if len(labels) > 1 else ():
+        heading = table.columns[at].name + f" ({label})" * (columns[at] != table.columns[at])
+        clock = _clock(plain, at, label, shown(heading) or f"column {at + 1}")
+        if clock is not None and (at == of_time or _is_clock(plain, clock)):
+            clocks[at] = clock
+    # Times without names are beside their signals, and no counter.
+    if not any(c.name for c in columns) and (
+        0 not in clocks
+        or min(np.diff([*clocks, len(columns)])) < 2
+        or any(np.all(np.diff(clock.times.t) == 1) for clock in clocks.values())
+    ):
+        return table, of_time
+    owners = _owners(plain, clocks, of_y, of_time)
+    view, master = on_master(plain, owners, of_y, of_time) if owners else (None, None)
+    if view is not None and master is not None:
+        others = {clock.at for clock in owners} - {master.at}
+        if of_time is None and master.at not in time_columns(table):
+            columns[master.at] = Column(name="time", unit=base_and_unit(columns[master.at])[1])
+        return _without(replace(view, columns=columns), others), master.at
+    named = [i for i in time_columns(table) if i != of_y] if of_time is None else []
+    if len(named) < 2 or not {*named} <= clocks.keys():
+        return table, of_time
+    finest = min((clocks[i] for i in named), key=lambda clock: clock.times.resolution)
+    if not all(are_same(finest, clocks[i]) for i in named):
+        return table, of_time
+    note = f"{names_of(table, named)} are the same times: {finest.name} is used"
+    return _without(rows_of(plain, finest.rows, note), {*named} - {finest.at}), None
+
+
+def _without(table: ClockTable, times: set[int]) -> ClockTable:
+    """Return the table without the names of other columns of times."""
+    columns = [Column(name="") if i in times else c for i, c in enumerate(table.columns)]
+    return replace(table, columns=columns, other_times=times)
+
+
+def _labels(table: Table, of_y: int | None, of_time: int | None) -> dict[int, str]:
     """Return the columns that may contain times, each with a label, "" for plain names.
 
     The label of times is the name of the column to which they belong, or another text by which
@@ -163,202 +147,226 @@ def _labels(table: Table, of_y: int | None, of_time: int | None = None) -> dict[
     """
     columns = table.columns
     names = [column.name.casefold() for column in columns]
-    allowed = [
-        i for i in range(len(names)) if i != of_y and not (i and has_nanoseconds(table, i - 1))
-    ]
-    if not any(names):
-        return {i: str(i + 1) for i in allowed} if len(names) > _MIN_ROWS else {}
     labels, doubtful = dict[int, str](), dict[int, str]()
-    for i in allowed:
+    for i, column in enumerate(columns):
         others = {*names[:i], *names[i + 1 :]}
-        base, unit = base_and_unit(columns[i])
-        label = columns[i].unit.casefold()
-        if i == of_time or is_time(columns[i]):
+        base, unit = base_and_unit(column)
+        label = column.unit.casefold()
+        if i == of_y or (i and has_nanoseconds(table, i - 1)):
+            continue
+        if not any(names):
+            labels[i] = str(i + 1)
+        elif is_time(column):
             is_label = label and not unit and (label in others or names[i] in others)
             labels[i] = label if is_label else names[i] if names[i] in others else ""
         elif parts := next(filter(None, (x.fullmatch(base) for x in _LABELLED)), None):
             label = parts["label"]
             is_certain = label in others or (label.isdecimal() and base != f"t{label}")
             (labels if is_certain else doubtful)[i] = label
+        elif i == of_time:
+            labels[i] = ""
     # Temperatures may be named T_in and T1.
-    labels |= doubtful if not labels and len(doubtful) > 1 else {}
-    return dict(sorted(labels.items()))
+    labels |= doubtful if of_time in doubtful or not labels else {}
+    return labels if any(names) or len(names) > _MIN_ROWS else {}
 
 
-def _unlabelled(table: Table) -> list[Column]:
-    """Return the columns of a table without labels in place of a unit, such as A in `time (A)`."""
-    labels = _labels(table, None)
-    return [
-        replace(column, unit="") if labels.get(i) == column.unit.casefold() != "" else column
-        for i, column in enumerate(table.columns)
-    ]
+def _clock(table: Table, at: int, label: str = "", name: str = "") -> Clock | None:
+    """Return the times of a column with the rows that have one; None for words."""
+    with suppress(FileError):
+        if (has_time := rows_with_value(table, at, words=True)) is not None:
+            rows = np.flatnonzero(has_time)
+            times = times_of(table if has_time.all() else rows_of(table, rows), at)
+            return Clock(at=at, name=name, label=label, rows=rows, times=times)
+    return None
 
 
-def _clocks(table: Table, of_y: int | None, of_time: int | None) -> list[Clock]:
-    """Return the clocks of the columns; [] if fewer than two columns contain times."""
-    labels = _labels(table, of_y, of_time)
-    if not any(column.name for column in table.columns):
-        signs = {i: np.sign(_some_intervals(table, i)) for i in labels}
-        labels = {i: labels[i] for i, sign in signs.items() if sign.size == abs(sign.sum()) > 0}
-    if len(labels) < 2:
+def _is_clock(table: Table, clock: Clock) -> bool:
+    """Return whether times are in order; a signal may have a name as of times."""
+    column, d = table.columns[clock.at], np.diff(clock.times.t)
+    names = {c.name.casefold() for c in table.columns}
+    is_certain = clock.label in names or (column.name not in ("", "T") and is_time(column))
+    is_ordered = d.any() and abs(np.sign(d[d != 0]).mean()) > _MIN_ORDER
+    return bool(d.size >= _MIN_ROWS - 1 and is_ordered and (is_certain or are_near(d, NEAR)))
+
+
+def _owners(
+    table: Table, clocks: Mapping[int, Clock], of_y: int | None, of_time: int | None
+) -> list[Clock]:
+    """Return the clocks with the columns of numbers that belong to each; [] without two.
+
+    They are those that its label names, or those at its right, or, if the last column contains
+    times, those at its left. A value without a time is refused.
+    """
+    sizes, owned, faults = sizes_of(table), dict[int, list[int]](), list[str]()
+    is_left = 0 not in clocks and len(sizes) - 1 in clocks
+    for i, column in enumerate(table.columns if len(clocks) > 1 else ()):
+        name = column.name.casefold()
+        skipped = i in clocks or is_time(column) or name in DATE_NAMES
+        skipped = skipped or (i > 0 and has_nanoseconds(table, i - 1))
+        fitting = [at for at in clocks if sizes[at] == sizes[i] and not skipped]
+        if fitting and (has_value := rows_with_value(table, i)) is not None:
+            labels = {at: clocks[at].label for at in fitting}
+            at = min(fitting, key=lambda at: (labels[at] != name, (at > i) != is_left, abs(at - i)))
+            has_value[clocks[at].rows] = False
+            owned.setdefault(at, []).append(i)
+            if has_value.any():
+                faults.append(
+                    f"{table.place(int(np.argmax(has_value)))}: {names_of(table, [i])} has a value "
+                    f"here, but {clocks[at].name} has no time; add the time, or delete the value"
+                )
+    if len(owned) < 2:
         return []
-    clocks = dict[int, Clock]()
-    names = {column.name.casefold() for column in table.columns}
-    for at, label in labels.items():
-        if (clock := _clock(table, at, label)) is None or clock.rows.size < _MIN_ROWS:
-            continue
-        # A signal may have a name as of times, but it does not rise regularly.
-        column, d = table.columns[at], np.diff(clock.times.t)
-        is_certain = label in names or (column.name not in ("", "T") and is_time(column))
-        order = abs(np.sign(d[d != 0]).mean()) if d.any() else 0.0
-        is_ordered = order == 1 or (label in names and order > _MIN_ORDER)
-        if at == of_time or (is_ordered and (is_certain or are_near(d, NEAR))):
-            clocks[at] = clock
-    if not any(names) and not _are_beside(list(clocks.values()), len(table.columns)):
-        return []
-    owned = _owned(table, list(clocks.values()))
+    if faults:
+        raise FileError(faults[0])
     owners = [replace(clocks[at], columns=columns) for at, columns in owned.items()]
-    for clock in owners if len(owners) > 1 else []:
-        _require_times(table, clock)
-    if len(owners) > 1 and of_time in clocks and of_time not in owned:
+    if of_time is not None and of_time in clocks and of_time not in owned:
         # The user prefers another column of times of the same rows.
         k = next((k for k, clock in enumerate(owners) if of_y in clock.columns), 0)
         owners[k] = replace(clocks[of_time], columns=owners[k].columns)
     return owners
 
 
-def _with_finest_times(table: Table, named: Sequence[int]) -> Table:
-    """Return a table in which the finest of several columns of the same times is the only one."""
-    clocks = [_clock(table, i, "") for i in named] if len(named) > 1 else []
-    complete = [clock for clock in clocks if clock is not None]
-    if not complete or len(complete) < len(named):
+# ---- order, and rows with one of several values
+
+
+def _in_order(table: Table, of_y: int | None, named: Sequence[int], *, is_sure: bool) -> Table:
+    """Return the rows in rising order of time if they are in falling order, or in none."""
+    columns = table.columns
+    # Numbers of rows, too, show which row is the oldest.
+    counters = [i for i, c in enumerate(columns) if c.name.casefold() in _COUNTERS and i != of_y]
+    is_first = of_y != 0 and len(columns) > 1 and not any(c.name for c in columns)
+    at = next(iter([*named, *counters, *[0] * is_first]), None)
+    if at is None or (clock := _clock(table, at)) is None or clock.rows.size < _MIN_ROWS:
         return table
-    finest = min(complete, key=lambda clock: clock.times.resolution)
-    if not all(_are_same(finest, clock) for clock in complete):
+    d = np.diff(clock.times.t)
+    d = d[d != 0]
+    # A temperature may be named T, and a column without a name may be a signal.
+    is_sure = is_sure or (at in named and columns[at].name not in ("T", ""))
+    if d.size and np.mean(d < 0) >= _MIN_FALLING and (is_sure or are_near(d, EVEN)):
+        what = "time" if at in named else names_of(table, [at])
+        text = f"rows in falling order of {what}: turned round"
+        note = text if is_sure else Step(text, DOUBT)
+        return rows_of(table, np.arange(sizes_of(table)[at])[::-1], note)
+    if [*named] != [at] or not d.size or np.mean(d < 0) <= 1 - _MIN_FALLING:
         return table
-    others = {*named} - {finest.at}
-    columns = [Column(name="") if i in others else c for i, c in enumerate(table.columns)]
-    note = f"{names_of(table, named)} are the same times: {finest.name} is used"
-    return rows_of(table, finest.rows, columns=columns, other_times=others, notes=[note])
+    order = np.argsort(clock.times.t)
+    d_sorted = np.diff(clock.times.t[order])
+    # A clock that begins again gives equal times, or uneven ones.
+    if not are_near(d_sorted, NEAR) or d_sorted.min() <= 0:
+        return table
+    note = Step("rows in no order of time: sorted by time", DOUBT)
+    return rows_of(table, clock.rows[order], note)
 
 
-def _clock(table: Table, at: int, label: str) -> Clock | None:
-    """Return the times of a column with the rows that have one; None for words."""
-    column = table.columns[at]
-    heading = f"{column.name} ({column.unit})" if label == column.unit.casefold() else column.name
-    name = shown(heading.removesuffix(" ()")) or f"column {at + 1}"
-    with suppress(FileError):
-        if (known := known_rows(table, at, words=True)) is not None:
-            rows = np.flatnonzero(known)
-            times = times_of(rows_of(table, rows, columns=_unlabelled(table)), at)
-            return Clock(at=at, name=name, label=label, rows=rows, times=times)
-    return None
+def _sparse_clocks(table: Table, of_y: int | None, named: Sequence[int]) -> list[Clock]:
+    """Return the clocks of columns that have their values in other rows than the output.
 
-
-def _are_beside(clocks: Sequence[Clock], count: int) -> bool:
-    """Return whether columns without names are times of signals side by side, and no counter."""
-    at = [clock.at for clock in clocks]
-    steps = [np.diff(clock.times.t) for clock in clocks]
-    return (
-        at[:1] == [0]
-        and at[-1] < count - 1
-        and all(b > a + 1 for a, b in pairwise(at))
-        and all(np.all(d != 0) and not np.all(d == 1) for d in steps)
-    )
-
-
-def _require_times(table: Table, clock: Clock) -> None:
-    """Refuse a value without a time."""
-    for i in clock.columns:
-        if (known := known_rows(table, i)) is not None and known.any():
-            known[clock.rows] = False
-            if known.any():
-                raise FileError(
-                    f"{table.place(int(np.argmax(known)))}: {names_of(table, [i])} has a value "
-                    f"here, but {clock.name} has no time; add the time, or delete the value"
-                )
-
-
-def _owned(table: Table, clocks: Sequence[Clock]) -> dict[int, list[int]]:
-    """Return the columns of numbers that belong to each column of times.
-
-    They are those that its label names, or those at its right, or, if the last column contains
-    times, those at its left.
+    A column that is written only where it changes has values in rows of the output, and stays.
     """
-    sizes, times = sizes_of(table), {clock.at: clock.label for clock in clocks}
-    owned: dict[int, list[int]] = {}
-    is_left = sizes[1:] and 0 not in times and len(sizes) - 1 in times
-    for i, column in enumerate(table.columns):
-        skipped = i in times or is_time(column) or column.name.casefold() in DATE_NAMES
-        if skipped or (i and has_nanoseconds(table, i - 1)) or known_rows(table, i) is None:
-            continue
-        fitting = [at for at in times if sizes[at] == sizes[i]]
-        named = [at for at in fitting if times[at] and times[at] == column.name.casefold()]
-        left, right = ([at for at in fitting if (at < i) == k] for k in (True, False))
-        order = [*named, *right[:1], *left[::-1]] if is_left else [*named, *left[::-1], *right]
-        if order:
-            owned.setdefault(order[0], []).append(i)
-    return owned
+    masks = {
+        i: mask
+        for i in range(len(table.columns))
+        if i not in named and (mask := rows_with_value(table, i)) is not None
+    }
+    y = of_y if of_y is not None else max(masks, key=lambda i: masks[i].sum(), default=-1)
+    if y not in masks or masks[y].all():
+        return []
+    N, t = masks[y].size, None
+    with suppress(FileError):
+        t = times_of(table, named[0]) if named else None
+    if t is None or t.t.size != N:
+        t = Times(t=np.arange(N, dtype=np.float64), resolution=0.0, name="", place=table.place)
+    is_even = are_near(np.diff(t.t), EVEN)
+    apart = [i for i, x in masks.items() if x.size == N and _are_apart(x, masks[y], is_even)]
+    name = names_of(table, named[:1]) if named else "the rows"
+    clocks = list[Clock]()
+    for i in (y, *apart):
+        view = rows_of(table, rows := np.flatnonzero(masks[i]))
+        times = replace(t, t=t.t[rows], place=view.place)
+        clocks.append(Clock(at=-1, name=name, label="", rows=rows, times=times, columns=[i]))
+    return clocks
 
 
-def _on_master(
-    table: Table, clocks: Sequence[Clock], of_y: int | None, of_time: int | None
-) -> tuple[Table, int | None]:
-    """Return a table at the times of one clock, and the column of these times."""
-    ranked = sorted(clocks, key=lambda c: (c.at != of_time, of_y not in c.columns))
-    master = ranked[0]
-    others = [clock for clock in ranked[1:] if not _are_same(master, clock)]
-    if not others:
-        return table, of_time
-    if master.at != of_time and of_y not in master.columns:
-        raise no_output(table, [clock.name for clock in clocks])
-    signal = names_of(table, [of_y] if of_y in master.columns else master.columns)
-    held, notes, faults = dict[int, Rows](), list[str](), dict[int, str]()
-    for clock in others:
-        names, at = names_of(table, clock.columns), [clock.at, *clock.columns]
-        try:
-            rows, more = newest_rows(master, clock, names, signal)
-        except FileError as err:
-            held |= dict.fromkeys(at, np.full(master.rows.size, -1))
-            faults |= dict.fromkeys(clock.columns, str(err))
-            continue
-        held |= dict.fromkeys(at, rows)
-        have = "has its" if len(clock.columns) == 1 else "have their"
-        text = f"{names} {have} own times, {clock.name}: held to the times of {signal}, "
-        notes.append(Step(f"{text}{master.name}{more}", DOUBT))
-    columns = _unlabelled(table)
-    for clock in clocks:
-        if clock.at != master.at:
-            columns[clock.at] = Column(name="")
-    if of_time is None and master.at not in time_columns(table):
-        columns[master.at] = Column(name="time", unit=base_and_unit(columns[master.at])[1])
-    view = rows_of(
-        table,
-        master.rows,
+def _are_apart(a: Mask, b: Mask, is_even: bool) -> bool:
+    """Return whether two columns have their values in different rows."""
+    both = np.count_nonzero(a & b)
+    least = min(np.count_nonzero(a), np.count_nonzero(b))
+    apart = min(np.count_nonzero(a & ~b), np.count_nonzero(b & ~a))
+    if least < _MIN_ROWS or not apart:
+        return False
+    return bool(both <= _MAX_SHARED * least or (not is_even and apart >= _MIN_APART * a.size))
+
+
+# ---- several files
+
+
+def _join(tables: Sequence[tuple[str, Table]], output: str | None, time: str | None) -> Table:
+    """Return the columns of several files at the times of one of them."""
+    given = [k for k, (_, t) in enumerate(tables) if time and index_of(t, time, "time") is not None]
+    clocks = [
+        _file_clock(0 if given == [k] else -1 - k, file, table, time)
+        for k, (file, table) in enumerate(tables)
+    ]
+    plain = [t.columns[i].name for (_, t), c in zip(tables, clocks, strict=True) for i in c.columns]
+    # The times of the master are put in as column 0 below.
+    columns, sources = [Column(name=time or "time", unit="s")], [(tables[0][1], 0, clocks[0].rows)]
+    for k, ((file, table), clock) in enumerate(zip(tables, clocks, strict=True)):
+        clocks[k] = replace(clock, columns=range(len(columns), len(columns) + len(clock.columns)))
+        for i in clock.columns:
+            name = table.columns[i].name
+            is_known = name and plain.count(name) == 1
+            name = name if is_known else f"{PurePath(file).stem}.{name or i + 1}"
+            columns.append(replace(table.columns[i], name=name))
+            sources.append((table, i, clock.rows))
+    joined = ClockTable(
         columns=columns,
-        held=held,
-        faults=faults,
-        other_times=[clock.at for clock in clocks if clock.at != master.at],
-        notes=notes,
+        refused={name: why for _, table in tables for name, why in table.refused.items()},
+        notes=[note for _, table in tables for note in table.notes],
+        sources=sources,
+        clock=("", tables[0][1], clocks[0].rows),
     )
-    return view, master.at
+    of_y = index_of(joined, output or "y", "signal") or None
+    view, master = on_master(joined, clocks, of_y, 0)
+    if view is None:
+        files = quantities.listed([file for file, _ in tables])
+        view = rows_of(joined, master.rows, f"the rows of {files} have equal times")
+    if view.faults:
+        raise FileError(next(iter(view.faults.values())))
+    t = Table(columns=columns[:1], values=[master.times.t])
+    file, table = next(x for x, c in zip(tables, clocks, strict=True) if c is master)
+    return replace(
+        view,
+        notes=[*view.notes, *master.times.notes],
+        sources=[(t, 0, master.rows), *view.sources[1:]],
+        clock=(f"{file}, ", table, master.rows),
+    )
 
 
-def _are_same(a: Clock, b: Clock) -> bool:
-    """Return whether two columns are the times of the same rows, perhaps in another unit."""
-    if not np.array_equal(a.rows, b.rows):
-        return False
-    usual = usual_interval(a.times.t)
-    d = b.times.t - a.times.t
-    if a.times.clock == b.times.clock:
-        shift = b.times.begin - a.times.begin
-        error = rounding(a.times, b.times, usual)
-        # A coarse copy differs by less than its last digit, and not always by the same.
-        digit = max(a.times.resolution, b.times.resolution) * (np.ptp(d) > error)
-        if np.abs(d + shift).max() <= max(error, _COARSE * digit):
-            return True
-    if a.label or b.label or (a.times.clock == b.times.clock and overlap(a.times, b.times)):
-        return False
-    slope, level = np.polyfit(a.times.t, b.times.t, 1)
-    apart = np.abs(b.times.t - slope * a.times.t - level).max()
-    return bool(abs(slope - 1) <= _MAX_DRIFT and apart <= usual)
+def _file_clock(at: int, file: str, table: Table, time: str | None) -> Clock:
+    """Return the clock of a file's rows, with all columns but the times."""
+    of_time = None if time is None else index_of(table, time, "time")
+    named = time_columns(table) if of_time is None else [of_time]
+    if not named and table.Ts is None:
+        raise ReadingError(
+            f"{file} has no column of times to compare with those of the other files; "
+            f"{listed(table, 'time')}",
+            "--time NAME",
+        )
+    sizes, name = sizes_of(table), file
+    t = (table.Ts or 0.0) * np.arange(max(sizes, default=0), dtype=np.float64)
+    times = Times(t=t, resolution=0.0, name="the times", place=table.place)
+    if named:
+        name = f"{table.columns[named[0]].name} of {file}"
+        try:
+            times = times_of(table, named[0])
+        except FileError as err:
+            raise FileError(f"{file}, {err}") from err
+    if times.t.size < 2:
+        raise FileError(f"{file} has {plural(times.t.size, 'row')}; at least 2 are needed")
+    columns = [
+        i
+        for i, size in enumerate(sizes)
+        if size == times.t.size and i not in named and not is_time(table.columns[i])
+    ]
+    rows = np.arange(times.t.size)
+    return Clock(at=at, name=shown(name), label=file, rows=rows, times=times, columns=columns)

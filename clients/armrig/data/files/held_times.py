@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from armrig_core.errors import FileError
 
-from armrig.data.files.clock_table import Rows
+from armrig.data.files.clock_table import ClockTable, Rows, names_of, rows_of
 from armrig.data.files.stamps import Times
 from armrig.data.files.table import ReadingError, Table, Vector, listed
+from armrig.data.step import DOUBT, Step
 from armrig.numerics import quantities
 from armrig.numerics.quantities import plural
 
 NEAR = 0.5
 """Relative deviation of an interval of regular times from the usual one."""
-MIN_UNUSED = 0.1
-"""Share of values between the instants that a note names."""
+EVEN = 0.05
+"""Relative deviation of an interval of even times from the usual one."""
 _MIN_REGULAR = 0.8  # share of near intervals
 _MIN_OVERLAP = 0.5  # of the shorter record
 _MAX_HELD = 3.0  # usual intervals for which a value of a regular clock is held
+_MIN_UNUSED = 0.1  # share of values between the instants that a note names
 _ROUNDING = 1e-6  # of an interval, between equal times of two clocks
+_COARSE = 1 - 1e-6  # of the last digit, by which a coarse copy of times differs at most
+_MAX_DRIFT = 0.01  # between two clocks of the same rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,17 +33,32 @@ class Clock:
     """Times, and the columns that have a value at each of them."""
 
     at: int
-    """Index of the column of times."""
+    """Index of the column of times; below 0 for the times of another file."""
     name: str
-    """Name of the column of times in messages."""
+    """Name of the times in messages."""
     label: str
-    """Text in the name of the times by which they differ from other times."""
+    """Text by which the name of the times differs from the names of other times."""
     rows: Rows
     """Rows of the table that have a time, shape (N,)."""
     times: Times
     """Times of these rows."""
     columns: Sequence[int] = ()
     """Indices of the columns."""
+
+    @property
+    def usual(self) -> float:
+        """Usual interval in s."""
+        return _usual(self.times.t)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, in s from the origin of the clock."""
+        t, begin = self.times.t, self.times.begin
+        return begin + float(t.min()), begin + float(t.max())
+
+
+def _usual(t: Vector) -> float:
+    return float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
 
 
 def are_near(d: Vector, share: float) -> bool:
@@ -48,43 +67,91 @@ def are_near(d: Vector, share: float) -> bool:
     return bool(usual and np.mean(np.abs(d - usual) <= share * abs(usual)) >= _MIN_REGULAR)
 
 
-def no_output(table: Table, names: Sequence[str]) -> ReadingError:
-    """Return the error of a table whose clocks need an output."""
-    return ReadingError(
-        f"it has several clocks, {quantities.listed(names)}: {listed(table, 'signal')}, the output "
-        "to whose times the other columns are held",
-        "--signal NAME",
-    )
+def are_same(a: Clock, b: Clock) -> bool:
+    """Return whether two clocks have the same rows, perhaps in another unit."""
+    if not np.array_equal(a.rows, b.rows):
+        return False
+    d = b.times.t - a.times.t
+    if a.times.clock == b.times.clock:
+        error = _rounding(a, b)
+        # A coarse copy differs by less than its last digit, and not always by the same.
+        digit = max(a.times.resolution, b.times.resolution) * (np.ptp(d) > error)
+        if np.abs(d + b.times.begin - a.times.begin).max() <= max(error, _COARSE * digit):
+            return True
+    if a.label or b.label or (a.times.clock == b.times.clock and _overlap(a, b)):
+        return False
+    slope, level = np.polyfit(a.times.t, b.times.t, 1)
+    apart = np.abs(b.times.t - slope * a.times.t - level).max()
+    return bool(abs(slope - 1) <= _MAX_DRIFT and apart <= a.usual)
 
 
-def rounding(a: Times, b: Times, usual: float) -> float:
+def _rounding(a: Clock, b: Clock) -> float:
     """Return the largest difference, in s, of equal times."""
-    return _ROUNDING * usual + 2 * float(np.spacing(max(abs(a.begin), abs(b.begin))))
+    largest = max(abs(a.times.begin), abs(b.times.begin))
+    return _ROUNDING * a.usual + 2 * float(np.spacing(largest))
 
 
-def overlap(a: Times, b: Times) -> bool:
+def _overlap(a: Clock, b: Clock) -> bool:
     """Return whether the records overlap by at least half of the shorter one."""
-    (first, last), (other, end) = _span(a), _span(b)
+    (first, last), (other, end) = a.span, b.span
     shared = min(last, end) - max(first, other)
     return shared >= _MIN_OVERLAP * min(last - first, end - other)
 
 
-def _span(times: Times) -> tuple[float, float]:
-    """Return the first and the last time, in s from the origin of the clock."""
-    return times.begin + float(times.t.min()), times.begin + float(times.t.max())
+def on_master(
+    table: Table, clocks: Sequence[Clock], of_y: int | None, of_time: int | None
+) -> tuple[ClockTable | None, Clock]:
+    """Return the table at the times of one clock, and this clock; None if all are the same.
+
+    The master is the clock of the column `of_time`, or else that of the output. The other columns
+    have their newest value; those of a clock that cannot be compared have a fault.
+    """
+    master = min(clocks, key=lambda c: (c.at != of_time, of_y not in c.columns))
+    others = [clock for clock in clocks if clock is not master and not are_same(master, clock)]
+    if not others:
+        return None, master
+    if master.at != of_time and of_y not in master.columns:
+        names = [names_of(table, clock.columns) for clock in clocks]
+        raise ReadingError(
+            f"it has several clocks, those of {quantities.listed(names)}: "
+            f"{listed(table, 'signal')}, the output to whose times the other columns are held",
+            "--signal NAME",
+        )
+    y = [of_y] if of_y is not None and of_y in master.columns else master.columns
+    signal, notes, faults = names_of(table, y), list[str](), dict[int, str]()
+    view = rows_of(table, master.rows)
+    sources = [*view.sources]
+    for clock in others:
+        names, rows = names_of(table, clock.columns), np.full(master.rows.size, -1)
+        try:
+            rows, more = _newest_rows(master, clock, names, signal)
+        except FileError as err:
+            faults |= dict.fromkeys(clock.columns, str(err))
+        else:
+            have = "has its" if len(clock.columns) == 1 else "have their"
+            is_other = clock.at != master.at
+            have += (
+                f" own times, {clock.name}" if is_other else f" values in other rows than {signal}"
+            )
+            is_assumed = is_other and clock.at < 0 and not clock.times.clock
+            more += "; both are taken to begin together" * is_assumed
+            to = f"held to the times of {signal}, {master.name}"
+            notes.append(Step(f"{names} {have}: {to}{more}", DOUBT))
+        for i in {clock.at, *clock.columns} - {master.at}:
+            if i >= 0:
+                sources[i] = (table, i, rows)
+    return replace(view, sources=sources, faults=faults, notes=[*notes, *view.notes]), master
 
 
-def newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tuple[Rows, str]:
+def _newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tuple[Rows, str]:
     """Return the row of another clock at each time of a master, -1 for none, and facts.
 
     Raises FileError if the two clocks cannot be compared.
     """
-    a, b = master.times, other.times
-    if a.clock != b.clock or not overlap(a, b):
+    if master.times.clock != other.times.clock or not _overlap(master, other):
         ranges = [
-            f"{clock.name} goes from {first:.10g} to {last:.10g} {clock.times.clock or 's'}"
-            for clock in (other, master)
-            for first, last in [_span(clock.times)]
+            "{} goes from {:.10g} to {:.10g} {}".format(c.name, *c.span, c.times.clock or "s")
+            for c in (other, master)
         ]
         raise FileError(
             f"{' and '.join(ranges)}: {columns} cannot be held to the times of {signal}. Write "
@@ -99,32 +166,18 @@ def newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tuple
                 f"{clock.times.place(k)}: {clock.name} goes back here, so {columns} cannot be held "
                 f"to the times of {signal}; cut the file there"
             )
-    rows, k, skipped = held_at(a.t, b.t + (b.begin - a.begin), rounding(a, b, usual_interval(a.t)))
-    more = ""
-    if skipped > MIN_UNUSED * b.t.size:
-        more += f"; {plural(skipped, 'value')} of {columns} between these times are not used"
-    if k:
-        more += f"; not known in {plural(k, 'row')}, over {_MAX_HELD:g} intervals after a value"
-    return np.append(other.rows, -1)[rows], more
-
-
-def usual_interval(t: Vector) -> float:
-    """Return the usual interval of times, in s."""
-    return float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
-
-
-def held_at(t: Vector, others: Vector, error: float) -> tuple[Rows, int, int]:
-    """Return the index of the newest of other times at each time, -1 for none.
-
-    The second result counts the times that are too far from the last of regular other times, the
-    third one the other times that are used nowhere.
-    """
-    order = np.argsort(others, kind="stable")
-    k = np.searchsorted(others[order], t + error, side="right") - 1
-    rows = np.where(k >= 0, order[k], -1)
-    d = np.diff(others[order])
-    far = (k >= 0) & (t - others[order][k] > _MAX_HELD * usual_interval(others[order]) + error)
-    far &= are_near(d, NEAR)
-    rows[far] = -1
+    t, error = master.times.t, _rounding(master, other)
+    order = np.argsort(other.times.t, kind="stable")
+    others = other.times.t[order] + (other.times.begin - master.times.begin)
+    k = np.searchsorted(others, t + error, side="right") - 1
+    rows, more = np.where(k >= 0, other.rows[order[k]], -1), ""
     between = np.count_nonzero((others >= t.min()) & (others <= t.max()))
-    return rows, int(np.count_nonzero(far)), int(between - np.unique(rows[rows >= 0]).size)
+    is_far = (k >= 0) & (t - others[k] > _MAX_HELD * other.usual + error)
+    is_far &= are_near(np.diff(others), NEAR)
+    rows[is_far] = -1
+    skipped = int(between - np.unique(rows[rows >= 0]).size)
+    if skipped > _MIN_UNUSED * others.size:
+        more += f"; {plural(skipped, 'value')} of {columns} between these times are not used"
+    if far := int(np.count_nonzero(is_far)):
+        more += f"; not known in {plural(far, 'row')}, over {_MAX_HELD:g} intervals after a value"
+    return rows, more

@@ -164,7 +164,7 @@ def test_the_output_decides_if_it_is_known() -> None:
     cells = {"t_a": seconds(T), "a": U, "t_b": seconds(T + 0.05), "b": Y}
     table = read_text(text(cells))
 
-    with pytest.raises(ReadingError, match="it has several clocks, t_a and t_b: ") as failure:
+    with pytest.raises(ReadingError, match="it has several clocks, those of a and b: ") as failure:
         on_one_clock([("a.csv", table)], output=None, time=None)
     assert failure.value.option == "--signal NAME"
 
@@ -206,19 +206,19 @@ def test_rows_with_one_value_of_two_are_the_times_of_the_output(
     np.testing.assert_array_equal(data.u, U)
     np.testing.assert_allclose(data.y, Y, atol=1e-3)
     assert data.Ts == 0.01
-    first_is_doubt(data, "u has its values in other rows than y: held to the rows of y")
+    first_is_doubt(data, "u has its values in other rows than y: held to the times of y, time")
 
 
 def test_values_that_the_output_does_not_meet_are_counted(tmp_path: Path) -> None:
     data = load(tmp_path, sparse(0.003, rate=5))
 
     same_data(data, U[::5], Y[::5], 0.05)
-    assert "held to the rows of y; 155 values between these rows are not used" in data.history[0]
+    assert "; 155 values of u between these times are not used" in data.history[0]
 
 
 def test_sparse_rows_need_an_output() -> None:
     table = read_text(sparse(0.003).replace("u,y", "a,b"))
-    with pytest.raises(ReadingError, match="several clocks, a and b: give --signal"):
+    with pytest.raises(ReadingError, match="several clocks, those of a and b: give --signal"):
         on_one_clock([("a.csv", table)], output=None, time=None)
 
 
@@ -386,7 +386,7 @@ def test_files_with_equal_times_are_paired() -> None:
     assert [column.name for column in joined.columns] == ["time", "a.u", "y", "b.u"]
     np.testing.assert_array_equal([joined.numbers(i) for i in (1, 2)], [U, Y])
     assert joined.notes == ["the rows of a.csv and b.csv have equal times"]
-    assert joined.place(3) == "a.csv, row 4"
+    assert joined.place(3) == "b.csv, row 4"
 
 
 def test_columns_of_other_files_are_held_to_the_times_of_the_output() -> None:
@@ -400,9 +400,11 @@ def test_columns_of_other_files_are_held_to_the_times_of_the_output() -> None:
         np.testing.assert_array_equal(joined.numbers(1), U[::2])
         np.testing.assert_allclose(joined.numbers(0), T[::2], atol=1e-6)
         assert codes_of(joined.notes)[0] == DOUBT
-        assert joined.notes[0].startswith("u held from t of a.csv to the times of y, t of b.csv; ")
+        assert joined.notes[0].startswith(
+            "u has its own times, t of a.csv: held to the times of y, t of b.csv; "
+        )
         assert joined.columns[0].name == (how["time"] or "time")
-    with pytest.raises(ReadingError, match=r"several clocks, t of a.csv and t of b.csv: "):
+    with pytest.raises(ReadingError, match=r"several clocks, those of u and b: "):
         on_one_clock([files[0], ("b.csv", table(t=T, b=Y))], output=None, time=None)
 
 
