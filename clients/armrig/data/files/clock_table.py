@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from armrig_core.errors import FileError
@@ -68,6 +68,15 @@ def rows_of(table: Table, rows: Rows, *notes: str) -> ClockTable:
         clock=("", table, rows),
         other_times=getattr(table, "other_times", ()),
     )
+
+
+def few_rows(table: Table) -> Table:
+    """Return some rows of a long text, without the conversion of the others."""
+    if not isinstance(table, TextTable) or len(table.rows) < _MAX_CELLS:
+        return table
+    rows = np.unique(np.linspace(0, len(table.rows) - 1, _MAX_CELLS).astype(np.intp))
+    lines = [table.lines[k] for k in rows]
+    return replace(table, rows=[table.rows[k] for k in rows], lines=lines)
 
 
 def sizes_of(table: Table) -> list[int]:

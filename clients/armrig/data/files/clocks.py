@@ -13,6 +13,7 @@ from armrig_core.errors import FileError
 
 from armrig.data.files.clock_table import (
     ClockTable,
+    few_rows,
     index_of,
     names_of,
     rows_of,
@@ -236,7 +237,9 @@ def _in_order(table: Table, of_y: int | None, named: Sequence[int], *, is_sure: 
     counters = [i for i, c in enumerate(columns) if c.name.casefold() in _COUNTERS and i != of_y]
     is_first = of_y != 0 and len(columns) > 1 and not any(c.name for c in columns)
     at = next(iter([*named, *counters, *[0] * is_first]), None)
-    if at is None or (clock := _clock(table, at)) is None or clock.rows.size < _MIN_ROWS:
+    if at is None or ((few := _clock(few_rows(table), at)) and np.all(np.diff(few.times.t) >= 0)):
+        return table
+    if (clock := _clock(table, at)) is None or clock.rows.size < _MIN_ROWS:
         return table
     d = np.diff(clock.times.t)
     d = d[d != 0]
