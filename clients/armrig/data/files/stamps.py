@@ -40,8 +40,6 @@ TIME_NAMES = frozenset(
 _BETWEEN_WORDS = re.compile(r"[\s/_-]+")
 DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
 """Names of a column of dates, if another column contains times of day."""
-_NANO = 1e-9
-_FRACTIONS = (_NANO, 1e-6, 1e-3)  # units, in s, of a second column
 _EPOCH = "s since 1970"
 _EPOCH_S = (9e8, 4.2e9)  # 1998 to 2103, in seconds since 1970, or since 1904
 _MONTH_S = 2.7e6
@@ -51,21 +49,19 @@ _YEAR_S = 3.2e7  # times without a unit are not seconds beyond it
 _MOST_MS = 1000.0  # usual interval in ms; longer ones are µs
 _HOURS_AND_MINUTES = re.compile(r"\d{1,3}:\d\d")
 _SECONDS_WRITTEN = re.compile(r":\d\d[:.,]\d")
-_TICKS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
+_TICKS = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns"}
 _MAX_RETURNS = 0.3  # share of intervals at which a clock begins again; more are shuffled rows
 _TIMER_BITS = (16, 32)  # Arduino's micros() begins again after 71 min
-_BY_SIZE = (
-    *((_EPOCH_S[0] / unit, _EPOCH_S[1] / unit, _MONTH_S / unit, unit) for unit, _ in _TICKS),
-    (7e5, 8e5, 0.5, DAY_S),  # MATLAB's days since year 0, from 1916 to 2190
-    (3.6e4, 5.5e4, 0.05, DAY_S),  # Excel's days since 1900, from 1998 to 2050
-)
-"""Range of the times, their largest usual interval, and the unit in s."""
-_NAMES = (
-    *(f"{name} since 1970" for _, name in _TICKS),
-    "days (MATLAB's datenum)",
-    Step("days (Excel's dates); give --Ts if they are in s", DOUBT),
-)
-"""Names of these units."""
+_BY_SIZE = {
+    **{
+        f"{name} since 1970": (_EPOCH_S[0] / unit, _EPOCH_S[1] / unit, _MONTH_S / unit, unit)
+        for unit, name in _TICKS.items()
+    },
+    "days (MATLAB's datenum)": (7e5, 8e5, 0.5, DAY_S),  # since year 0, from 1916 to 2190
+    # Since 1900, from 1998 to 2050.
+    Step("days (Excel's dates); give --Ts if they are in s", DOUBT): (3.6e4, 5.5e4, 0.05, DAY_S),
+}
+"""Range of times without a unit, their largest usual interval, and the unit in s, by its name."""
 _MAX_NAME = 80  # characters in which a unit is looked for
 _SPAN_S = (1e-9, 1e11)
 _HOUR_S = 3600.0
@@ -106,7 +102,9 @@ def time_columns(table: Table) -> list[int]:
 
 def is_time(column: Column) -> bool:
     """Return whether the name of a column means the time; Ts is a sampling time."""
-    return _base(_folded(column)) in TIME_NAMES and column.name != "Ts"
+    base, unit = base_and_unit(column)
+    plain = _BETWEEN_WORDS.sub("_", base)
+    return plain in TIME_NAMES | ({""} if unit else set()) and column.name != "Ts"
 
 
 def _folded(column: Column) -> str:
@@ -114,22 +112,20 @@ def _folded(column: Column) -> str:
     return column.name.casefold()[:_MAX_NAME].lstrip("%").removesuffix("()")
 
 
-def _base(name: str) -> str:
-    """Return a name of times without a unit at its end, such as t for t_ms."""
-    found, plain = _WITH_UNIT.fullmatch(name), _BETWEEN_WORDS.sub("_", name)
-    return plain if plain in TIME_NAMES or found is None else (found["base"] or "t")
+def base_and_unit(column: Column) -> tuple[str, str]:
+    """Return the name of a column without a unit of time, and this unit, "" without one."""
+    unit, name = column.unit.casefold().removesuffix("."), _folded(column)
+    if unit or not (parts := _WITH_UNIT.fullmatch(name)):
+        return name, unit if unit in _SECONDS else ""
+    return parts["base"] or "", parts["unit"]
 
 
-def _unit_of(column: Column, named: str) -> float | None:
-    """Return the unit of a column of times in s, from its header; None if the header has none."""
-    if not column.unit:
-        found = _WITH_UNIT.fullmatch(_folded(column))
-        return _SECONDS[found["unit"]] if found else None
-    if (unit := column.unit.casefold().removesuffix(".")) not in _SECONDS:
-        raise FileError(
-            f"{named} are in {shown(column.unit)}, known units are {_KNOWN}; give Ts in s (--Ts)"
-        )
-    return _SECONDS[unit]
+def has_nanoseconds(table: Table, i: int) -> bool:
+    """Return whether column i is named as seconds, and the next column as their nanoseconds."""
+    pair = [
+        (base, _SECONDS.get(unit)) for base, unit in map(base_and_unit, table.columns[i : i + 2])
+    ]
+    return pair == [(pair[0][0], 1.0), (pair[0][0], 1e-9)]
 
 
 def times_of(table: Table, i: int) -> Times:
@@ -157,19 +153,20 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
             f"{table.place(int(np.argmax(missing)))}: {named} have no value here; add it, or give "
             "Ts in s (--Ts)"
         )
-    unit, notes, clock = _unit_of(table.columns[i], named), list[str](), ""
-    has_unit = unit is not None
-    _, suffix = base_and_unit(column := table.columns[i])
-    if (
-        not column.unit
-        and suffix not in ("", "s")
-        and suffix in (c.name.casefold() for c in table.columns)
-    ):
+    column, notes, clock = table.columns[i], list[str](), ""
+    _, suffix = base_and_unit(column)
+    if column.unit and not suffix:
+        raise FileError(
+            f"{named} are in {shown(column.unit)}, known units are {_KNOWN}; give Ts in s (--Ts)"
+        )
+    unit, has_unit = _SECONDS.get(suffix), bool(suffix)
+    is_name = has_unit and suffix in (c.name.casefold() for c in table.columns)
+    if is_name and not column.unit and suffix != "s":
         notes.append(Step(f"{named} are read in {suffix}, and not as the times of {suffix}", DOUBT))
     low, middle = map(float, np.quantile(t, (0.1, 0.5)) if t.size else (0.0, 0.0))
     usual = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if unit is None:
-        for name, (least, most, largest, size) in zip(_NAMES, _BY_SIZE, strict=True):
+        for name, (least, most, largest, size) in _BY_SIZE.items():
             if least <= low and middle < most and usual < largest:
                 unit, has_unit, clock = size, True, f"s, from {name.partition(';')[0]}"
                 notes.append(Step(f"read {named} as {name}", *codes_of([name])))
@@ -180,7 +177,7 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
                     f"{table.place(k)}: {named} go from {t[k - 1]:.16g} to {t[k]:.16g}, as digits "
                     "of a clock: write them as 09:59:59, or give Ts in s (--Ts)"
                 )
-            unit, doubts = _without_unit(t, usual, named, table.columns[i].name)
+            unit, doubts = _without_unit(t, usual, named, column.name)
             notes += doubts
     if _EPOCH_S[0] <= middle * unit < _EPOCH_S[1]:
         clock = _EPOCH
@@ -228,21 +225,6 @@ def _without_unit(t: Vector, usual: float, named: str, name: str) -> tuple[float
     return sizes[unit], [Step(text, DOUBT)]
 
 
-def base_and_unit(column: Column) -> tuple[str, str]:
-    """Return the name of a column without a unit of time, and this unit, "" without one."""
-    if column.unit:
-        unit = column.unit.casefold().removesuffix(".")
-        return _folded(column), unit if unit in _SECONDS else ""
-    parts = _WITH_UNIT.fullmatch(_folded(column))
-    return (parts["base"] or "", parts["unit"]) if parts else (_folded(column), "")
-
-
-def has_nanoseconds(table: Table, i: int) -> bool:
-    """Return whether column i is named as seconds, and the next column as their nanoseconds."""
-    (base, unit), *after = map(base_and_unit, table.columns[i : i + 2])
-    return _SECONDS.get(unit) == 1 and [(b, _SECONDS.get(u)) for b, u in after] == [(base, _NANO)]
-
-
 def _with_fractions(table: Table, i: int, times: Times) -> Times:
     """Add the next column, if it contains the fractions of times in whole seconds."""
     if i + 1 >= len(table.columns) or times.t.size < 2 or np.any(times.t != np.rint(times.t)):
@@ -250,29 +232,26 @@ def _with_fractions(table: Table, i: int, times: Times) -> Times:
     column, n = table.columns[i + 1], np.empty(0)
     base, unit = base_and_unit(column)
     is_named = bool(unit) and base in ("", base_and_unit(table.columns[i])[0])
-    if column.name and not is_named:
-        return times
     with suppress(FileError):
         n = table.numbers(i + 1)
-    if n.shape != times.t.shape or not np.all((n >= 0) & (n < 1 / _NANO) & (n == np.rint(n))):
+    if (column.name and not is_named) or n.shape != times.t.shape:
         return times
-    d_s, d_n = np.diff(times.t), np.diff(n)
-    rises = d_s > 0
-    # Without names, only a fraction falls where the seconds rise.
-    if not is_named and (np.all(rises) or np.any(d_s < 0) or not np.array_equal(rises, d_n < 0)):
-        return times
-    for size in [_SECONDS[unit]] if is_named else _FRACTIONS[: 3 if rises.any() else 1]:
-        d = d_s + size * d_n
-        is_even = not rises.any() or abs(np.median(d[rises]) - np.median(d)) <= np.median(d) / 2
-        if size < 1 and n.max() * size < 1 and (is_named or (d.min() > 0 and is_even)):
-            name = shown(column.name) or str(i + 2)
-            text = f"added column {name} to {times.name}, in {dict(_TICKS)[size]}"
+    d_s = np.diff(times.t)
+    for size, name in _TICKS.items():
+        d, rises = d_s + size * np.diff(n), d_s > 0
+        # Without names, the fraction must make the times even where the seconds rise.
+        is_even = np.any(rises) and not np.all(rises) and d.min() > 0
+        is_even = is_even and abs(np.median(d[rises]) - np.median(d)) <= np.median(d) / 2
+        is_fraction = size < 1 and np.all((n >= 0) & (size * n < 1) & (n == np.rint(n)))
+        if is_fraction and (_SECONDS[unit] == size if is_named else is_even):
+            title = shown(column.name) or str(i + 2)
+            notes = [note for note in times.notes if not codes_of([note])[0]]
             return replace(
                 times,
                 t=times.t + size * (n - n[0]),
                 begin=times.begin + size * float(n[0]),
                 resolution=size * _last_digit(n),
-                notes=[*(note for note in times.notes if not codes_of([note])[0]), text],
+                notes=[*notes, f"added column {title} to {times.name}, in {name}"],
                 has_unit=True,
             )
     return times
@@ -332,10 +311,8 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
         t, changes = _without_clock_changes(t, table.place)
         notes += changes
     has_seconds = any(map(_SECONDS_WRITTEN.search, cells)) or ":" not in cells[0]
-    clock = (
-        _EPOCH if zones.keys() == {UTC_ZONE} else f"{_EPOCH} in {''.join(zones) or 'local time'}"
-    )
-    clock = "s since midnight" if is_time else clock
+    zone = "" if zones.keys() == {UTC_ZONE} else f" in {''.join(zones) or 'local time'}"
+    clock = "" if is_span else "s since midnight" if is_time else _EPOCH + zone
     return Times(
         t=t,
         resolution=_last_digit(t) if has_seconds else 60.0,
@@ -343,7 +320,7 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
         place=table.place,
         notes=notes,
         begin=begin,
-        clock="" if is_span else clock,
+        clock=clock,
     )
 
 
