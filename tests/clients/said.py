@@ -37,6 +37,7 @@ _SHOWN, _ITEMS, _LINES, _WIDEST = ("  ", "! ", "+ ", "exit "), 8, 20, 200
 _OTHERS = (  # of another machine, day or version
     (re.compile(rf"(?<![\w.]){re.escape(version('armrig'))}(?!\.?\w)"), "VERSION"),
     (re.compile(r"(?<![\w.])(?:[0-9a-f]{12}|(?=\w*[a-f])[0-9a-f]{13,64})(?![\w-]|\.\w)"), "HASH"),
+    (re.compile(r"(imported-[a-z0-9-]+?)-\d{8}T\d{6}-[0-9a-f]{8}"), r"\1-TIME-RUN"),
     (re.compile(r"━ 100% \d\d:\d\d"), "━ 100%"),
     (re.compile(r"(bytes|_offset_ns|modified_ns): \d+"), r"\1: …"),
     (re.compile(r"\b20[2-9]\d-\d\d-\d\d([T ]\d\d:\d\d[\d:.]*(Z|[-+]\d\d:\d\d)?)?"), "DATE"),
@@ -90,7 +91,7 @@ def _printed(line: str, python: _Python, folder: Path) -> Iterator[str]:
     yield from [f"exit {code}"] if code else []
     for path, text in sorted(_files(folder).items()):
         if before.get(path) != text:
-            yield f"+ {path.relative_to(folder)}"
+            yield from (f"+ {x}" for x in _lines(str(path.relative_to(folder)), folder))
             if line.startswith("$ ") and not text.startswith(b"-----BEGIN"):
                 with suppress(UnicodeDecodeError):
                     if path.stem == "whole":

@@ -17,7 +17,7 @@ from armrig_core.process.options import argument, chosen, group
 
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Json, Verbose
-from armrig.cli.printing import print_json, print_table, spinner
+from armrig.cli.printing import print_json, print_table, some, spinner
 from armrig.cli.recorded_data import names
 from armrig.cli.results import check_output
 from armrig.cli.runs import check_name_is_free, experiment_name
@@ -139,6 +139,8 @@ def import_rows(
     data: ImportedData, called: str, path: Path, *, verbose: bool
 ) -> Iterator[tuple[str, str]]:
     """Yield the rows of a table of imported data, with the verdict as the first row."""
+    import numpy as np
+
     facts, rows = data.facts, len(data.at)
     doubts = [text for text, code in facts.history if code == DOUBT]
     doubts += [finding.text for finding in few_samples(rows, called)]
@@ -150,16 +152,20 @@ def import_rows(
     yield "from", ", ".join(source.name for source in facts.sources)
     if facts.options:
         yield "options", ", ".join(f"{key} {value}" for key, value in facts.options.items())
-    shown = facts.columns if verbose else facts.columns[:_MAX_SHOWN]
-    listed = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in shown]
-    more = len(facts.columns) - len(shown)
-    yield "columns", ", ".join(listed) + (f" and {more} more (--verbose)" if more else "")
+    most = len(facts.columns) if verbose else _MAX_SHOWN
+    listed = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in facts.columns]
+    yield "columns", some(listed, most)
     for role, columns in (("inputs", facts.inputs), ("outputs", facts.outputs)):
         if columns:
             yield role, ", ".join(columns)
     missing = f", {data.size - rows} missing" if data.size > rows else ""
     breaks = f", in {plural(len(facts.breaks) + 1, 'experiment')}" if facts.breaks else ""
-    yield "samples", f"{rows} at {data.Ts:g} s{missing}{breaks}"
+    clock = f", by the times in {facts.clock}" if facts.clock else ""
+    yield "samples", f"{rows} at {data.Ts:g} s{missing}{breaks}{clock}"
+    without = np.count_nonzero(np.isnan(data.values), axis=0)
+    empty = [f"{c.name} in {n}" for c, n in zip(facts.columns, without, strict=True) if n]
+    if empty:
+        yield "no value", some(empty, most)
     for text, code in facts.history:
         if code != DOUBT:
             yield "read", text

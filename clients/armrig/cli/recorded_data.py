@@ -275,9 +275,7 @@ def tell_of_reading(
     file: Path, data: Dataset | Signals, columns: Sequence[str], missing: str
 ) -> None:
     """Print first the doubts about the reading of a file, then its other facts."""
-    from armrig.recordings.files.recording_names import name_of
-
-    name = (name_of(file) if file.suffix == RECORDING else "") or str(file)
+    name = short_name(file)
     steps = list(zip(data.history, codes_of(data.history), strict=True))
     for text, code in steps:
         if code == DOUBT:
@@ -289,6 +287,13 @@ def tell_of_reading(
     parts = [f"{plural(data.N, 'sample')}, {data.Ts:g} s apart", *columns]
     parts += [f"{data.missing} {missing}"] if data.missing else []
     inform(f"{name}: {'; '.join([*parts, *facts])}", dim=True)
+
+
+def short_name(file: Path) -> str:
+    """Return the @NAME of a recording, or the path of another file."""
+    from armrig.recordings.files.recording_names import name_of
+
+    return (name_of(file) if file.suffix == RECORDING else "") or str(file)
 
 
 def named(recording: armrig.Recording) -> armrig.Recording:
@@ -446,7 +451,7 @@ class SignalChoice(DataOptions):
             tell("the model was estimated from data minus their means: validate it with --detrend")
         if self.hampel:
             data = armrig.hampel(data)
-            inform(f"{file}: {data.history[-1]}", dim=True)
+            inform(f"{short_name(file)}: {data.history[-1]}", dim=True)
         return armrig.detrend(data) if self.detrend else data
 
     def _table(self, file: Path, model: Fit | None, imported: Import | None) -> Dataset | Signals:

@@ -77,6 +77,8 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
     """Columns that the user named as inputs."""
     outputs: tuple[str, ...] = ()
     """Columns that the user named as outputs."""
+    clock: str = ""
+    """Column of the times; "" if the file has none, or its Ts is given elsewhere."""
     breaks: tuple[int, ...] = ()
     """Instants at which a new experiment begins."""
     history: tuple[tuple[str, str], ...] = ()

@@ -133,6 +133,7 @@ def _on_grid(
             ),
             inputs=tuple(names[i] for i in of_u) if inputs else (),
             outputs=tuple(names[i] for i in of_y) if outputs else (),
+            clock="" if at is None else table.columns[at].name or str(at + 1),
             breaks=tuple(map(int, grid.breaks)),
             history=history_of(history),
         ),
