@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise, takewhile
 
 from armrig_core.errors import FileError
 
 from armrig.data.files.cells import REWRITTEN, Kind, kind, split
-from armrig.data.files.decimal_marks import number
+from armrig.data.files.decimal_marks import is_missing
 from armrig.data.files.table import shown, titled
 
 Lines = Sequence[tuple[int, str]]
@@ -20,9 +20,8 @@ TIMES = frozenset(
 )
 """Names of columns that are names of times and of nothing else."""
 _MAX_LINES = 30  # above the names
-PROBED_LINES = 2 * _MAX_LINES + 5  # names, units, and more rows than lines above them
-_MAX_LABVIEW_LINES = 500  # above the names
-_MAX_PROBED_CELLS = 32
+PROBED_LINES = 2 * _MAX_LINES + 5
+"""Number of first lines that contain the names, the units, and more rows than lines above them."""
 _MAX_UNIT_CHARACTERS = 16
 _VALUES = frozenset({Kind.NUMBER, Kind.QUANTITY, Kind.TIME, Kind.SWITCH})
 _KNOWN_UNIT = re.compile(
@@ -33,7 +32,7 @@ _KNOWN_UNIT = re.compile(
 _PLAIN_UNITS = {"volt": "V", "volts": "V", "second": "s"} | dict.fromkeys(
     ("no.", "time", "ts", "rn", "sequence", "-"), ""
 )
-_INCREMENT = re.compile(r"\s*t(?:0|Inc)\s*=\s*(?P<value>[-+.\deE]+)\s*s?\s*")
+_UNITS_OF_VALUES = re.compile(r"(?:Y|Vertical)[ _]Unit.*")
 _LOGGER = re.compile(  # of HOBO
     r"(?:,\s*(?P<unit>[^,()]+?))?\s*\((?:LGR|SEN) S/N.*|,\s*GMT[-+]\d\d:\d\d$"
 )
@@ -49,71 +48,113 @@ class Head:
     """Unit of each column, "" if unknown; () if the file contains no units."""
     notes: Sequence[str] = ()
     """Notes about the lines above the rows."""
-    decimal: str | None = None
-    """Decimal mark that the file states."""
-
-
-HeadAndRows = tuple[Head, Lines, str]
-"""Head, rows, and the separator of their cells."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Instrument:
-    """Form of the files of an instrument that the general rule does not read."""
-
-    maker: str
-    """Name in messages."""
-    beginning: re.Pattern[str]
-    """Pattern of the beginning of the file; its group `separator` separates the cells."""
-    read: Callable[[Lines, Sequence[list[str]], str], HeadAndRows]
-    """Function that returns the head and the rows of the lines and their cells."""
-
-
-def head_of_instrument(text: str, lines: Lines) -> HeadAndRows | None:
-    """Return the head and the rows of a known instrument's file; None for every other text."""
-    for known in INSTRUMENTS:
-        if (parts := known.beginning.match(text)) is None:
-            continue
-        separator = parts.groupdict().get("separator", ",")
-        try:
-            cells = [split(line, separator) for _, line in lines]
-            head, rows, separator = known.read(lines, cells, separator)
-        except (ValueError, LookupError, StopIteration) as err:
-            why = f": {err}" if isinstance(err, FileError) else ""
-            raise FileError(f"the header of {known.maker} is damaged{why}; export again") from err
-        return (
-            replace(head, notes=[f"read as a file of {known.maker}", *head.notes]),
-            rows,
-            separator,
-        )
-    return None
 
 
 def head_of(lines: Lines, separator: str) -> tuple[Head, Lines]:
-    """Return the names and units of a table that no known instrument wrote, and its rows."""
-    if not lines:
-        return Head(), lines
-    return _head_below(lines, separator) or _head_at_begin(lines, separator)
+    """Return the names and the units of a table, and its rows.
 
+    The rows begin at the first line that resembles the longest run of lines with values. The lines
+    of words directly above the rows contain the names, or the names and below them the units. The
+    lines above the names are left out.
+    """
+    probed = [split(line, separator) for _, line in lines[:PROBED_LINES]]
+    run = longest_run(probed) or range(len(probed), len(probed))
+    row = probed[run[-1]] if run else [*probed, [""]][0]
+    begin = next((k for k in range(run.start) if _resembles(probed[k], row)), run.start)
+    above = [k for k in range(begin) if set(map(kind, probed[k])) != {Kind.MISSING}]
+    is_closed = all(not probed[k][-1].strip() for k in run)
 
-def _head(lines: Lines, separator: str, at: int, units: int, begin: int) -> tuple[Head, Lines]:
-    """Return the names in line `at`, the units `units` lines below, and the rows from `begin`."""
-    names, notes = _names(split(lines[at][1], separator)), list[str]()
+    def is_head(k: int) -> bool:
+        # With two columns, a line above the names such as `Scale,0.1` is a fact.
+        is_fact = k < above[-1] and len(row) == 2 and Kind.NUMBER in map(kind, probed[k])
+        return not is_fact and _can_be_head(probed[k], row, is_closed)
+
+    block = list(takewhile(is_head, reversed(above)))[::-1]
+    if not block:
+        begin = above[-1] + 1 if above and _is_remark(probed[above[-1]]) else 0
+        return Head(notes=_left_out(lines[:begin], "above the first row")), lines[begin:]
+    at, units_at = _names_and_units(block, lines, probed)
+    names, notes, begin = _names(probed[at])[: len(row)], list[str](), block[-1] + 1
+    if Kind.NUMBER in map(kind, probed[at]):
+        _require_times(lines[at][0], probed[at], row)
     if numbered := [name for name in names if name.isdecimal()]:
         # A number chooses a column by its place.
         names = [f"CH{name}" if name.isdecimal() else name for name in names]
         notes.append(f"line {lines[at][0]}: the name {numbered[0]} is read as CH{numbered[0]}")
-    if at:
-        notes.append(_left_out(lines[:at], "names"))
-    if units:
-        notes.append(f"read line {lines[at + units][0]} as units")
-    in_units = split(lines[at + units][1], separator) if units else []
-    rows, of_names = lines[begin:], lines[at][1]
-    if repeated := [k for k, line in rows if line == of_names]:
-        above = {line for _, line in lines[:begin]}
-        rows = [(k, line) for k, line in rows if line not in above]
+    notes += _left_out(lines[:at], "above the names")
+    if units_at:
+        notes.append(f"read line {lines[units_at][0]} as units")
+        notes += _left_out(lines[units_at + 1 : begin], "below the units")
+    units = units_of(probed[units_at]) if units_at else _units_above(probed[:at], len(names))
+    rows = lines[begin:]
+    if repeated := [k for k, line in rows if line == lines[at][1]]:
+        header = {line for _, line in lines[:begin]}
+        rows = [(k, line) for k, line in rows if line not in header]
         notes.append(f"left out the names that line {repeated[0]} repeats")
-    return Head(names=names, units=units_of(in_units), notes=notes), rows
+    return Head(names=names, units=units, notes=notes), rows
+
+
+def longest_run(probed: Sequence[Sequence[str]]) -> range:
+    """Return the indices of the longest run of rows with values and equally many cells."""
+    widths = [len(cells) if has_values(cells) else 0 for cells in probed]
+    runs, begin = list[range](), 0
+    for width, group in groupby(widths):
+        end = begin + len(list(group))
+        if width:
+            is_named = end - begin > 1 and bool(_word_above_value(probed[begin], probed[end - 1]))
+            runs.append(range(begin + is_named, end))
+        begin = end
+    # Of equally long runs the last: facts about the file are above its rows.
+    return max(reversed(runs), key=len, default=range(0))
+
+
+def has_values(cells: Sequence[str]) -> bool:
+    """Return whether any of the cells is a number, a quantity, a time or a switch."""
+    return any(kind(cell) in _VALUES for cell in cells)
+
+
+def _word_above_value(cells: Sequence[str], row: Sequence[str]) -> str:
+    """Return the first word of these cells that is above a value of a row; "" without one."""
+    pairs = zip(cells, row, strict=False)
+    return next((a for a, b in pairs if kind(a) is Kind.WORD and kind(b) in _VALUES), "").strip()
+
+
+def _can_be_head(cells: Sequence[str], row: Sequence[str], is_closed: bool) -> bool:
+    """Return whether cells above a row can be names or units, also next to a number."""
+    # LabVIEW writes the name of a column of comments above rows without this column.
+    extra = 1 if [cell.strip() for cell in cells[-1:]] == ["Comment"] else -is_closed
+    fits = len(cells) - len(row) in (0, extra) and Kind.WORD in map(kind, cells)
+    return fits and (not has_values(cells) or bool(_word_above_value(cells, row)))
+
+
+def _names_and_units(
+    block: Sequence[int], lines: Lines, probed: Sequence[Sequence[str]]
+) -> tuple[int, int]:
+    """Return the indices of the names and of the units in a block of lines; 0 without units."""
+    if len(block) == 1:
+        return block[0], 0
+    fitting = [(a, b) for a, b in pairwise(block) if _fit_units(probed[b], probed[a])]
+    if pairs := [(a, b) for a, b in fitting if are_units(probed[b], probed[a])]:
+        return min(pairs, key=lambda pair: has_values(probed[pair[0]]))
+    upper, lower = block[-2:]
+    if are_units(probed[lower], probed[upper]) is False:
+        return lower, 0
+    if upper == 0 and fitting:
+        return upper, lower
+    raise FileError(
+        f"line {lines[upper][0]} or line {lines[lower][0]} may contain the names; delete the other "
+        "line, or begin it with #"
+    )
+
+
+def _require_times(line: int, cells: Sequence[str], row: Sequence[str]) -> None:
+    """Refuse names with a number, unless the first name is a name of times."""
+    word = _word_above_value(cells, row)
+    if titled(word).name.casefold() not in {*TIMES, "x-axis"}:  # the latter is of Keysight
+        raise FileError(
+            f"line {line}: '{shown(word)}' is above numbers, like a name, but next to a number; "
+            "name each column by a word, or begin the line with #"
+        )
 
 
 def _names(cells: Sequence[str]) -> list[str]:
@@ -122,134 +163,16 @@ def _names(cells: Sequence[str]) -> list[str]:
     return names[:-1] if names and not names[-1] else names
 
 
-def _head_at_begin(lines: Lines, separator: str) -> tuple[Head, Lines]:
-    """Return the names in the first line and the units in the second, if they are there."""
-    first, last = (split(lines[k][1], separator) for k in (0, min(len(lines), PROBED_LINES) - 1))
-    second = split(lines[1][1], separator) if len(lines) > 1 else []
-    if not are_names(first, last if second else ()):
-        if len(lines) <= 2 or not _are_numbered_names(lines[0][0], first, second, last):
-            return Head(), lines
-        return _head(lines, separator, 0, 0, 1)
-    if not _fit_units(second, first):
-        return _head(lines, separator, 0, 0, 1)
-    if are_units(second, first) is not False:
-        return _head(lines, separator, 0, 1, 2)
-    third = split(lines[2][1], separator) if len(lines) > 2 else []
-    units = int(_fit_units(third, second) and are_units(third, second) is True)
-    return _head(lines, separator, 1, units, 2 + units)
-
-
-def _are_numbered_names(line: int, cells: Sequence[str], *rows: Sequence[str]) -> bool:
-    """Return whether a line with a number contains names, such as `time,1,2`; refuse a doubt."""
-    words = [_word_above_value(cells, row) for row in rows]
-    if None in words:
-        return False
-    if str(words[0]).casefold() in {*TIMES, "x-axis"}:  # the latter is of Keysight
-        return True
-    raise FileError(
-        f"line {line}: '{shown(str(words[0]))}' is above numbers, like a name, but next to a "
-        "number; name each column by a word, or begin the line with #"
-    )
-
-
-def _head_below(lines: Lines, separator: str) -> tuple[Head, Lines] | None:
-    """Return the names and units below other lines, and the rows; None for other tables.
-
-    The longest run of rows with values and equally many cells begins the data. The line above it
-    contains the names, or the units of the line above them. No line that is left out resembles a
-    row.
-    """
-    run = longest_run(lines, separator)
-    if not run or run[0] == 0:
-        return None
-    probed, begin = [split(line, separator) for _, line in lines[: run[-1] + 1]], run[0]
-    width = len(probed[begin])
-    are_closed = all(not probed[k][-1].strip() for k in run)
-    allowed = {width, width - 1} if are_closed else {width}
-    can_be_names = [
-        len(cells) in allowed and any(map(str.strip, cells)) and are_names(cells, probed[begin])
-        for cells in probed[:begin]
-    ]
-    last, units = begin - 1, 0
-    names = last if can_be_names[last] else begin
-    upper = last - 1 if names == last else last
-    # With two columns, a line such as `Scale,0.1` is a fact.
-    if upper >= 0 and 2 < len(probed[upper]) in allowed and _has_number(probed[upper]):
-        is_above_units = upper == last or are_units(probed[last], probed[upper]) is not False
-        if is_above_units and _are_numbered_names(lines[upper][0], probed[upper], probed[begin]):
-            names, units = upper, last - upper
-    elif names == last > 0 and can_be_names[upper]:
-        decision = are_units(probed[last], probed[upper])
-        if decision is not False and upper == 0:
-            return None
-        if decision is None or (decision and not _fit_units(probed[last], probed[upper])):
-            raise FileError(
-                f"line {lines[upper][0]} or line {lines[last][0]} may contain the names; delete "
-                "the other line, or begin it with #"
-            )
-        units = int(decision)
-        names -= units
-    is_named = names < begin
-    if (names == 0 and not units) or (not is_named and not _is_remark(probed[last])):
-        return None
-    if any(_resembles(cells, probed[begin]) for cells in probed[:names]):
-        return None
-    if not is_named:
-        head, rows = _head_at_begin(lines[begin:], separator)
-        return replace(head, notes=[_left_out(lines[:begin], "first row"), *head.notes]), rows
-    return _head(lines, separator, names, units, begin)
-
-
-def longest_run(lines: Lines, separator: str) -> range:
-    """Return the indices of the longest run of rows with values and equally many cells."""
-    probed = [split(line, separator) for _, line in lines[:PROBED_LINES]]
-    widths = [len(cells) if has_values(cells) else 0 for cells in probed]
-    runs, begin = list[range](), 0
-    for width, group in groupby(widths):
-        end = begin + len(list(group))
-        if width:
-            is_named = end - begin > 1 and are_names(probed[begin], probed[end - 1])
-            runs.append(range(begin + is_named, end))
-        begin = end
-    # Of equally long runs the last: facts about the file are above its rows.
-    return max(reversed(runs), key=len, default=range(0))
-
-
-def _has_number(cells: Sequence[str]) -> bool:
-    """Return whether any of the cells is a number."""
-    return any(cell.strip() and number(cell, "") is not None for cell in cells)
-
-
-def has_values(cells: Sequence[str]) -> bool:
-    """Return whether any of the first cells is a number, a quantity, a time or a switch."""
-    return any(kind(cell) in _VALUES for cell in cells[:_MAX_PROBED_CELLS])
-
-
-def are_names(cells: Sequence[str], row: Sequence[str]) -> bool:
-    """Return whether cells above a row can be names: no number, and not the values of a row."""
-    if _has_number(cells):
-        return False
-    return not has_values(cells) or _word_above_value(cells, row) is not None
-
-
-def _word_above_value(cells: Sequence[str], row: Sequence[str]) -> str | None:
-    """Return the first word of these cells that is above a value of a row."""
-    pairs = zip(cells[:_MAX_PROBED_CELLS], row, strict=False)
-    words = (a.strip() for a, b in pairs if kind(a) is Kind.WORD and kind(b) in _VALUES)
-    return next(words, None)
-
-
 def _fit_units(cells: Sequence[str], names: Sequence[str]) -> bool:
     """Return whether the cells can be units: short texts, no values, one for each name."""
-    cells, names = (row[:-1] if row and not row[-1].strip() else row for row in (cells, names))
-    fits = len(cells) == len(names) and any(map(str.strip, cells))
-    fits = fits and all(len(cell.strip()) <= _MAX_UNIT_CHARACTERS for cell in cells)
-    return fits and not has_values(cells) and not _has_number(cells)
+    cells, names = (row[:-1] if not row[-1].strip() else row for row in (cells, names))
+    fits = len(cells) == len(names) and not has_values(cells)
+    return fits and all(len(cell.strip()) <= _MAX_UNIT_CHARACTERS for cell in cells)
 
 
 def are_units(units: Sequence[str], names: Sequence[str]) -> bool | None:
     """Return whether the lower of two lines without values contains units; None if in doubt."""
-    words = [cell.strip().strip("[]()").casefold() for cell in units if cell.strip()]
+    words = [cell.strip().strip("[]()").casefold() for cell in units if not is_missing(cell)]
     are_known = 2 * sum(map(bool, map(_KNOWN_UNIT.fullmatch, words))) >= len(words) > 0
     has_times, lower_has_times = (
         bool(TIMES & {titled(cell.strip()).name.casefold() for cell in cells})
@@ -268,141 +191,82 @@ def units_of(cells: Sequence[str]) -> list[str]:
     return [_PLAIN_UNITS.get(unit.casefold(), unit) for unit in units]
 
 
+def _units_above(above: Sequence[Sequence[str]], width: int) -> list[str]:
+    """Return the units of a line such as `Vertical Units,V,V` above the names; [] without it."""
+    for first, *cells in above:
+        units = [cell for cell in units_of(cells) if cell]
+        if _UNITS_OF_VALUES.fullmatch(first.strip()) and len(units) == width - 1:
+            return ["", *units]
+    return []
+
+
 def _is_remark(cells: Sequence[str]) -> bool:
     """Return whether a line directly above rows without names is a sentence, or a fact."""
-    kinds = {kind(cell) for cell in cells if cell.strip()}
-    return Kind.WORD in kinds and (len(cells) == 1 or bool(kinds & _VALUES))
+    return kind(cells[0]) is Kind.WORD and (len(cells) == 1 or has_values(cells))
 
 
 def _resembles(cells: Sequence[str], row: Sequence[str]) -> bool:
     """Return whether a line has the number and the kinds of the cells of a row."""
-    pairs = [(kind(a), kind(b)) for a, b in zip(cells[:_MAX_PROBED_CELLS], row, strict=False)]
+    pairs = [(kind(a), kind(b)) for a, b in zip(cells, row, strict=False)]
     known = [(a, b) for a, b in pairs if Kind.MISSING not in (a, b)]
     is_like = all(a is b for a, b in known) and any(a in _VALUES for a, _ in known)
     return is_like and len(cells) == len(row)
 
 
-def _left_out(lines: Lines, below: str) -> str:
-    """Return the note on lines above the names or the first row."""
-    first, last = lines[0][0], lines[-1][0]
-    which = f"line {first}" if len(lines) == 1 else f"lines {first} to {last}"
-    return f"left out {which} above the {below}"
+def _left_out(lines: Lines, where: str) -> list[str]:
+    """Return the note on lines that are left out; [] without lines."""
+    numbers = [f"{lines[k][0]}" for k in {0: 0, len(lines) - 1: 0} if lines]
+    which = f"line{'s' * (len(lines) > 1)} {' to '.join(numbers)}"
+    return [f"left out {which} {where}"] if lines else []
 
 
-def _with_times(
-    head: Head, lines: Lines, cells: Sequence[list[str]], start: str, step: str
-) -> HeadAndRows:
-    """Return rows in which the first cell, a number of samples, is replaced by a time in s."""
-    (t0, dt), mark, width = map(_value, (start, step)), head.decimal or ".", len(head.names)
-    rows = []
-    for (k, _), row in zip(lines, cells, strict=True):
-        time = f"{t0 + dt * _value(row[0]):.12g}".replace(".", mark)
-        extra = [cell for cell in row[width:] if cell.strip()]
-        rows.append((k, REWRITTEN.join([time, *row[1:width], *extra])))
-    note = f"{head.names[0]} is in s: {dt:g} s a sample from {t0:g} s on, by the header"
-    units, notes = ["s", *head.units[1:width]], [*head.notes, note]
-    return replace(head, units=units, notes=notes, decimal=mark), rows, REWRITTEN
+def head_of_instrument(text: str, lines: Lines) -> tuple[Head, Lines] | None:
+    """Return the head of a known instrument's file, and rows that `REWRITTEN` separates.
+
+    The result is None for every other text.
+    """
+    for maker, beginning, read in INSTRUMENTS:
+        if beginning.match(text):
+            cells = ([cell.strip() for cell in split(line, ",")] for _, line in lines)
+            try:
+                head, rows = read(cells)
+                numbers = [k for k, _ in lines[len(lines) - len(rows) :]]
+            except (ValueError, LookupError, StopIteration) as err:
+                raise FileError(f"the header of {maker} is damaged; export again") from err
+            return head, list(zip(numbers, map(REWRITTEN.join, rows), strict=True))
+    return None
 
 
-def _rigol_counts(lines: Lines, cells: Sequence[list[str]], _: str) -> HeadAndRows:
-    """Return the rows of counts; the second line contains units, the start and the increment."""
-    n = cells[0].index("Start")
-    head = Head(names=cells[0][:n], units=units_of(cells[1][:n]))
-    start, step = cells[1][n : n + 2]
-    return _with_times(head, lines[2:], cells[2:], start, step)
-
-
-def _rigol_t0(lines: Lines, cells: Sequence[list[str]], _: str) -> HeadAndRows:
-    """Return the rows of voltages; the first line contains names, the start and the increment."""
-    start, step = (p["value"] for name in cells[0] if (p := _INCREMENT.fullmatch(name)))
-    names = [name for name in _names(cells[0]) if not _INCREMENT.fullmatch(name)]
-    if titled(names[0]).name.casefold() in TIMES:
-        short = [REWRITTEN.join(row[: len(names)]) for row in cells[1:]]
-        return (
-            Head(names=names),
-            [(k, row) for (k, _), row in zip(lines[1:], short, strict=True)],
-            REWRITTEN,
-        )
-    counted = [[str(k), *row] for k, row in enumerate(cells[1:])]
-    return _with_times(Head(names=["time", *names]), lines[1:], counted, start, step)
-
-
-def _labview(lines: Lines, cells: Sequence[list[str]], separator: str) -> HeadAndRows:
-    """Return the rows below the last header, with a cell for the comment, and with times."""
-    ends = [
-        k for k, row in enumerate(cells[:_MAX_LABVIEW_LINES]) if row[0] == "***End_of_Header***"
-    ]
-    at = next(
-        k
-        for k in (end + 1 for end in ends)
-        if has_values(cells[k + 1]) and not _has_number(cells[k])
-    )
-    facts = {row[0]: [cell.strip() for cell in row[1:] if cell.strip()] for row in cells[:at]}
-    head, rows = _head(lines, separator, at, 0, at + 1)
-    channels = [name for name in head.names if name not in ("X_Value", "Comment")]
-    of_channels = facts.get("Y_Unit_Label", [])
-    units = dict(zip(channels, units_of(of_channels), strict=len(of_channels) == len(channels)))
-    units["X_Value"] = "s" if facts.get("X_Dimension", ["Time"])[0] == "Time" else ""
-    head = replace(
-        head,
-        units=[units.get(name, "") for name in head.names],
-        decimal=facts.get("Decimal_Separator", ["."])[0],
-    )
-    if head.names[-1] == "Comment":
-        few = len(head.names) - 2
-        rows = [(k, row + separator * (row.count(separator) == few)) for k, row in rows]
-    if facts.get("X_Columns") != ["No"]:
-        return head, rows, separator
-    (start,), (step,) = set(facts["X0"]), set(facts["Delta_X"])
-    counted = [[str(k), *split(row, separator)[1:]] for k, (_, row) in enumerate(rows)]
-    return _with_times(head, rows, counted, start, step)
-
-
-def _tektronix(lines: Lines, cells: Sequence[list[str]], _: str) -> HeadAndRows:
-    """Return the times and values in columns 4 and 5; the facts are in columns 1 to 3."""
-    facts = {row[0].strip(): row[1].strip() for row in reversed(cells) if row[0].strip()}
+def _rigol(lines: Iterator[list[str]]) -> tuple[Head, list[list[str]]]:
+    """Return times for the counts; the second line contains units, the start and the increment."""
+    names, second = next(lines), next(lines)
+    n = names.index("Start")
+    t0, dt = map(float, second[n : n + 2])
     rows = [
-        (k, REWRITTEN.join(map(str.strip, row[3:5] if not any(row[5:]) else row)))
-        for (k, _), row in zip(lines, cells, strict=True)
+        [f"{t0 + dt * float(count):.12g}", *values[: n - 1], *filter(None, values[n - 1 :])]
+        for count, *values in lines
     ]
+    note = f"{names[0]} is in s: {dt:g} s a sample from {t0:g} s on, by the header of Rigol"
+    return Head(names=names[:n], units=["s", *units_of(second[1:n])], notes=[note]), rows
+
+
+def _tektronix(lines: Iterator[list[str]]) -> tuple[Head, list[list[str]]]:
+    """Return the times and values in columns 4 and 5; the facts are in columns 1 to 3."""
+    cells = list(lines)
+    facts = {row[0]: row[1] for row in reversed(cells) if row[0]}
     units = units_of([facts.get("Horizontal Units", "s"), facts.get("Vertical Units", "")])
-    return Head(names=["time", facts["Source"]], units=units), rows, REWRITTEN
+    head = Head(names=["time", facts["Source"]], units=units, notes=["read as a file of Tektronix"])
+    return head, [row if any(row[5:]) else row[3:5] for row in cells]
 
 
-def _campbell(lines: Lines, _: Sequence[list[str]], separator: str) -> HeadAndRows:
-    """Return the rows below the names, the units, and the line of processing."""
-    return *_head(lines, separator, 1, 1, 4), separator
-
-
-def _value(cell: str) -> float:
-    """Return a number that is part of a time."""
-    if (value := number(cell, "")) is None:
-        raise FileError(f"'{shown(cell)}' is not a number")
-    return value
-
-
-INSTRUMENTS = (
-    Instrument(
-        maker="LabVIEW",
-        beginning=re.compile(r"LabVIEW Measurement(?P<separator>[\t,;])"),
-        read=_labview,
-    ),
-    Instrument(
-        maker="Rigol",
-        beginning=re.compile(r"X,.*,Start,Increment\b.*\n\s*Sequence,"),
-        read=_rigol_counts,
-    ),
-    Instrument(
-        maker="Rigol", beginning=re.compile(r".*\bt0\s*=[^,\n]*,\s*tInc\s*="), read=_rigol_t0
-    ),
-    Instrument(
-        maker="Tektronix",
-        beginning=re.compile(r"Record Length,[^,\n]*,[^,\n]*(?:,[-+ .\deE]+){2}"),
-        read=_tektronix,
-    ),
-    Instrument(maker="Campbell", beginning=re.compile(r'"?TOA5\b'), read=_campbell),
+INSTRUMENTS: Sequence[
+    tuple[str, re.Pattern[str], Callable[[Iterator[list[str]]], tuple[Head, list[list[str]]]]]
+] = (
+    ("Rigol", re.compile(r"X,.*,Start,Increment\b.*\n\s*Sequence,"), _rigol),
+    ("Tektronix", re.compile(r"Record Length,[^,\n]*,[^,\n]*(?:,[-+ .\deE]+){2}"), _tektronix),
 )
-"""Instruments by the beginning of their files.
+"""Maker, beginning and reader of the files that the general rule does not read.
 
-The general rule reads the files of TekScope, Keysight, Siglent, Graphtec, HOBO, PicoScope, Saleae.
+The general rule reads the files of LabVIEW, TekScope, Keysight, Siglent, Graphtec, HOBO, Campbell,
+PicoScope and Saleae.
 """

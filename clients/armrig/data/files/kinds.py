@@ -15,6 +15,7 @@ from armrig.data.files.mat_variables import DamageError
 from armrig.data.files.messages import read_mcap
 from armrig.data.files.table import Table
 from armrig.data.files.text import read_text
+from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
 _SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', 'Ts', '-v7')"
@@ -98,4 +99,7 @@ def table_of(
     table = read_text(content, decimal)
     if not (count := len(data) - len(text)):
         return table
-    return replace(table, notes=[*table.notes, f"left out {plural(count, 'zero byte')} at the end"])
+    note = Step(f"left out {plural(count, 'zero byte')} at the end")
+    if not text.endswith((b"\n", b"\r")):
+        note = Step(f"{note}, not after a line end: the last line may be cut short", DOUBT)
+    return replace(table, notes=[*table.notes, note])

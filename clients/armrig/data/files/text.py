@@ -29,15 +29,13 @@ from armrig.data.files.instrument_headers import (
     head_of_instrument,
     longest_run,
 )
-from armrig.data.files.labelled_rows import json_rows, without_labels
-from armrig.data.files.long_tables import long_table
+from armrig.data.files.named_values import json_rows, long_table, without_names
 from armrig.data.files.table import Column, ReadingError, Table, Vector, shown, titled
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
 _REMARK_MARKS = ("#", "%")
 _RECEIPT = re.compile(r"\s*(?P<time>\d{1,2}:\d\d:\d\d(?:[.,]\d+)?)\s*->(?P<line>.*)")
-_HALVES = re.compile(r"\s*\d+ +[+-]?\d+\s*")
 _BLOCK_CELLS = 1 << 20  # that are kept of adjacent columns, so that wide files are split once
 _MAX_NAMED = 4  # columns in a note
 _MAX_ROWS_WITHOUT_VALUE = 1000  # at the beginning of a column whose values have units
@@ -69,7 +67,7 @@ class TextTable(Table):
     is_mixed: bool
     """True if a comma may be part of a number, because none separates the cells of the file."""
     decimal: str | None
-    """Decimal mark that the user gave, or that the file states; None if neither does."""
+    """Decimal mark that the user gave; None if the cells show it."""
     units_in_cells: Mapping[int, str] = field(default_factory=dict)
     """Unit that each value of a column is followed by, by the index of the column."""
     switches: Collection[int] = ()
@@ -185,27 +183,27 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
     Headers of known instruments, JSON, `name=value`, and the times that the serial monitor of
     Arduino writes (`->`) are read, too. A column for each name is made of a long table.
     """
-    labelled = json_rows(text)
+    lines: Lines = ()
     receipts: Mapping[int, str] = {}
-    if labelled is not None:
+    if named := json_rows(text):
         decimal = decimal or "."
     else:
-        lines: Lines = [
+        lines = [
             (k, line)
             for k, line in enumerate(text.splitlines(), start=1)
             if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
         ]
         receipts, lines = _without_receipts(lines)
-        labelled = without_labels(lines)
-    if labelled is not None:
-        names, lines, of_file = labelled
-        head, separator = Head(names=names), REWRITTEN
-    elif (known := head_of_instrument(text, lines)) is not None:
-        head, lines, separator = known
-        of_file = ","
+        named = without_names(lines)
+    separator, is_mixed = REWRITTEN, True
+    if named is not None:
+        head, lines = Head(names=named[0]), named[1]
+    elif known := head_of_instrument(text, lines):
+        (head, lines), is_mixed = known, False
     else:
-        of_file, lines = _separator(lines)
-        (head, lines), separator = head_of(lines, of_file), of_file
+        separator, lines = _separator(lines)
+        head, lines = head_of(lines, separator)
+        is_mixed = separator != ","
     if not lines:
         shown_names = f" below its names, {shown(', '.join(head.names))}" if head.names else ""
         msg = f"there is no row of numbers{shown_names}; a row for each sample is needed"
@@ -218,15 +216,15 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
         is_taken = any(column.name.casefold() in TIMES for column in columns)
         columns = [Column(name="received" if is_taken else "time"), *columns]
         mark = separator or " "
-        rows = [f"{receipts[k]}{mark}{row}" for k, row in zip(numbers, rows, strict=True)]
+        rows = [f"{receipts.get(k, '')}{mark}{row}" for k, row in zip(numbers, rows, strict=True)]
     table = TextTable(
         columns=columns,
         notes=head.notes,
         rows=rows,
         lines=numbers,
         separator=separator,
-        is_mixed=of_file != ",",
-        decimal=decimal or head.decimal,
+        is_mixed=is_mixed,
+        decimal=decimal,
         ways_out=ways_out,
     )
     firsts = _first_cells(table)
@@ -240,46 +238,34 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
 
 def _without_receipts(lines: Lines) -> tuple[Mapping[int, str], Lines]:
     """Return the times before `->` by their line, and the lines without them."""
-    if not lines or not _RECEIPT.fullmatch(lines[0][1]):
+    parts = [_RECEIPT.fullmatch(line) for _, line in lines]
+    if not parts or not parts[0]:
         return {}, lines
-    times, rest = dict[int, str](), []
-    for k, line in lines:
-        if (part := _RECEIPT.fullmatch(line)) is None:
-            raise FileError(
-                f"line {k}: '{shown(line.strip())}' does not begin with a time and ->, as the "
-                "first line does; delete the line, or begin it with #"
-            )
-        if part["line"].strip():
-            times[k] = part["time"]
-            rest.append((k, part["line"].strip(" ")))
-    return times, rest
+    times = {k: part["time"] for (k, _), part in zip(lines, parts, strict=True) if part}
+    rest = [
+        (k, part["line"] if part else line) for (k, line), part in zip(lines, parts, strict=True)
+    ]
+    return times, [(k, line.strip(" ")) for k, line in rest if line.strip()]
 
 
 def _separator(lines: Lines) -> tuple[str, Lines]:
-    """Return the separator of the cells, "" for blanks, and the lines without Excel's `sep=`."""
+    """Return the separator of the cells, "" for blanks, and the lines without Excel's `sep=`.
+
+    The separator gives the longest run of rows; of equal runs, one below a line of as many cells.
+    """
     declared = lines[0][1].strip('" \r') if lines else ""
     if declared.casefold() in {f"sep={mark}" for mark in SEPARATORS if mark}:
         return declared[-1], lines[1:]
-    probed = lines[:PROBED_LINES]
-    texts = [line for _, line in probed]
-    present = [s for s in SEPARATORS if not s or any(s in text for text in texts)]
-    even = []
-    for separator in present:
-        widths = {len(split(text.rstrip(f" \r{separator}"), separator)) for text in texts}
-        if len(widths) == 1 and widths != {1} and has_values(cells := split(texts[-1], separator)):
-            even.append((_has_halves(cells), separator))
-    if even:
-        return min(even, key=lambda pair: pair[0])[1], lines
-    runs = {separator: longest_run(probed, separator) for separator in present}
-    rows = {s: split(texts[run[-1]], s) for s, run in runs.items() if run}
-    several = [s for s, cells in rows.items() if len(cells) > 1]
-    best = max(several, key=lambda s: (not _has_halves(rows[s]), len(runs[s])), default=present[0])
+    texts = [line for _, line in lines[:PROBED_LINES]]
+    best = next(s for s in SEPARATORS if not s or any(s in text for text in texts))
+    most = (0, False)
+    for separator in SEPARATORS:
+        probed = [split(text, separator) for text in texts]
+        run = longest_run(probed)
+        if run and (width := len(probed[run[-1]])) > 1:
+            size = len(run), run.start > 0 and len(probed[run.start - 1]) == width
+            best, most = (separator, size) if size > most else (best, most)
     return best, lines
-
-
-def _has_halves(cells: Iterable[str]) -> bool:
-    """Return whether a cell contains parts of two numbers with a comma, such as 0,5 1,5."""
-    return any(map(_HALVES.fullmatch, cells))
 
 
 def _even_rows(
@@ -321,18 +307,17 @@ def _with_plain_cells(table: TextTable, firsts: Sequence[str]) -> TextTable:
             text = f"{shown(columns[i].name)}: the unit {shown(unit)} of the values is read, not "
             notes.append(Step(f"{text}{shown(columns[i].unit)} of the header", DOUBT))
         columns[i] = replace(columns[i], unit=unit)
-    switches = [i for i, k in enumerate(kinds) if k is Kind.SWITCH and _is_switch(table.texts(i))]
+    words = {Kind.SWITCH, Kind.MISSING}
+    switches = [
+        i
+        for i, k in enumerate(kinds)
+        if k is Kind.SWITCH and words.issuperset(map(kind, set(table.texts(i))))
+    ]
     if switches:
         names = ", ".join(shown(columns[i].name) or str(i + 1) for i in switches[:_MAX_NAMED])
         more = f", … {len(switches)} columns" * (len(switches) > _MAX_NAMED)
         notes.append(f"read the words of a switch as 1 and 0: {names}{more}")
     return replace(table, columns=columns, notes=notes, units_in_cells=units, switches=switches)
-
-
-def _is_switch(cells: Iterable[str]) -> bool:
-    """Return whether the cells are True and False, or only on and off."""
-    words = {cell.strip().casefold() for cell in cells if not is_missing(cell)}
-    return not words.isdisjoint(("true", "false")) or words <= SWITCH.keys()
 
 
 def _ragged(line: int, cells: int, width: int, separator: str, *, names: bool) -> str:

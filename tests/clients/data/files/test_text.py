@@ -11,7 +11,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig import FileError, load_data
-from armrig.data.files import loading, text
+from armrig.data.files import kinds, loading, text
 from armrig.data.step import DOUBT, codes_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -163,7 +163,7 @@ def test_every_finite_number_of_a_table_is_read_exactly() -> None:
             "A title\nu;y\n1;2\n1;2\n1;2;3\n",
             r"line 5 has 3 cells \(separated by semicolon\), the line of names 2",
         ),
-        ("u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
+        ("u,y\nV,an angle in radians\n1,2\n", "line 1 or line 2 may contain the names; delete"),
         ("u;y\n1.23,4,5;2\n", "line 2, column u: '1.23,4,5' is not a number; leave a missing"),
         ("u,y\n1_000,2\n", "line 2, column u: '1_000' is not a number"),
         ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is not a number"),
@@ -190,7 +190,7 @@ def test_random_bytes_of_a_table_raise_no_other_error(data: bytes) -> None:
     for suffix in (".csv", ".mat"):
         said = ""
         try:
-            read = loading.table_of(data, suffix)
+            read = kinds.table_of(data, suffix)
             for i in range(len(read.columns)):
                 read.numbers(i)
         except FileError as err:
@@ -306,7 +306,7 @@ def test_data_name_their_file_by_its_hash(tmp_path: Path) -> None:
     assert armrig.merge([load_data(path)] * 2).source == load_data(path).source
 
 
-@pytest.mark.parametrize("units", ["s;V;°C", "[s];[V];[°C]", "(s);(V);(°C)", ";V;°C"])
+@pytest.mark.parametrize("units", ["s;V;°C", "[s];[V];[°C]", "(s);(V);(°C)", ";V;°C", "-;V;°C"])
 def test_a_line_of_units_below_the_names_is_recognised(units: str, tmp_path: Path) -> None:
     path = written(tmp_path, f"t;u;y\n{units}\n0;1;2\n0.5;3;4\n1.0;5;x\n")
     good = written(tmp_path, path.read_text().replace("x", "6"), "good.csv")
@@ -358,6 +358,22 @@ def test_the_unit_of_every_cell_is_the_unit_of_the_column(cells: str, unit: str 
     assert read.columns[1].unit == unit
 
 
+@pytest.mark.parametrize("cell", ["1", "True", "NaN", ""])
+@pytest.mark.parametrize("of_u", ["", "-"])
+def test_one_column_may_have_no_unit(of_u: str, cell: str) -> None:
+    read = text.read_text(f"u,y\n{of_u},rpm\n" + f"{cell},20\n" * 3)
+
+    assert [column.unit for column in read.columns] == ["", "rpm"]
+    assert (len(read.rows), read.notes[0]) == (3, "read line 2 as units")
+
+
+@pytest.mark.parametrize(("end", "codes"), [("\n", [""]), ("", [DOUBT])])
+def test_zero_bytes_after_half_a_line_are_a_doubt(end: str, codes: list[str]) -> None:
+    data = f"u,y\n1,2\n3,41{end}".encode() + bytes(512)
+
+    assert codes_of(kinds.table_of(data, ".csv").notes) == codes
+
+
 def test_a_unit_of_cells_that_contradicts_the_header_is_a_doubt() -> None:
     read = text.read_text("t,u [K]\n0,20 °C\n1,21 °C\n")
 
@@ -378,7 +394,7 @@ def test_the_words_of_a_switch_are_1_and_0(cells: str, numbers: list[float] | No
     read = text.read_text("t,u\n" + "".join(f"0,{cell}\n" for cell in cells.split("|")))
 
     if numbers is None:
-        with pytest.raises(FileError, match=r"column u: '(on|x)' is not a number"):
+        with pytest.raises(FileError, match=r"column u: '(on|true)' is not a number"):
             read.numbers(1)
         return
     np.testing.assert_array_equal(read.numbers(1), numbers)
