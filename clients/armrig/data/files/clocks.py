@@ -20,7 +20,7 @@ from armrig.data.files.clock_table import (
     rows_with_value,
     sizes_of,
 )
-from armrig.data.files.held_times import EVEN, NEAR, Clock, are_near, are_same, on_master
+from armrig.data.files.held_times import EVEN, NEAR, Clock, are_near, on_master
 from armrig.data.files.stamps import (
     DATE_NAMES,
     TIME_NAMES,
@@ -61,18 +61,12 @@ def on_one_clock(
     Parameters
     ----------
     tables : sequence of (str, Table)
-        Name and table of each file.
+        Name and table of each file; a single table of one clock in rising order is returned.
     output : str or None
         Column of the output, by name or by number from 1; the default is y.
     time : str or None
-        Column of times that the user gave. Its clock is the clock of the rows.
-
-    Returns
-    -------
-    Table
-        If one table has one clock and complete rows in rising order, this table. Otherwise
-        another table; the columns of a single file keep their places, `time` chooses the times in
-        it, and without `time` a column named `time` contains them.
+        Column of times that the user gave. Its clock is the clock of the rows of a single file,
+        whose columns keep their places. By default a column named `time` contains the times.
 
     Raises
     ------
@@ -121,23 +115,11 @@ def _on_one_column(table: Table, of_y: int | None, of_time: int | None) -> tuple
     view, master = on_master(plain, owners, of_y, of_time) if owners else (None, None)
     if view is not None and master is not None:
         others = {clock.at for clock in owners} - {master.at}
+        columns = [Column(name="") if i in others else c for i, c in enumerate(columns)]
         if of_time is None and master.at not in time_columns(table):
             columns[master.at] = Column(name="time", unit=base_and_unit(columns[master.at])[1])
-        return _without(replace(view, columns=columns), others), master.at
-    named = [i for i in time_columns(table) if i != of_y] if of_time is None else []
-    if len(named) < 2 or not {*named} <= clocks.keys():
-        return table, of_time
-    finest = min((clocks[i] for i in named), key=lambda clock: clock.times.resolution)
-    if not all(are_same(finest, clocks[i]) for i in named):
-        return table, of_time
-    note = f"{names_of(table, named)} are the same times: {finest.name} is used"
-    return _without(rows_of(plain, finest.rows, note), {*named} - {finest.at}), None
-
-
-def _without(table: ClockTable, times: set[int]) -> ClockTable:
-    """Return the table without the names of other columns of times."""
-    columns = [Column(name="") if i in times else c for i, c in enumerate(table.columns)]
-    return replace(table, columns=columns, other_times=times)
+        return replace(view, columns=columns, other_times=others), master.at
+    return table, of_time
 
 
 def _labels(table: Table, of_y: int | None, of_time: int | None) -> dict[int, str]:
@@ -292,12 +274,10 @@ def _sparse_clocks(table: Table, of_y: int | None, named: Sequence[int]) -> list
 
 def _are_apart(a: Mask, b: Mask, is_even: bool) -> bool:
     """Return whether two columns have their values in different rows."""
-    both = np.count_nonzero(a & b)
-    least = min(np.count_nonzero(a), np.count_nonzero(b))
-    apart = min(np.count_nonzero(a & ~b), np.count_nonzero(b & ~a))
-    if least < _MIN_ROWS or not apart:
-        return False
-    return bool(both <= _MAX_SHARED * least or (not is_even and apart >= _MIN_APART * a.size))
+    both, alone = np.count_nonzero(a & b), min(map(np.count_nonzero, (a & ~b, b & ~a)))
+    is_shared = both > _MAX_SHARED * (least := both + alone)
+    is_apart = not is_shared or (not is_even and alone >= _MIN_APART * a.size)
+    return bool(least >= _MIN_ROWS and alone and is_apart)
 
 
 # ---- several files
@@ -305,11 +285,7 @@ def _are_apart(a: Mask, b: Mask, is_even: bool) -> bool:
 
 def _join(tables: Sequence[tuple[str, Table]], output: str | None, time: str | None) -> Table:
     """Return the columns of several files at the times of one of them."""
-    given = [k for k, (_, t) in enumerate(tables) if time and index_of(t, time, "time") is not None]
-    clocks = [
-        _file_clock(0 if given == [k] else -1 - k, file, table, time)
-        for k, (file, table) in enumerate(tables)
-    ]
+    clocks = [_file_clock(-1 - k, *file, time) for k, file in enumerate(tables)]
     plain = [t.columns[i].name for (_, t), c in zip(tables, clocks, strict=True) for i in c.columns]
     # The times of the master are put in as column 0 below.
     columns, sources = [Column(name=time or "time", unit="s")], [(tables[0][1], 0, clocks[0].rows)]
@@ -329,7 +305,7 @@ def _join(tables: Sequence[tuple[str, Table]], output: str | None, time: str | N
         clock=("", tables[0][1], clocks[0].rows),
     )
     of_y = index_of(joined, output or "y", "signal") or None
-    view, master = on_master(joined, clocks, of_y, 0)
+    view, master = on_master(joined, clocks, of_y, None)
     if view is None:
         files = quantities.listed([file for file, _ in tables])
         view = rows_of(joined, master.rows, f"the rows of {files} have equal times")

@@ -50,27 +50,27 @@ def month_first(cells: Sequence[str]) -> bool:
 def moment(text: str, *, month_first: bool) -> tuple[float, float, str]:
     """Return the seconds of a date, those to add, and the time zone, "" if none is written."""
     part = 0.0
-    if found := _FRACTION.search(text):
-        part, text = float(f"0.{found[1]}"), text[: found.start()] + text[found.end() :]
+    if match := _FRACTION.search(text):
+        part, text = float(f"0.{match[1]}"), text[: match.start()] + text[match.end() :]
     with suppress(ValueError):  # first, because it is fast
         date = datetime.fromisoformat(text)
         span = date - _BEGIN[date.tzinfo is not None]
         seconds = span.days * DAY_S + span.seconds
         return seconds, part + 1e-6 * span.microseconds, UTC_ZONE if date.tzinfo else ""
-    if (found := _ZONE.fullmatch(text)) and text != found["moment"]:
-        seconds, more, zone = moment(found["moment"], month_first=month_first)
-        name, sign = (found["name"] or UTC_ZONE).upper(), found["sign"]
-        offset = 3600.0 * int(found["h"] or 0) + 60.0 * int(found["m"] or 0)
+    if (match := _ZONE.fullmatch(text)) and text != match["moment"]:
+        seconds, more, zone = moment(match["moment"], month_first=month_first)
+        name, sign = (match["name"] or UTC_ZONE).upper(), match["sign"]
+        offset = 3600.0 * int(match["h"] or 0) + 60.0 * int(match["m"] or 0)
         zone = zone or (UTC_ZONE if sign or name in ("Z", "GMT") else name)
         return seconds - offset * (-1 if sign == "-" else 1), part + more, zone
     if TIME_OF_DAY.fullmatch(text):
         return 0.0, part + _time_of_day(text), ""
-    if found := _DATE.match(text):
-        a, b, year = int(found["a"]), int(found["b"]), int(found["year"])
+    if match := _DATE.match(text):
+        a, b, year = int(match["a"]), int(match["b"]), int(match["year"])
         month, day = (a, b) if month_first else (b, a)
         begin = datetime(year + 2000 * (year < 100), month, day) - _BEGIN[0]
-        rest = text[found.end() :].strip(" T,") or "0:00:00"
-        return begin.total_seconds(), part + _time_of_day(rest), ""
+        time = text[match.end() :].strip(" T,") or "0:00:00"
+        return begin.total_seconds(), part + _time_of_day(time), ""
     plain = text.replace(",", ".").replace("/", "-")
     if plain != text:
         seconds, more, zone = moment(plain, month_first=month_first)
@@ -79,12 +79,12 @@ def moment(text: str, *, month_first: bool) -> tuple[float, float, str]:
 
 
 def _time_of_day(text: str) -> float:
-    found = TIME_OF_DAY.fullmatch(text)
-    if found is None:
+    match = TIME_OF_DAY.fullmatch(text)
+    if match is None:
         raise ValueError(text)
-    hours, minutes, seconds = int(found["h"] or 0), int(found["m"]), found["s"].replace(",", ".")
-    if found["h"] is None and "." not in seconds:  # 1:59 is in hours, Excel's 1:59.5 in minutes
+    hours, minutes, seconds = int(match["h"] or 0), int(match["m"]), match["s"].replace(",", ".")
+    if match["h"] is None and "." not in seconds:  # 1:59 is in hours, Excel's 1:59.5 in minutes
         hours, minutes, seconds = minutes, int(seconds), "0"
-    if half := (found["half"] or "").casefold()[:1]:
+    if half := (match["half"] or "").casefold()[:1]:
         hours = hours % 12 + 12 * (half == "p")
-    return DAY_S * int(found["days"] or 0) + 3600.0 * hours + 60.0 * minutes + float(seconds)
+    return DAY_S * int(match["days"] or 0) + 3600.0 * hours + 60.0 * minutes + float(seconds)

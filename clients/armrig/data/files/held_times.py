@@ -111,9 +111,9 @@ def on_master(
     if not others:
         return None, master
     if master.at != of_time and of_y not in master.columns:
-        names = [names_of(table, clock.columns) for clock in clocks]
+        groups = [names_of(table, clock.columns) for clock in clocks]
         raise ReadingError(
-            f"it has several clocks, those of {quantities.listed(names)}: "
+            f"it has several clocks, those of {quantities.listed(groups)}: "
             f"{listed(table, 'signal')}, the output to whose times the other columns are held",
             "--signal NAME",
         )
@@ -150,7 +150,7 @@ def _newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tupl
     """
     if master.times.clock != other.times.clock or not _overlap(master, other):
         ranges = [
-            "{} goes from {:.10g} to {:.10g} {}".format(c.name, *c.span, c.times.clock or "s")
+            f"{c.name} goes from {c.span[0]:.10g} to {c.span[1]:.10g} {c.times.clock or 's'}"
             for c in (other, master)
         ]
         raise FileError(
@@ -161,10 +161,10 @@ def _newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tupl
     for clock in (other, master):
         d = np.diff(clock.times.t)
         if np.any(d < 0) and np.any(d > 0):
-            k = int(np.argmax(d < 0 if np.median(d) > 0 else d > 0)) + 1
+            first = int(np.argmax(d < 0 if np.median(d) > 0 else d > 0)) + 1
             raise FileError(
-                f"{clock.times.place(k)}: {clock.name} goes back here, so {columns} cannot be held "
-                f"to the times of {signal}; cut the file there"
+                f"{clock.times.place(first)}: {clock.name} goes back here, so {columns} cannot be "
+                f"held to the times of {signal}; cut the file there"
             )
     t, error = master.times.t, _rounding(master, other)
     order = np.argsort(other.times.t, kind="stable")

@@ -262,12 +262,12 @@ def _roundest(t: Vector, k: NDArray[np.int64], slope: float | None = None) -> fl
     return next((Ts for Ts in rounded if float(np.ptp(t - Ts * k)) <= apart), mean)
 
 
-def _resampled(times: Times, given: float | None) -> Grid:
+def _resampled(times: Times, Ts_wanted: float | None) -> Grid:
     """Return a grid between the times; each gap, and each time that goes back, begins a part."""
     rows = np.flatnonzero(np.append(True, np.diff(times.t) != 0))  # of equal times the first
     t = times.t[rows]
     usual = _usual(t)
-    Ts = given or float(f"{usual:.3g}")
+    Ts = Ts_wanted or float(f"{usual:.3g}")
     if np.abs(np.diff(t)).max() / usual > _MAX_GAP or usual / Ts > _MAX_FINER:
         raise FileError(
             f"--resample at {Ts:g} s: the rows are {usual:.6g} s apart; give a larger --Ts, or cut "
@@ -277,9 +277,9 @@ def _resampled(times: Times, given: float | None) -> Grid:
     # The parts one after the other, so that the times increase.
     shift = np.zeros(t.size)
     shift[begins] = t[begins - 1] - t[begins] + 2 * Ts
-    whole = t + np.cumsum(shift)
+    t_joined = t + np.cumsum(shift)
     parts = [
-        np.arange(whole[a], whole[b - 1] + 1e-9 * Ts, Ts)
+        np.arange(t_joined[a], t_joined[b - 1] + 1e-9 * Ts, Ts)
         for a, b in pairwise([0, *begins.tolist(), t.size])
     ]
     wanted = np.concatenate(parts)
@@ -298,5 +298,5 @@ def _resampled(times: Times, given: float | None) -> Grid:
         size=wanted.size,
         breaks=np.cumsum([part.size for part in parts])[:-1].tolist(),
         notes=notes,
-        times=(whole, wanted),
+        times=(t_joined, wanted),
     )

@@ -288,10 +288,10 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
     if not table.columns[i].unit and _HOURS_AND_MINUTES.fullmatch(cells[0].strip()):
         notes.append(Step(f"times such as {cells[0].strip()} are read as hours:minutes", DOUBT))
     is_american, zones = month_first(cells), dict[str, int]()
-    whole, part = np.empty(len(cells)), np.empty(len(cells))
+    seconds, part = np.empty(len(cells)), np.empty(len(cells))
     for k, cell in enumerate(map(str.strip, cells)):
         try:
-            whole[k], part[k], zone = moment(cell, month_first=is_american)
+            seconds[k], part[k], zone = moment(cell, month_first=is_american)
         except (ValueError, OverflowError):
             raise FileError(
                 f"{table.place(k)}: '{shown(cell)}' is not a time; write a number, or a time such "
@@ -302,8 +302,8 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
                 f"{table.place(k)}: '{shown(cell)}' is in another time zone than the times before; "
                 "write all times in UTC, or with their offsets, as 2024-03-31T01:59:00+01:00"
             )
-    begin = float(whole[0] + part[0])
-    t = (whole - whole[0]) + (part - part[0])  # exact, because the differences are small
+    begin = float(seconds[0] + part[0])
+    t = (seconds - seconds[0]) + (part - part[0])  # exact, because the differences are small
     is_span = "day" in cells[0]
     if is_time and not is_span:
         t += DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -DAY_S / 2)  # midnight
