@@ -228,8 +228,8 @@ def _in_order(table: Table, of_y: int | None, named: Sequence[int], *, is_sure: 
     # A temperature may be named T, and a column without a name may be a signal.
     is_sure = is_sure or (at in named and columns[at].name not in ("T", ""))
     if d.size and np.mean(d < 0) >= _MIN_FALLING and (is_sure or are_near(d, EVEN)):
-        what = "time" if at in named else names_of(table, [at])
-        text = f"rows in falling order of {what}: turned round"
+        column = "time" if at in named else names_of(table, [at])
+        text = f"rows in falling order of {column}: turned round"
         note = text if is_sure else Step(text, DOUBT)
         return rows_of(table, np.arange(sizes_of(table)[at])[::-1], note)
     if [*named] != [at] or not d.size or np.mean(d < 0) <= 1 - _MIN_FALLING:
@@ -256,18 +256,16 @@ def _sparse_clocks(table: Table, of_y: int | None, named: Sequence[int]) -> list
     y = of_y if of_y is not None else max(masks, key=lambda i: masks[i].sum(), default=-1)
     if y not in masks or masks[y].all():
         return []
-    N, t = masks[y].size, None
-    with suppress(FileError):
-        t = times_of(table, named[0]) if named else None
-    if t is None or t.t.size != N:
-        t = Times(t=np.arange(N, dtype=np.float64), resolution=0.0, name="", place=table.place)
-    is_even = are_near(np.diff(t.t), EVEN)
+    N, clock = masks[y].size, _clock(table, named[0]) if named else None
+    is_timed = clock is not None and clock.rows.size == N
+    t = clock.times.t if clock and is_timed else np.arange(N, dtype=np.float64)
+    is_even = are_near(np.diff(t), EVEN)
     apart = [i for i, x in masks.items() if x.size == N and _are_apart(x, masks[y], is_even)]
     name = names_of(table, named[:1]) if named else "the rows"
     clocks = list[Clock]()
     for i in (y, *apart):
         view = rows_of(table, rows := np.flatnonzero(masks[i]))
-        times = replace(t, t=t.t[rows], place=view.place)
+        times = Times(t=t[rows], resolution=0.0, name=name, place=view.place)
         clocks.append(Clock(at=-1, name=name, label="", rows=rows, times=times, columns=[i]))
     return clocks
 

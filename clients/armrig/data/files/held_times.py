@@ -46,18 +46,14 @@ class Clock:
     """Indices of the columns."""
 
     @property
-    def usual(self) -> float:
-        """Usual interval in s."""
-        return _usual(self.times.t)
-
-    @property
     def span(self) -> tuple[float, float]:
         """First and last time, in s from the origin of the clock."""
         t, begin = self.times.t, self.times.begin
         return begin + float(t.min()), begin + float(t.max())
 
 
-def _usual(t: Vector) -> float:
+def _usual(clock: Clock) -> float:
+    t = clock.times.t
     return float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
 
 
@@ -82,13 +78,13 @@ def are_same(a: Clock, b: Clock) -> bool:
         return False
     slope, level = np.polyfit(a.times.t, b.times.t, 1)
     apart = np.abs(b.times.t - slope * a.times.t - level).max()
-    return bool(abs(slope - 1) <= _MAX_DRIFT and apart <= a.usual)
+    return bool(abs(slope - 1) <= _MAX_DRIFT and apart <= _usual(a))
 
 
 def _rounding(a: Clock, b: Clock) -> float:
     """Return the largest difference, in s, of equal times."""
     largest = max(abs(a.times.begin), abs(b.times.begin))
-    return _ROUNDING * a.usual + 2 * float(np.spacing(largest))
+    return _ROUNDING * _usual(a) + 2 * float(np.spacing(largest))
 
 
 def _overlap(a: Clock, b: Clock) -> bool:
@@ -172,7 +168,7 @@ def _newest_rows(master: Clock, other: Clock, columns: str, signal: str) -> tupl
     k = np.searchsorted(others, t + error, side="right") - 1
     rows, more = np.where(k >= 0, other.rows[order[k]], -1), ""
     between = np.count_nonzero((others >= t.min()) & (others <= t.max()))
-    is_far = (k >= 0) & (t - others[k] > _MAX_HELD * other.usual + error)
+    is_far = (k >= 0) & (t - others[k] > _MAX_HELD * _usual(other) + error)
     is_far &= are_near(np.diff(others), NEAR)
     rows[is_far] = -1
     skipped = int(between - np.unique(rows[rows >= 0]).size)

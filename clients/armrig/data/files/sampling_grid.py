@@ -114,7 +114,7 @@ def grid_of(times: Times, *, Ts: float | None = None, resample: bool = False) ->
         if coarse:
             even = coarse.Ts * coarse.at.astype(np.float64)
             times = replace(times, t=even, notes=[*times.notes, *coarse.notes])
-        return _resampled(times, Ts)
+        return _resample(times, Ts)
     try:
         grid = coarse or _of_times(times)
     except UnevenTimesError as err:
@@ -237,9 +237,9 @@ def _gap_notes(times: Times, begins: NDArray[np.intp]) -> list[str]:
         return []
     k = int(begins[0])
     step = times.t[k] - times.t[k - 1]
-    what = f"a gap of {step:.4g} s" if step > 0 else f"the time goes back by {-step:.4g} s"
+    fault = f"a gap of {step:.4g} s" if step > 0 else f"the time goes back by {-step:.4g} s"
     more = f", and {begins.size - 1} more such places" if begins.size > 1 else ""
-    return [f"{times.place(k)}: {what}{more}; a new experiment begins there"]
+    return [f"{times.place(k)}: {fault}{more}; a new experiment begins there"]
 
 
 def _uneven(times: Times, irregular: Mask, usual: float) -> UnevenTimesError:
@@ -262,7 +262,7 @@ def _roundest(t: Vector, k: NDArray[np.int64], slope: float | None = None) -> fl
     return next((Ts for Ts in rounded if float(np.ptp(t - Ts * k)) <= apart), mean)
 
 
-def _resampled(times: Times, Ts_wanted: float | None) -> Grid:
+def _resample(times: Times, Ts_wanted: float | None) -> Grid:
     """Return a grid between the times; each gap, and each time that goes back, begins a part."""
     rows = np.flatnonzero(np.append(True, np.diff(times.t) != 0))  # of equal times the first
     t = times.t[rows]

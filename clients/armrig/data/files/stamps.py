@@ -92,7 +92,7 @@ class Times:
 
 def time_columns(table: Table) -> list[int]:
     """Return the indices of the columns whose names mean the time; the plainest names first."""
-    names = [_folded(column) for column in table.columns]
+    names = [_lower_name(column) for column in table.columns]
     plain = [i for i, name in enumerate(names) if name in ("t", "time")]
     # A temperature may be named T.
     plain = [i for i in plain if table.columns[i].name != "T"] or plain
@@ -107,14 +107,14 @@ def is_time(column: Column) -> bool:
     return plain in TIME_NAMES | ({""} if unit else set()) and column.name != "Ts"
 
 
-def _folded(column: Column) -> str:
+def _lower_name(column: Column) -> str:
     """Return the name of a column in lower case, such as millis for `millis()`."""
     return column.name.casefold()[:_MAX_NAME].lstrip("%").removesuffix("()")
 
 
 def base_and_unit(column: Column) -> tuple[str, str]:
     """Return the name of a column without a unit of time, and this unit, "" without one."""
-    unit, name = column.unit.casefold().removesuffix("."), _folded(column)
+    unit, name = column.unit.casefold().removesuffix("."), _lower_name(column)
     if unit or not (parts := _WITH_UNIT.fullmatch(name)):
         return name, unit if unit in _SECONDS else ""
     return parts["base"] or "", parts["unit"]
@@ -208,10 +208,8 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
 
 def _without_unit(t: Vector, usual: float, named: str, name: str) -> tuple[float, list[str]]:
     """Return the unit, in s, of times whose header has none, and a doubt if it may be another."""
-    if usual < _DOUBTFUL_S:
-        return 1.0, []
     if usual < _LONG_S:
-        return 1.0, [Step(f"{named} have no unit: read as s", DOUBT)]
+        return 1.0, [Step(f"{named} have no unit: read as s", DOUBT)] * (usual >= _DOUBTFUL_S)
     # No file covers a year from the start of its clock.
     sizes = {"s": 1.0, "ms": 1e-3 * (usual < _MOST_MS), "us": 1e-6, "ns": 1e-9}
     longest = float(np.abs(t).max())
