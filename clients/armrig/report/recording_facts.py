@@ -72,28 +72,28 @@ def run_facts(r: Recording) -> dict[str, str]:
     hidden = "in the dead band, or just after" if turns else f"without {r.first}"
     given = r.description.input
     u = given.value(r.u[np.isfinite(r.u)])
-    shared = {
+    facts = {
         "run": run_name(r),
         "experiment": r.manifest.experiment,
+        "made with": ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
+        "started": r.manifest.started.replace("T", " ")[:19],
+        "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
         "samples at Ts": f"{r.N} at {milliseconds(r.Ts)}",
         "length": f"{r.N * r.Ts:.1f} s",
         "input": f"{u.min():.2f} to {u.max():.2f} {given.unit}" if u.size else "",
+        "calibrated": calibration_text(r),
         "missing samples": str(r.missing),
         hidden: str(r.hidden),
-    }
-    if r.is_imported:
-        return shared | {"imported": _moment(r), "from": r.description.title}
-    return shared | {
-        "made with": ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()),
-        "started": _moment(r),
-        "paced by": "the device" if r.manifest.pacing == "scheduled" else "the host",
-        "calibrated": calibration_text(r),
         "outcome": outcome_text(r),
     }
-
-
-def _moment(r: Recording) -> str:
-    return r.manifest.started.replace("T", " ")[:19]
+    if r.is_imported:
+        of_rig = ("made with", "started", "paced by", "calibrated", "outcome")
+        facts = {name: text for name, text in facts.items() if name not in of_rig}
+        facts |= {
+            "imported": r.manifest.started[:19].replace("T", " "),
+            "from": r.description.title,
+        }
+    return facts
 
 
 def _rows(columns: Iterable[Mapping[str, str]]) -> Rows:

@@ -136,7 +136,7 @@ def test_the_first_of_two_attachments_of_one_name_is_used(tmp_path: Path) -> Non
         ("empty.mcap", b"", "is empty, 0 B: nothing was recorded; record again"),
         ("run.mcap", b"\x89MCAP", "is not a recording of the rig; give"),
         ("run.csv", b"t,u,y\n", r"is not a recording of the rig; give a recording \(\*\.mcap"),
-        ("run.bin", b"t,u,y\n", "is not a recording of the rig; .* also read other data"),
+        ("run.bin", b"t,u,y\n", "is not a recording of the rig; .*`armrig import` makes one"),
     ],
 )
 def test_a_file_of_another_kind_is_refused_with_the_function_that_reads_it(
@@ -817,7 +817,7 @@ def test_overlapping_gaps_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize(
     ("entries", "why"),
     [
-        pytest.param(None, r"not made by armrig; .* `armrig hints \S+run\.mcap` lists", id="none"),
+        pytest.param(None, r"not made by armrig; `armrig import \S+run\.mcap .* lists the topics", id="none"),
         pytest.param({"rig": '"1"'}, "run_id", id="of another shape"),
         *(
             (METADATA | {name: text}, f"{name} {why}")

@@ -223,7 +223,7 @@ def read_imported(data: bytes) -> ImportedData | None:
         return None
     try:
         return _read(data)
-    except (DamageError, *UNREADABLE, msgspec.MsgspecError, ValueError) as err:
+    except (DamageError, *UNREADABLE, msgspec.MsgspecError, ValueError, RecursionError) as err:
         why = err if isinstance(err, DamageError | FileError) else type(err).__name__
         raise FileError(f"is damaged ({why}); import the original file again") from err
 

@@ -34,7 +34,7 @@ def import_of(path: Path) -> Import | None:
     try:
         metadata = read_metadata(path).get(RUN)
         return import_in(Manifest.of(metadata)) if metadata else None
-    except (DamageError, FileError, OSError, msgspec.MsgspecError, ValueError):
+    except (DamageError, FileError, OSError, msgspec.MsgspecError, ValueError, RecursionError):
         return None
 
 
