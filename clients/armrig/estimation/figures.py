@@ -100,28 +100,23 @@ def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
     t, y, std = (np.append(0.0, x) for x in (result.smooth_t, result.smooth, result.smooth_std))
     ax.fill_between(t, y - 2 * std, y + 2 * std, color=SKY, alpha=0.4, lw=0, label="smoothed, 95 %")
     ax.plot(t, y, color=BLUE, lw=1.1, label="smoothed from the step on")
-    ax.axhline(
-        result.gain, color=INK, lw=0.8, ls=":", label=f"final value {digits(result.gain, 3)}"
-    )
-    at = result.dead_time + result.tau
-    level = (1 - np.exp(-1)) * result.gain
+    end, level = float(result.t[-1]), 0.0
+    if np.isfinite(result.gain):
+        level, name = result.gain, f"final value {digits(result.gain, 3)}"
+        ax.axhline(level, color=INK, lw=0.8, ls=":", label=name)
     if result.dead_time > 0:
         ax.axvspan(0, result.dead_time, color=GREY, alpha=0.2, lw=0, label="dead time")
-    ax.plot([at, at], [0, level], color=VERMILION, lw=1.0, ls="--")
-    ax.plot([0, at], [level, level], color=VERMILION, lw=1.0, ls="--")
-    ax.plot(
-        at,
-        level,
-        "o",
-        color=VERMILION,
-        ms=4,
-        label=rf"63 %: $\tau$ = {digits(1e3 * result.tau, 3)} ms",
-    )
+    if np.isfinite(result.gain * result.tau):
+        at, rise = result.dead_time + result.tau, (1 - np.exp(-1)) * level
+        end = min(end, 2.5 * max(2 * at, float(np.nan_to_num(result.settling))))
+        ax.plot([at, at], [0, rise], color=VERMILION, lw=1.0, ls="--")
+        ax.plot([0, at], [rise, rise], color=VERMILION, lw=1.0, ls="--")
+        name = rf"63 %: $\tau$ = {digits(1e3 * result.tau, 3)} ms"
+        ax.plot(at, rise, "o", color=VERMILION, ms=4, label=name)
     ax.set_xlabel("$t$ from the step [s]")
     ax.set_ylabel(f"{labelled(result.output)} [{gain_unit(result)}]")
-    end = min(float(result.t[-1]), 2.5 * max(result.settling, 2 * at))
     finish(ax, xlim=(max(float(result.t[0]), -0.15 * end), end))
-    _about(ax, np.append(result.smooth[result.smooth_t <= end], [0.0, result.gain]))
+    _about(ax, np.append(result.smooth[result.smooth_t <= end], [0.0, level]))
     return sign(ax, result.source, above=legend(ax))
 
 

@@ -56,7 +56,8 @@ class SamplingTime:
     omega_spectrum: float
     """Highest frequency with |G| above 1/sqrt(2) of its low-frequency value, in rad/s (omega_B)."""
     settling: float
-    """Length of the transient in s, until the step response stays within 5 % of its final value."""
+    """Length of the transient in s, from the dead time until the step response stays within 5 % of
+    its final value."""
     settling_std: float
     """Standard deviation of `settling`; NaN if the response was not measured with steps."""
     Ts_step: float
@@ -78,7 +79,7 @@ class SamplingTime:
     output: str
     """Name of the analysed output."""
     t: Vector
-    """Times of `response`, in s."""
+    """Times of `response`, in s after the dead time."""
     response: Vector
     """Step response divided by its final value; 0 up to the step."""
     gain: float
@@ -204,7 +205,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     if steps is None:
         t, response, tau, transient = _from_impulse(data, integrates)
     else:
-        t, response = np.append(0.0, steps.smooth_t), np.append(0.0, steps.smooth / steps.gain)
+        t = np.append(0.0, steps.smooth_t) - steps.dead_time
+        response = np.append(0.0, steps.smooth / steps.gain)
         tau, transient = steps.tau, steps.settling - steps.dead_time
         if np.isnan(transient):
             raise InputError(
@@ -301,7 +303,7 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     dead = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # not part of any rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
-    return t, y, crossing - dead, end - dead
+    return t - dead, y, crossing - dead, end - dead
 
 
 def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> float:

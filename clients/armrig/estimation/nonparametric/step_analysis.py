@@ -139,9 +139,10 @@ class StepAnalysis(OfDataset):
             f"  63 % time {_seconds(self.tau, self.tau_std)}{bandwidth * bool(self.tau > 0)}",
             f"  equivalent time {_seconds(self.equivalent_time, self.equivalent_time_std)} "
             "(area above the response)",
-            f"  within 5 % after {_seconds(self.settling, self.settling_std)}, "
-            f"{self._overshoot_text()}",
         ]
+        if not np.isnan(self.settling):
+            settled = f"within 5 % after {_seconds(self.settling, self.settling_std)}"
+            lines.append(f"  {settled}, {self._overshoot_text()}")
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
     def _overshoot_text(self) -> str:
@@ -266,7 +267,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         **labels(treated),
     }
     if process is not None:
-        return StepAnalysis(**common, **_process_numbers(process))
+        return StepAnalysis(**common, **_process_numbers(process, unsettled))
     low, high = answer.dead_time_interval
     L_std = (high - low) / 4 if L else 0.0
     lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
@@ -303,18 +304,22 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
 def _process(
     y: Vector, k: NDArray[np.int_], weight: Vector, data: Dataset, steps: _Steps
 ) -> ProcessAnswer | None:
-    """Return the response as P1D or P2D, or None."""
+    """Return the response as P1D or P2D; None if it is neither, or moved before the step."""
     y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y)
-    return step_process(
-        np.asarray(data.Ts * k, dtype=np.float64),
-        y,
-        weight,
+    near = k >= _before(0, steps.pre).start
+    process = step_process(
+        np.asarray(data.Ts * k[near], dtype=np.float64),
+        y[near],
+        weight[near],
         data.Ts,
         quantum=_converter_step(data) / float(np.sqrt(weight.max())),
         steps=len(steps.at),
-        decays=_left_to_settle(y, k, steps, 1.0) != 0,
         band=SETTLING_BAND,
     )
+    if process is None:
+        return None
+    moved = _left_to_settle(y, k, steps, process.answer.crossing / data.Ts)
+    return None if abs(moved) > _MIN_UNSETTLED_SHARE * abs(process.scale) else process
 
 
 def _converter_step(data: Dataset) -> float:
@@ -327,7 +332,7 @@ def _converter_step(data: Dataset) -> float:
     return quantum(data) or (float(np.median(gaps)) if rounded else 0.0)
 
 
-def _process_numbers(process: ProcessAnswer) -> dict[str, Any]:
+def _process_numbers(process: ProcessAnswer, unsettled: float = 0.0) -> dict[str, Any]:
     """Return the numbers of P1D or P2D that the record determines; NaN for any other."""
     answer = process.answer
 
@@ -350,7 +355,7 @@ def _process_numbers(process: ProcessAnswer) -> dict[str, Any]:
     return {
         "form": process.form,
         "gain": gain,
-        "gain_std": gain_std,
+        "gain_std": float(np.hypot(gain_std, unsettled)),
         "gain_interval": (float(low), float(high)),
         "time_constants": tuple(value for value, _ in constants),
         "time_constants_std": tuple(std for _, std in constants),
@@ -570,10 +575,13 @@ def _warnings(
     change = float(abs(np.mean(tail[half:]) - np.mean(tail[:half]))) if half else 0.0
     noise = float(np.std(np.diff(tail))) / np.sqrt(max(tail.size, 1))  # a slope does not count
     if process is not None and process.end < 1 - SETTLING_BAND:
-        yield (
-            f"{data.output} ends at {100 * process.end:.0f} % of its final value, so all numbers "
-            f"but the dead time rest on the {process.form} fit: hold u longer"
-        )
+        text = f"{data.output} ends before it settles, so its gain is not determined: hold u longer"
+        if np.isfinite(_process_numbers(process)["gain"]):
+            text = (
+                f"{data.output} ends at {100 * process.end:.0f} % of its final value, so all "
+                f"numbers but the dead time rest on the {process.form} fit: hold u longer"
+            )
+        yield text
     elif process is None and (change > 0.04 + 4 * noise or rising > _MIN_RISING_SHARE):
         yield "the response has not settled in the last third of the hold: hold u longer"
     if answer.crossing < 3 * data.Ts:

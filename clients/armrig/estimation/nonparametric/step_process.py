@@ -63,15 +63,7 @@ class ProcessAnswer:
 
 
 def step_process(
-    t: Vector,
-    y: Vector,
-    weight: Vector,
-    Ts: float,
-    *,
-    quantum: float,
-    steps: int,
-    decays: bool,
-    band: float,
+    t: Vector, y: Vector, weight: Vector, Ts: float, *, quantum: float, steps: int, band: float
 ) -> ProcessAnswer | None:
     """Return the posterior of P1D and P2D for a unit step at t = 0, or None if neither fits.
 
@@ -86,21 +78,16 @@ def step_process(
         Step of the converter in the unit of y; 0 if y is not quantised.
     steps : int
         Number of steps of which y is the mean.
-    decays : bool
-        True if y moved before the step: this motion decays with the fitted time constant.
     band : float
         Half width of the band in which the response has settled, as a share of the final value.
     """
     known = np.isfinite(y) & (weight > 0)
     rows = _Rows(t[known], y[known], weight[known] / weight.max())
-    record = _Record(rows, Ts, quantum, shortened=not decays)
+    record = _Record(rows, Ts, quantum)
     ends = record.fits()
-    if decays:
-        record.project(np.exp(-(rows.t - rows.t[0]) / np.exp(ends[1][0])))
-        ends = record.fits()
     spread = record.variance - quantum**2 / 12
     constant = bool(quantum) and spread < (_WHITE_NOISE * quantum) ** 2
-    coded = rows.coded() if constant and not decays and steps == 1 else None
+    coded = rows.coded() if constant and steps == 1 else None
     if coded is None and record.misfits(ends[1]):
         return None
     rng = np.random.default_rng(1)
@@ -219,8 +206,8 @@ class _Draws:
 class _Record:
     """Least squares of the record, with gain and level projected out."""
 
-    def __init__(self, rows: _Rows, Ts: float, quantum: float, *, shortened: bool) -> None:
-        self._rows = rows.shortened() if shortened else rows
+    def __init__(self, rows: _Rows, Ts: float, quantum: float) -> None:
+        self._rows = rows.shortened()
         self._root, self._q, self._Ts = np.sqrt(self._rows.weight), quantum, Ts
         self._N = rows.y.size
         floor = (_MIN_NOISE_SHARE * float(np.max(np.abs(rows.y)))) ** 2
@@ -229,17 +216,13 @@ class _Record:
         duration = float(rows.t[-1])
         self._low = np.array([np.log(_MIN_T * Ts), _MIN_RATIO, 0.0])
         self._high = np.array([np.log(_MAX_T * duration), _MAX_RATIO, _LATEST * duration])
-        self._Q = np.zeros((self._root.size, 0))
-        self.project(np.ones(self._root.size))
-
-    def project(self, column: Vector) -> None:
-        """Add a column whose amount is estimated."""
-        self._Q = np.linalg.qr(np.column_stack([self._Q, self._root * column]))[0]
+        self._Q = self._root / np.linalg.norm(self._root)
         self._z = self._weighted(self._rows.y)
 
     def _weighted(self, rows: Vector) -> Vector:
+        """Return weighted rows without their level."""
         rows = self._root * rows
-        return np.asarray(rows - (rows @ self._Q) @ self._Q.T)
+        return np.asarray(rows - (rows @ self._Q)[..., None] * self._Q)
 
     def _solve(self, theta: Vector) -> tuple[Vector, Vector, Vector]:
         """Return the cost, the gain, and the variance of the gain by that of the noise."""
@@ -264,9 +247,8 @@ class _Record:
             slow + np.array([0, r, -r * min(np.exp(slow[0]), slow[2])]) for r in (1e-3, 0.1, 0.4)
         ]
         both = self._search(near, 3)
-        freedom = self._N - self._Q.shape[1] - 4
         cost = float(self._solve(both[None])[0][0]) + self._within
-        self.variance = max(cost / freedom, self._least)
+        self.variance = max(cost / (self._N - 5), self._least)
         return [slow, both]
 
     def excess(self, ends: list[Vector]) -> float:
@@ -306,9 +288,8 @@ class _Record:
         r = self._residual(theta)
         # A smooth misfit is part of the variance, but not of the differences.
         variance = np.clip(np.mean(np.diff(r) ** 2) / 2, self._least, self.variance)
-        fixed = self._Q / self._root[:, None]
         weight = self._rows.weight / variance
-        return _misfits(self._rows.t, theta, fixed, self._root * r / variance, weight)
+        return _misfits(self._rows.t, theta, self._root * r / variance, weight)
 
     def misfits_codes(self, rows: _Rows, draws: _Draws) -> bool:
         """Return the same for the codes of a converter, by the most likely draw."""
@@ -321,8 +302,7 @@ class _Record:
         slope, p = _code_score(near, noise, self._q)
         information = np.maximum(np.sum(p * slope**2, axis=1), 1e-12 / noise**2)
         score = _code_score(off, noise, self._q)[0]
-        fixed = np.ones((off.size, 1))
-        return _misfits(rows.t, theta, fixed, rows.weight * score, rows.weight * information)
+        return _misfits(rows.t, theta, rows.weight * score, rows.weight * information)
 
     def draws(self, at: Vector, free: int, rng: np.random.Generator) -> _Draws:
         """Return draws by the likelihood of white Gaussian noise."""
@@ -404,14 +384,14 @@ def _tangents(t: Vector, theta: Vector) -> Vector:
     return np.vstack([s[:1], (s[1:] - s[0]) / np.diag(steps)[:, None]]).T
 
 
-def _misfits(t: Vector, theta: Vector, fixed: Vector, score: Vector, information: Vector) -> bool:
-    """Return whether a score test finds a shape that neither P2D nor the fixed columns have."""
+def _misfits(t: Vector, theta: Vector, score: Vector, information: Vector) -> bool:
+    """Return whether a score test finds a shape that P2D with a level has not."""
     L, root = theta[2], np.sqrt(information)
     x = np.log1p(3 * np.maximum(t - L, 0.0) / np.exp(theta[0]))
     shapes = np.cos(np.pi * np.outer(x / x[-1], np.arange(1.0, _SHAPES + 1)))
     shapes[t <= L] = 0.0
     shapes[:, -1] = t == 0  # a direct path
-    Z = root[:, None] * np.column_stack([fixed, _tangents(t, theta)])
+    Z = root[:, None] * np.column_stack([np.ones(t.size), _tangents(t, theta)])
     S = root[:, None] * shapes
     S -= Z @ np.linalg.lstsq(Z, S, rcond=1e-10)[0]
     off = score / root
