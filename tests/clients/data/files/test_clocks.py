@@ -107,6 +107,24 @@ def test_the_given_column_of_times_names_the_clock(tmp_path: Path) -> None:
         same_data(at_y, U[5:], Y[: N - 5])
 
 
+def test_a_given_column_of_times_is_no_reason_to_pair_another_clock(tmp_path: Path) -> None:
+    cells = {"t_cmd": seconds(T), "u": U, "t_meas": seconds(T + 0.05), "y": Y}
+
+    data = load(tmp_path, text(cells), time="t_meas")
+
+    assert data.u[0] == U[5]
+    first_is_doubt(data, "u has its own times, t_cmd: held to the times of y, t_meas")
+
+
+def test_several_columns_of_the_same_times_are_asked_for(tmp_path: Path) -> None:
+    cells = text({"timestamp": seconds(1.7e9 + T), "datetime": dates(T), "u": U, "y": Y})
+
+    with pytest.raises(ReadingError, match="give --time a name"):
+        load(tmp_path, cells)
+    for time in ("timestamp", "datetime"):
+        same_data(load(tmp_path, cells, time=time), U)
+
+
 def test_columns_without_names_side_by_side_are_two_clocks(tmp_path: Path) -> None:
     rows = zip(seconds(T), U, seconds(T + 0.05), Y, strict=True)
     cells = "\n".join(",".join(map(str, row)) for row in rows)
