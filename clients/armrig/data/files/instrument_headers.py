@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby, pairwise, takewhile
 
 from armrig_core.errors import FileError
 
 from armrig.data.files.cells import REWRITTEN, Kind, kind, split
 from armrig.data.files.decimal_marks import is_missing
-from armrig.data.files.table import shown, titled
+from armrig.data.files.table import Column, shown, titled
 
 Lines = Sequence[tuple[int, str]]
 """Lines with their numbers from 1, without empty lines and remarks."""
+SplitLines = Sequence[tuple[int, list[str]]]
+"""Cells of lines with their numbers."""
 TIMES = frozenset(
     {"t", "time", "times", "timestamp", "datetime", "date", "date&time", "x_value", "zeit"}
 )
@@ -38,20 +40,12 @@ _LOGGER = re.compile(  # of HOBO
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Head:
-    """Names and units above the rows of a table."""
-
-    names: Sequence[str] = ()
-    """Name of each column; () if the file contains no names."""
-    units: Sequence[str] = ()
-    """Unit of each column, "" if unknown; () if the file contains no units."""
-    notes: Sequence[str] = ()
-    """Notes about the lines above the rows."""
+Head = tuple[list[Column], list[str], Lines]
+"""Columns, [] if the file contains no names; notes on the lines above the rows; the rows."""
 
 
-def head_of(lines: Lines, separator: str) -> tuple[Head, Lines]:
-    """Return the names and the units of a table, and its rows.
+def head_of(lines: Lines, separator: str) -> Head:
+    """Return the columns of a table by the lines above its rows.
 
     The rows begin at the first line that resembles the longest run of lines with values. The lines
     of words directly above the rows contain the names, or the names and below them the units. The
@@ -65,14 +59,18 @@ def head_of(lines: Lines, separator: str) -> tuple[Head, Lines]:
     is_closed = all(not probed[k][-1].strip() for k in run)
 
     def is_head(k: int) -> bool:
+        cells, kinds = probed[k], [*map(kind, probed[k])]
         # With two columns, a line above the names such as `Scale,0.1` is a fact.
-        is_fact = k < above[-1] and len(row) == 2 and Kind.NUMBER in map(kind, probed[k])
-        return not is_fact and _can_be_head(probed[k], row, is_closed)
+        is_fact = k < above[-1] and len(row) == 2 and Kind.NUMBER in kinds
+        # LabVIEW writes the name of a column of comments above rows without this column.
+        extra = 1 if cells[-1].strip() == "Comment" else -is_closed
+        fits = len(cells) - len(row) in (0, extra) and Kind.WORD in kinds and not is_fact
+        return fits and (_VALUES.isdisjoint(kinds) or bool(_word_above_value(cells, row)))
 
     block = list(takewhile(is_head, reversed(above)))[::-1]
     if not block:
         begin = above[-1] + 1 if above and _is_remark(probed[above[-1]]) else 0
-        return Head(notes=_left_out(lines[:begin], "above the first row")), lines[begin:]
+        return [], _left_out(lines[:begin], "above the first row"), lines[begin:]
     at, units_at = _names_and_units(block, lines, probed)
     names, notes, begin = _names(probed[at])[: len(row)], list[str](), block[-1] + 1
     if Kind.NUMBER in map(kind, probed[at]):
@@ -91,7 +89,7 @@ def head_of(lines: Lines, separator: str) -> tuple[Head, Lines]:
         header = {line for _, line in lines[:begin]}
         rows = [(k, line) for k, line in rows if line not in header]
         notes.append(f"left out the names that line {repeated[0]} repeats")
-    return Head(names=names, units=units, notes=notes), rows
+    return columns_of(names, units), notes, rows
 
 
 def longest_run(probed: Sequence[Sequence[str]]) -> range:
@@ -119,28 +117,18 @@ def _word_above_value(cells: Sequence[str], row: Sequence[str]) -> str:
     return next((a for a, b in pairs if kind(a) is Kind.WORD and kind(b) in _VALUES), "").strip()
 
 
-def _can_be_head(cells: Sequence[str], row: Sequence[str], is_closed: bool) -> bool:
-    """Return whether cells above a row can be names or units, also next to a number."""
-    # LabVIEW writes the name of a column of comments above rows without this column.
-    extra = 1 if [cell.strip() for cell in cells[-1:]] == ["Comment"] else -is_closed
-    fits = len(cells) - len(row) in (0, extra) and Kind.WORD in map(kind, cells)
-    return fits and (not has_values(cells) or bool(_word_above_value(cells, row)))
-
-
 def _names_and_units(
     block: Sequence[int], lines: Lines, probed: Sequence[Sequence[str]]
 ) -> tuple[int, int]:
     """Return the indices of the names and of the units in a block of lines; 0 without units."""
     if len(block) == 1:
         return block[0], 0
-    fitting = [(a, b) for a, b in pairwise(block) if _fit_units(probed[b], probed[a])]
-    if pairs := [(a, b) for a, b in fitting if are_units(probed[b], probed[a])]:
+    pairs = [(a, b) for a, b in pairwise(block) if are_units(probed[b], probed[a])]
+    if pairs:
         return min(pairs, key=lambda pair: has_values(probed[pair[0]]))
     upper, lower = block[-2:]
     if are_units(probed[lower], probed[upper]) is False:
         return lower, 0
-    if upper == 0 and fitting:
-        return upper, lower
     raise FileError(
         f"line {lines[upper][0]} or line {lines[lower][0]} may contain the names; delete the other "
         "line, or begin it with #"
@@ -163,32 +151,32 @@ def _names(cells: Sequence[str]) -> list[str]:
     return names[:-1] if names and not names[-1] else names
 
 
-def _fit_units(cells: Sequence[str], names: Sequence[str]) -> bool:
-    """Return whether the cells can be units: short texts, no values, one for each name."""
-    cells, names = (row[:-1] if not row[-1].strip() else row for row in (cells, names))
-    fits = len(cells) == len(names) and not has_values(cells)
-    return fits and all(len(cell.strip()) <= _MAX_UNIT_CHARACTERS for cell in cells)
-
-
 def are_units(units: Sequence[str], names: Sequence[str]) -> bool | None:
-    """Return whether the lower of two lines without values contains units; None if in doubt."""
+    """Return whether the lower of two lines above the rows contains units; None if in doubt."""
+    units, names = (row if row[-1].strip() else row[:-1] for row in (units, names))
+    if has_values(units) or any(len(cell) > _MAX_UNIT_CHARACTERS for cell in units):
+        return None
     words = [cell.strip().strip("[]()").casefold() for cell in units if not is_missing(cell)]
     are_known = 2 * sum(map(bool, map(_KNOWN_UNIT.fullmatch, words))) >= len(words) > 0
     has_times, lower_has_times = (
         bool(TIMES & {titled(cell.strip()).name.casefold() for cell in cells})
         for cells in (names, units)
     )
-    if lower_has_times and not has_times:
+    if len(units) > len(names) or (lower_has_times and not has_times):
         return None if are_known else False
-    if are_known or has_times:
-        return True if are_known or not lower_has_times else None
-    return False if len(words) > sum(bool(cell.strip()) for cell in names) else None
+    return are_known or (has_times and not lower_has_times) or None
 
 
 def units_of(cells: Sequence[str]) -> list[str]:
     """Return the units in the cells of a line; "" for a word that is no unit."""
     units = [cell.strip().strip("[]()") for cell in cells]
     return [_PLAIN_UNITS.get(unit.casefold(), unit) for unit in units]
+
+
+def columns_of(names: Sequence[str], units: Sequence[str] = ()) -> list[Column]:
+    """Return columns of these names; a unit in a name has precedence over `units`."""
+    columns = zip(map(titled, names), [*units, *[""] * len(names)], strict=False)
+    return [c if c.unit else replace(c, unit=unit) for c, unit in columns]
 
 
 def _units_above(above: Sequence[Sequence[str]], width: int) -> list[str]:
@@ -207,65 +195,63 @@ def _is_remark(cells: Sequence[str]) -> bool:
 
 def _resembles(cells: Sequence[str], row: Sequence[str]) -> bool:
     """Return whether a line has the number and the kinds of the cells of a row."""
-    pairs = [(kind(a), kind(b)) for a, b in zip(cells, row, strict=False)]
-    known = [(a, b) for a, b in pairs if Kind.MISSING not in (a, b)]
-    is_like = all(a is b for a, b in known) and any(a in _VALUES for a, _ in known)
-    return is_like and len(cells) == len(row)
+    pairs = {(kind(a), kind(b)) for a, b in zip(cells, row, strict=False)}
+    known = {a for a, b in pairs if Kind.MISSING not in (a, b)}
+    is_like = all(a is b for a, b in pairs if Kind.MISSING not in (a, b))
+    return is_like and not _VALUES.isdisjoint(known) and len(cells) == len(row)
 
 
 def _left_out(lines: Lines, where: str) -> list[str]:
     """Return the note on lines that are left out; [] without lines."""
-    numbers = [f"{lines[k][0]}" for k in {0: 0, len(lines) - 1: 0} if lines]
-    which = f"line{'s' * (len(lines) > 1)} {' to '.join(numbers)}"
-    return [f"left out {which} {where}"] if lines else []
+    if len(lines) < 2:
+        return [f"left out line {k} {where}" for k, _ in lines]
+    return [f"left out lines {lines[0][0]} to {lines[-1][0]} {where}"]
 
 
-def head_of_instrument(text: str, lines: Lines) -> tuple[Head, Lines] | None:
-    """Return the head of a known instrument's file, and rows that `REWRITTEN` separates.
+def head_of_instrument(text: str, lines: Lines) -> Head | None:
+    """Return the columns of a known instrument's file, with rows that `REWRITTEN` separates.
 
     The result is None for every other text.
     """
-    for maker, beginning, read in INSTRUMENTS:
-        if beginning.match(text):
-            cells = ([cell.strip() for cell in split(line, ",")] for _, line in lines)
+    for maker, (beginning, read) in INSTRUMENTS.items():
+        if re.match(beginning, text):
             try:
-                head, rows = read(cells)
-                numbers = [k for k, _ in lines[len(lines) - len(rows) :]]
-            except (ValueError, LookupError, StopIteration) as err:
+                return read([(k, [*map(str.strip, split(line, ","))]) for k, line in lines])
+            except (ValueError, LookupError) as err:
                 raise FileError(f"the header of {maker} is damaged; export again") from err
-            return head, list(zip(numbers, map(REWRITTEN.join, rows), strict=True))
     return None
 
 
-def _rigol(lines: Iterator[list[str]]) -> tuple[Head, list[list[str]]]:
+def _rigol(lines: SplitLines) -> Head:
     """Return times for the counts; the second line contains units, the start and the increment."""
-    names, second = next(lines), next(lines)
+    (_, names), (_, second), *rows = lines
     n = names.index("Start")
     t0, dt = map(float, second[n : n + 2])
-    rows = [
-        [f"{t0 + dt * float(count):.12g}", *values[: n - 1], *filter(None, values[n - 1 :])]
-        for count, *values in lines
-    ]
+    for _, row in rows:
+        row[:] = f"{t0 + dt * float(row[0]):.12g}", *row[1:n], *filter(None, row[n:])
     note = f"{names[0]} is in s: {dt:g} s a sample from {t0:g} s on, by the header of Rigol"
-    return Head(names=names[:n], units=["s", *units_of(second[1:n])], notes=[note]), rows
+    return columns_of(names[:n], ["s", *units_of(second[1:n])]), [note], joined(rows)
 
 
-def _tektronix(lines: Iterator[list[str]]) -> tuple[Head, list[list[str]]]:
+def _tektronix(lines: SplitLines) -> Head:
     """Return the times and values in columns 4 and 5; the facts are in columns 1 to 3."""
-    cells = list(lines)
-    facts = {row[0]: row[1] for row in reversed(cells) if row[0]}
+    facts = {row[0]: row[1] for _, row in reversed(lines) if row[0]}
     units = units_of([facts.get("Horizontal Units", "s"), facts.get("Vertical Units", "")])
-    head = Head(names=["time", facts["Source"]], units=units, notes=["read as a file of Tektronix"])
-    return head, [row if any(row[5:]) else row[3:5] for row in cells]
+    rows = [(k, row if any(row[5:]) else row[3:5]) for k, row in lines]
+    notes = ["read as a file of Tektronix"]
+    return columns_of(["time", facts["Source"]], units), notes, joined(rows)
 
 
-INSTRUMENTS: Sequence[
-    tuple[str, re.Pattern[str], Callable[[Iterator[list[str]]], tuple[Head, list[list[str]]]]]
-] = (
-    ("Rigol", re.compile(r"X,.*,Start,Increment\b.*\n\s*Sequence,"), _rigol),
-    ("Tektronix", re.compile(r"Record Length,[^,\n]*,[^,\n]*(?:,[-+ .\deE]+){2}"), _tektronix),
-)
-"""Maker, beginning and reader of the files that the general rule does not read.
+def joined(rows: SplitLines) -> Lines:
+    """Return rows whose cells `REWRITTEN` separates."""
+    return [(k, REWRITTEN.join(cell.replace(REWRITTEN, " ") for cell in row)) for k, row in rows]
+
+
+INSTRUMENTS: Mapping[str, tuple[str, Callable[[SplitLines], Head]]] = {
+    "Rigol": (r"X,.*,Start,Increment\b.*\n\s*Sequence,", _rigol),
+    "Tektronix": (r"Record Length,[^,\n]*,[^,\n]*(?:,[-+ .\deE]+){2}", _tektronix),
+}
+"""Beginning of the files that the general rule does not read, and their reader, by the maker.
 
 The general rule reads the files of LabVIEW, TekScope, Keysight, Siglent, Graphtec, HOBO, Campbell,
 PicoScope and Saleae.

@@ -10,28 +10,25 @@ from typing import Any
 from armrig_core.errors import FileError
 
 from armrig.data.files.cells import REWRITTEN, Kind, kind
-from armrig.data.files.instrument_headers import Lines
+from armrig.data.files.instrument_headers import Head, Lines, columns_of, joined
 from armrig.data.files.table import Column, require_room, shown
 
 _NAME = r"[^\W\d][^\s=:,;]{0,63}\s*[=:]"
 _BETWEEN_VALUES = re.compile(rf"[\s,;]++(?={_NAME})")
 _NAMED_VALUE = re.compile(rf"(?P<name>{_NAME})\s*(?P<value>.*)")
-_BETWEEN_OBJECTS = re.compile(r"(?![\s,])|\Z")
+_BETWEEN_OBJECTS = tuple(" \t\r\n,")
 _PROBED_LINES = 20
 _DECODER = json.JSONDecoder(parse_float=str, parse_int=str, parse_constant=str)
 _MAX_NAMES = 12
-_OF_VALUES = frozenset({"value", "values", "val", "state", "reading", "_value", "wert", "valeur"})
-_OF_NAMES = frozenset(
-    {"entity_id", "entity", "sensor", "sensor_id", "name", "signal", "channel", "topic", "variable"}
-    | {"tag", "field", "_field", "key", "id", "metric", "parameter", "series", "device", "quantity"}
-    | {"item", "point", "kanal", "messstelle"}
+_OF_VALUES = re.compile(r"_?values?|val|state|reading|wert|valeur", re.I)
+_OF_NAMES = re.compile(
+    r"entity|(?:entity_|sensor_)?id|sensor|name|signal|channel|topic|variable|tag|_?field|key|item|"
+    r"metric|parameter|series|device|quantity|point|kanal|messstelle",
+    re.I,
 )
 
-NamedRows = tuple[Sequence[str], Lines]
-"""Names, and lines in which `REWRITTEN` separates the cells."""
 
-
-def json_rows(text: str) -> NamedRows | None:
+def json_rows(text: str) -> Head | None:
     """Return the rows of JSON lines or of an array of objects; None for text that is not JSON.
 
     A key is a name; the keys of nested objects are joined by points. A missing key is a missing
@@ -54,7 +51,8 @@ def _objects(text: str, at: int) -> Iterator[tuple[int, Mapping[str, str]]]:
                 f'line {line}: JSON is damaged here, or not an object such as {{"t": 0, "u": 1, '
                 '"y": 2}; write an object with all values of a sample on each line'
             ) from err
-        at = _BETWEEN_OBJECTS.search(text, at).start()
+        while text[at : at + 1] in _BETWEEN_OBJECTS:
+            at += 1
 
 
 def _leaves(items: Any, path: str = "") -> Iterator[tuple[str, str]]:
@@ -66,7 +64,7 @@ def _leaves(items: Any, path: str = "") -> Iterator[tuple[str, str]]:
             yield f"{path}{key}", cell
 
 
-def without_names(lines: Lines) -> NamedRows | None:
+def without_names(lines: Lines) -> Head | None:
     """Return the rows of lines such as `t=0.01 u=1` or `u:1,y:2`; None for other lines."""
     first, *others = [next(iter(_named(line)), "") for _, line in lines[:_PROBED_LINES]] or [""]
     if not first or not others or others.count(first) < len(others) / 2:
@@ -89,14 +87,11 @@ def _named(line: str) -> dict[str, str]:
     return row if len(row) == len(texts) else {}
 
 
-def _of_mappings(rows: Sequence[tuple[int, Mapping[str, str]]], size: int) -> NamedRows:
+def _of_mappings(rows: Sequence[tuple[int, Mapping[str, str]]], size: int) -> Head:
     names = list(dict.fromkeys(name for _, row in rows for name in row))
     require_room(8 * len(names) * len(rows), size)
-    return names, [
-        (k, REWRITTEN.join(row.get(name, "").replace(REWRITTEN, " ") for name in names))
-        for k, row in rows
-        if row
-    ]
+    cells = [(k, [row.get(name, "") for name in names]) for k, row in rows if row]
+    return columns_of(names), [], joined(cells)
 
 
 def long_table(
@@ -107,24 +102,23 @@ def long_table(
     A long table has one row for each value, and three columns: times, values and 2 to 12 names. The
     headings of the values and of the names are such as `value` and `sensor`.
     """
-    headings = [column.name.casefold() for column in columns]
-    of_names = next((i for i, heading in enumerate(headings) if heading in _OF_NAMES), None)
-    of_values = next((i for i, heading in enumerate(headings) if heading in _OF_VALUES), None)
-    if len(columns) != 3 or of_names is None or of_values is None:
+    titles = [column.name for column in columns]
+    of_names, of_values = (
+        [i for i, title in enumerate(titles) if heading.fullmatch(title)]
+        for heading in (_OF_NAMES, _OF_VALUES)
+    )
+    if [len(columns), len(of_names), len(of_values)] != [3, 1, 1]:
         return None
-    of_times = 3 - of_names - of_values
-    cells = [cell.strip() for cell in texts(of_names)]
+    name_at, value_at = *of_names, *of_values
+    time_at = 3 - name_at - value_at
+    are_words = [kind(firsts[i]) is Kind.WORD for i in (name_at, time_at)]
+    cells = [cell.strip() for cell in texts(name_at)]
     names = list(dict.fromkeys(cells))
-    are_words = [kind(firsts[i]) is Kind.WORD for i in (of_names, of_times)]
     if are_words != [True, False] or not 2 <= len(names) <= min(_MAX_NAMES, len(cells) - 1):
         return None
     rows = [
         REWRITTEN.join([time, *(value if name == cell else "" for name in names)])
-        for time, cell, value in zip(texts(of_times), cells, texts(of_values), strict=True)
+        for time, cell, value in zip(texts(time_at), cells, texts(value_at), strict=True)
     ]
-    unit = columns[of_values].unit
-    return (
-        f"long table: a column for each {columns[of_names].name}",
-        [columns[of_times], *(Column(name=name, unit=unit) for name in names)],
-        rows,
-    )
+    values = [Column(name=name, unit=columns[value_at].unit) for name in names]
+    return f"long table: a column for each {titles[name_at]}", [columns[time_at], *values], rows

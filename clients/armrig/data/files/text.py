@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
@@ -22,7 +22,6 @@ from armrig.data.files.decimal_marks import (
 from armrig.data.files.instrument_headers import (
     PROBED_LINES,
     TIMES,
-    Head,
     Lines,
     has_values,
     head_of,
@@ -30,14 +29,14 @@ from armrig.data.files.instrument_headers import (
     longest_run,
 )
 from armrig.data.files.named_values import json_rows, long_table, without_names
-from armrig.data.files.table import Column, ReadingError, Table, Vector, shown, titled
+from armrig.data.files.table import Column, ReadingError, Table, Vector, shown
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
 _REMARK_MARKS = ("#", "%")
-_RECEIPT = re.compile(r"\s*(?P<time>\d{1,2}:\d\d:\d\d(?:[.,]\d+)?)\s*->(?P<line>.*)")
+_RECEIPT = re.compile(r"\s*\d{1,2}:\d\d:\d\d(?:[.,]\d+)?\s*->")
+_SWITCH_KINDS = {Kind.SWITCH, Kind.MISSING}
 _BLOCK_CELLS = 1 << 20  # that are kept of adjacent columns, so that wide files are split once
-_MAX_NAMED = 4  # columns in a note
 _MAX_ROWS_WITHOUT_VALUE = 1000  # at the beginning of a column whose values have units
 
 
@@ -147,10 +146,7 @@ class TextTable(Table):
         if not self._marks:
             proofs = set[str]()
             for i in range(len(self.columns)):
-                cells: Iterable[str] = self._cells(i)
-                if i in self.units_in_cells:
-                    cells = (quantity(cell)[0] for cell in cells)
-                proofs |= proved_marks(cells)
+                proofs |= proved_marks(quantity(cell)[0] for cell in self._cells(i))
             self._marks.append(proofs)
         return self._marks[0]
 
@@ -158,10 +154,6 @@ class TextTable(Table):
         """Return the error for a cell without a number."""
         if k and not has_values(split(self.rows[k], self.separator)):
             text = "is not a number; the line is like a second line of names: cut the file there"
-            return self._fault(i, k, cell, text)
-        value, unit = quantity(cell)
-        if unit and number(value, "") is not None:
-            text = "has a unit, the values above it have none; give every value the same unit"
             return self._fault(i, k, cell, text)
         return self._fault(i, k, cell, "is not a number", self.ways_out.not_a_number)
 
@@ -174,52 +166,44 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
     """Return the table that a text contains; `ways_out` are the remedies that its errors name.
 
     Lines that are empty, or begin with # or %, are remarks. A first line such as `sep=;` names the
-    separator. Otherwise semicolon, tab, comma and blank are tried in this order on the first 65
-    lines, which must have an equal number of cells. The first line that is not a remark contains
-    names if none of its cells is a number. The line after the names contains units if none of its
-    cells is a number. Up to 30 lines above the names are left out. The numbers show the decimal
-    mark, or `decimal` gives it.
+    separator; otherwise the separator is that of the longest run of rows in the first 65 lines. The
+    lines of words above the rows contain names, or names and units. Up to 30 lines above the names
+    are left out. The numbers show the decimal mark, or `decimal` gives it.
 
-    Headers of known instruments, JSON, `name=value`, and the times that the serial monitor of
-    Arduino writes (`->`) are read, too. A column for each name is made of a long table.
+    Headers of known instruments, JSON, `name=value`, long tables, and the times that the serial
+    monitor of Arduino writes (`->`) are read, too.
     """
-    lines: Lines = ()
-    receipts: Mapping[int, str] = {}
-    if named := json_rows(text):
+    receipts, is_mixed, separator = dict[int, str](), True, REWRITTEN
+    if (head := json_rows(text)) is not None:
         decimal = decimal or "."
     else:
-        lines = [
+        lines: Lines = [
             (k, line)
             for k, line in enumerate(text.splitlines(), start=1)
             if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
         ]
         receipts, lines = _without_receipts(lines)
-        named = without_names(lines)
-    separator, is_mixed = REWRITTEN, True
-    if named is not None:
-        head, lines = Head(names=named[0]), named[1]
-    elif known := head_of_instrument(text, lines):
-        (head, lines), is_mixed = known, False
-    else:
-        separator, lines = _separator(lines)
-        head, lines = head_of(lines, separator)
-        is_mixed = separator != ","
+        head = without_names(lines)
+        if head is None:
+            head, is_mixed = head_of_instrument(text, lines), False
+        if head is None:
+            separator, lines = _separator(lines)
+            head, is_mixed = head_of(lines, separator), separator != ","
+    columns, notes, lines = head
     if not lines:
-        shown_names = f" below its names, {shown(', '.join(head.names))}" if head.names else ""
-        msg = f"there is no row of numbers{shown_names}; a row for each sample is needed"
-        raise FileError(msg)
-    numbers, rows, width = _even_rows(lines, separator, head.names)
-    columns = [titled(name) for name in head.names] or [Column(name="")] * width
-    units = [*head.units, *[""] * width]
-    columns = [c if c.unit else replace(c, unit=u) for c, u in zip(columns, units, strict=False)]
+        shown_names = ", ".join(column.name for column in columns)
+        below = f" below its names, {shown(shown_names)}" * bool(columns)
+        raise FileError(f"there is no row of numbers{below}; a row for each sample is needed")
+    numbers, rows, width = _even_rows(lines, separator, len(columns))
+    columns = columns or [Column(name="")] * width
     if receipts:
         is_taken = any(column.name.casefold() in TIMES for column in columns)
         columns = [Column(name="received" if is_taken else "time"), *columns]
         mark = separator or " "
-        rows = [f"{receipts.get(k, '')}{mark}{row}" for k, row in zip(numbers, rows, strict=True)]
+        rows = [f"{receipts[k]}{mark}{row}" for k, row in zip(numbers, rows, strict=True)]
     table = TextTable(
         columns=columns,
-        notes=head.notes,
+        notes=notes,
         rows=rows,
         lines=numbers,
         separator=separator,
@@ -227,25 +211,20 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
         decimal=decimal,
         ways_out=ways_out,
     )
-    firsts = _first_cells(table)
-    if long := long_table(table.columns, firsts, table.texts):
+    if long := long_table(columns, _first_cells(table), table.texts):
         note, columns, rows = long
-        notes = [*table.notes, note]
+        notes = [*notes, note]
         table = replace(table, columns=columns, rows=rows, separator=REWRITTEN, notes=notes)
-        firsts = _first_cells(table)
-    return _with_plain_cells(table, firsts)
+    return _with_plain_cells(table, _first_cells(table))
 
 
-def _without_receipts(lines: Lines) -> tuple[Mapping[int, str], Lines]:
+def _without_receipts(lines: Lines) -> tuple[dict[int, str], Lines]:
     """Return the times before `->` by their line, and the lines without them."""
-    parts = [_RECEIPT.fullmatch(line) for _, line in lines]
-    if not parts or not parts[0]:
+    if not lines or not _RECEIPT.match(lines[0][1]):
         return {}, lines
-    times = {k: part["time"] for (k, _), part in zip(lines, parts, strict=True) if part}
-    rest = [
-        (k, part["line"] if part else line) for (k, line), part in zip(lines, parts, strict=True)
-    ]
-    return times, [(k, line.strip(" ")) for k, line in rest if line.strip()]
+    parts = [(k, *line.rpartition("->")) for k, line in lines]
+    rest = [(k, line.strip(" ")) for k, _, _, line in parts if line.strip()]
+    return {k: time.strip() or "NaN" for k, time, _, _ in parts}, rest
 
 
 def _separator(lines: Lines) -> tuple[str, Lines]:
@@ -269,61 +248,53 @@ def _separator(lines: Lines) -> tuple[str, Lines]:
 
 
 def _even_rows(
-    lines: Lines, separator: str, names: Sequence[str]
+    lines: Lines, separator: str, names: int
 ) -> tuple[Sequence[int], Sequence[str], int]:
     """Return the line numbers, the rows, and the number of cells that each row has."""
     numbers, rows = zip(*lines, strict=True)
-    width = len(names) or len(split(rows[0], separator))
+    width = names or len(split(rows[0], separator))
     # A separator at the end of each row is not followed by a column, unless a name follows it.
     ends = separator and (not names or len(split(rows[0], separator)) == width + 1)
     if ends and all(row.rstrip(" \r").endswith(separator) for row in rows):
         rows = tuple(row.rstrip(" \r")[:-1] for row in rows)
-        width = len(names) or width - 1
-    for k, row in enumerate(rows):
+        width = names or width - 1
+    for line, row in zip(numbers, rows, strict=True):
         if (cells := len(split(row, separator))) != width:
-            raise FileError(_ragged(numbers[k], cells, width, separator, names=bool(names)))
+            whose = "the line of names" if names else "the first row"
+            how = f" (separated by {SEPARATORS[separator]})" if separator in SEPARATORS else ""
+            text = f"line {line} has {plural(cells, 'cell')}{how}, {whose} {plural(width, 'cell')}"
+            more = "; if decimals have a comma, separate the cells by semicolon or tab"
+            more *= separator == "," and width < cells <= 2 * width
+            rule = "give every row the same number, and begin remarks with #"
+            raise FileError(f"{text}; {rule}{more}")
     return numbers, rows, width
 
 
 def _first_cells(table: TextTable) -> list[str]:
     """Return the first cell with a value of each column; "" if the first rows have none."""
     firsts = [""] * len(table.columns)
-    pending: Sequence[int] = range(len(firsts))
     for row in table.rows[:_MAX_ROWS_WITHOUT_VALUE]:
         cells = split(row, table.separator)
-        for i in pending:
-            firsts[i] = "" if is_missing(cells[i]) else cells[i]
-        if not (pending := [i for i in pending if not firsts[i]]):
+        firsts = [a or ("" if is_missing(b) else b) for a, b in zip(firsts, cells, strict=True)]
+        if all(firsts):
             break
     return firsts
 
 
 def _with_plain_cells(table: TextTable, firsts: Sequence[str]) -> TextTable:
     """Return the table with the units that are in its cells, and with its switches as numbers."""
-    kinds, columns, notes = list(map(kind, firsts)), list(table.columns), list(table.notes)
-    units = {i: quantity(firsts[i])[1] for i, k in enumerate(kinds) if k is Kind.QUANTITY}
-    for i, unit in units.items():
-        if columns[i].unit not in ("", unit):
-            text = f"{shown(columns[i].name)}: the unit {shown(unit)} of the values is read, not "
-            notes.append(Step(f"{text}{shown(columns[i].unit)} of the header", DOUBT))
-        columns[i] = replace(columns[i], unit=unit)
-    words = {Kind.SWITCH, Kind.MISSING}
-    switches = [
-        i
-        for i, k in enumerate(kinds)
-        if k is Kind.SWITCH and words.issuperset(map(kind, set(table.texts(i))))
-    ]
+    columns, notes = list(table.columns), list(table.notes)
+    units, switches = dict[int, str](), list[int]()
+    for i, (column, first) in enumerate(zip(columns, firsts, strict=True)):
+        if kind(first) is Kind.QUANTITY:
+            units[i] = unit = quantity(first)[1]
+            columns[i] = replace(column, unit=unit)
+            if column.unit not in ("", unit):
+                text = f"{shown(column.name)}: the unit {shown(unit)} of the values is read, not "
+                notes.append(Step(f"{text}{shown(column.unit)} of the header", DOUBT))
+        elif kind(first) is Kind.SWITCH and _SWITCH_KINDS.issuperset(map(kind, {*table.texts(i)})):
+            switches.append(i)
     if switches:
-        names = ", ".join(shown(columns[i].name) or str(i + 1) for i in switches[:_MAX_NAMED])
-        more = f", … {len(switches)} columns" * (len(switches) > _MAX_NAMED)
-        notes.append(f"read the words of a switch as 1 and 0: {names}{more}")
+        names = ", ".join(columns[i].name or str(i + 1) for i in switches)
+        notes.append(f"read the words of a switch as 1 and 0: {shown(names)}")
     return replace(table, columns=columns, notes=notes, units_in_cells=units, switches=switches)
-
-
-def _ragged(line: int, cells: int, width: int, separator: str, *, names: bool) -> str:
-    whose = "the line of names" if names else "the first row"
-    how = f" (separated by {SEPARATORS[separator]})" if separator in SEPARATORS else ""
-    text = f"line {line} has {plural(cells, 'cell')}{how}, {whose} {plural(width, 'cell')}; "
-    text += "give every row the same number, and begin remarks "
-    more = "; if decimals have a comma, separate the cells by semicolon or tab"
-    return text + "with #" + more * (separator == "," and width < cells <= 2 * width)
