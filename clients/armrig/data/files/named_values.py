@@ -14,7 +14,7 @@ from armrig.data.files.instrument_headers import Head, Lines, columns_of, joined
 from armrig.data.files.table import Column, require_room, shown
 
 _NAME = r"[^\W\d][^\s=:,;]{0,63}\s*[=:]"
-_BETWEEN_VALUES = re.compile(rf"[\s,;]++(?={_NAME})")
+_BETWEEN_VALUES = re.compile(rf"(?<![\s,;])[\s,;]++(?={_NAME})")  # in linear time
 _NAMED_VALUE = re.compile(rf"(?P<name>{_NAME})\s*(?P<value>.*)")
 _BETWEEN_OBJECTS = tuple(" \t\r\n,")
 _PROBED_LINES = 20

@@ -163,6 +163,10 @@ def test_lines_above_the_names_are_left_out_and_named(above: str, separator: str
         ('{"t": 0}\n[1]', "line 2: JSON is damaged here, or not an object such as"),
         ('{"a":' * 100_000, "line 1: JSON is damaged here"),
         ("".join(f'{{"k{k}": 1}}\n' for k in range(9000)), "unpacked it has more than 64 MiB"),
+        (
+            "u=1" + 300_000 * " " + "V\nu=1\nReady\n",
+            "line 3: 'Ready' is not of the form name=value",
+        ),
         ("u=1 y=2\nu=1 y=3\nReady\n", "line 3: 'Ready' is not of the form name=value"),
         ("09:12:40 -> 1 2 3\nReady now\n", "line 2 has 2 cells .*, the first row 3"),
     ],
