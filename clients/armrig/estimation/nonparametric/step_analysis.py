@@ -126,8 +126,9 @@ class StepAnalysis(OfDataset):
         dead_time = f"{self.dead_time:.4g} s" if self.dead_time or self.form else _UNKNOWN
         gain = f"{with_std(self.gain, self.gain_std)} {unit}".rstrip()
         if np.isnan(self.gain):
-            least, most = (f"{x:.4g}" for x in self.gain_interval)
-            gain = f"{_UNKNOWN} (95 %: {least} … {most} {unit}".rstrip() + ")"
+            least, most = self.gain_interval
+            interval = f" (95 %: {least:.4g} … {most:.4g} {unit}".rstrip() + ")"
+            gain = _UNKNOWN + interval * bool(np.isfinite(most))
         bandwidth = f", so omega_B = 1/tau = {digits(self.bandwidth, 3)} rad/s"
         constants = zip(self.time_constants, self.time_constants_std, strict=True)
         lines = [
@@ -389,9 +390,11 @@ def step_integration(data: Dataset, integrator: bool | None) -> Integration:
 
 def _left_to_rise(y: Vector) -> float:
     """Return the further rise of y, divided by its last third, that a decaying rise would have."""
-    last = np.array_split(y, 6)[3:]
-    before, first, second = (float(np.nanmean(part)) for part in last)
-    noise = float(np.nanstd(np.diff(last[2]))) / np.sqrt(last[2].size)
+    last = [part[np.isfinite(part)] for part in np.array_split(y, 6)[3:]]
+    if min(part.size for part in last) < MIN_HOLD_SAMPLES:
+        return 0.0
+    before, first, second = (float(np.mean(part)) for part in last)
+    noise = float(np.std(np.diff(last[2]))) / np.sqrt(last[2].size)
     change, earlier = second - first, first - before
     if not abs(change) > 4 * noise + rounding_std(y) or change * earlier <= 0:
         return 0.0
