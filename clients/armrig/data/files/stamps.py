@@ -147,6 +147,8 @@ def times_of(table: Table, i: int) -> Times:
 def _of_numbers(table: Table, i: int, named: str) -> Times:
     """Return times in s, their resolution, and notes about their unit."""
     t = table.numbers(i)
+    if not t.size:
+        raise FileError(f"{named} have no value; add them, or give Ts in s (--Ts)")
     missing = ~np.isfinite(t)
     if missing.any():
         raise FileError(

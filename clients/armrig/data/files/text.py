@@ -36,6 +36,7 @@ from armrig.numerics.quantities import plural
 _REMARK_MARKS = ("#", "%")
 _RECEIPT = re.compile(r"\s*\d{1,2}:\d\d:\d\d(?:[.,]\d+)?\s*->")
 _SWITCH_KINDS = {Kind.SWITCH, Kind.MISSING}
+_TWO_NUMBERS = re.compile(r"\s*\d+ +[+-]?\d+\s*")
 _BLOCK_CELLS = 1 << 20  # that are kept of adjacent columns, so that wide files are split once
 _MAX_ROWS_WITHOUT_VALUE = 1000  # at the beginning of a column whose values have units
 
@@ -241,6 +242,8 @@ def _separator(lines: Lines) -> tuple[str, Lines]:
     for separator in SEPARATORS:
         probed = [split(text, separator) for text in texts]
         run = longest_run(probed)
+        if separator == "," and run and any(map(_TWO_NUMBERS.fullmatch, probed[run.start])):
+            continue  # decimal commas, and blanks between the cells
         if run and (width := len(probed[run[-1]])) > 1:
             size = len(run), run.start > 0 and len(probed[run.start - 1]) == width
             best, most = (separator, size) if size > most else (best, most)

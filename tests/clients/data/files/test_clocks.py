@@ -487,3 +487,11 @@ def test_times_without_an_order_are_not_resampled(resample: bool, tmp_path: Path
 
     with pytest.raises(FileError, match=r"t go back here, and in \d+ of 199 .* sort the rows"):
         load(tmp_path, text({"t": seconds(t), "u": U, "y": Y}), resample=resample)
+
+
+@pytest.mark.parametrize("rows", [",1,2", ",1,2\n,1,2\n,2,3"])
+def test_a_column_of_times_without_a_value_is_refused(rows: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"t,u,y\n{rows}\n")
+
+    with pytest.raises(FileError, match="the times in column t have no value"):
+        armrig.load_data(tmp_path / "a.csv")

@@ -421,3 +421,13 @@ def test_a_unit_in_the_header_has_precedence_over_one_below(tmp_path: Path) -> N
     data = load_data(written(tmp_path, "t;u [mV];y\ns;V;K\n0;1;2\n1;3;4\n"))
 
     assert (data.input_unit, data.unit) == ("mV", "K")
+
+
+def test_decimal_commas_between_blanks_are_not_cut(tmp_path: Path) -> None:
+    rows = "".join(f"{k % 3},5 {100 + k},5\n" for k in range(40))
+    (tmp_path / "a.txt").write_text(rows)
+
+    data = load_data(tmp_path / "a.txt", input="1", signal="2", Ts=1)
+
+    assert data.u[:3].tolist() == [0.5, 1.5, 2.5]
+    assert data.y[:2].tolist() == [100.5, 101.5]
