@@ -817,7 +817,9 @@ def test_overlapping_gaps_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize(
     ("entries", "why"),
     [
-        pytest.param(None, r"not made by armrig; `armrig import \S+run\.mcap .* lists the topics", id="none"),
+        pytest.param(
+            None, r"not made by armrig; `armrig import \S+run\.mcap .* lists the topics", id="none"
+        ),
         pytest.param({"rig": '"1"'}, "run_id", id="of another shape"),
         *(
             (METADATA | {name: text}, f"{name} {why}")

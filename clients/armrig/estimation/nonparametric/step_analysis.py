@@ -168,8 +168,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     subtracted, and each response is weighted by the size of its step. If y integrates, the rate is
     analysed. The value (y(t) - y(t-1))/Ts of the rate belongs to the middle of the interval.
 
-    If y settles like P1D or P2D, one or two time constants with a dead time, all numbers are those
-    of this process model, with the steps of a converter in their deviations (see
+    If y settles like P1D or P2D (one or two time constants with a dead time), all numbers are those
+    of this process model. Their deviations contain the steps of a converter (see
     `armrig.estimation.nonparametric.step_process`). The response may then end before it settles: a
     number that the record leaves open is NaN.
 

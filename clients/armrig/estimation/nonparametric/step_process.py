@@ -5,10 +5,10 @@ The response to a unit step is::
     y(t) = level + K (1 - (T_1 exp(-(t-L)/T_1) - T_2 exp(-(t-L)/T_2)) / (T_1 - T_2)),  t > L
 
 T_2 = 0 is P1D, and 0 < T_2 <= T_1 is P2D. `armrig.process` estimates the same models, but limits
-the dead time to a quarter of the record, gives no deviation to a parameter at its bound, and takes
-the error of a converter for white noise. Here the parameters are drawn from their posterior. Thus a
-T_2 or L near 0 has an interval, as have a K and T_1 that the record leaves open. If the converter's
-step exceeds the noise, the likelihood of a sample is the probability of its code.
+the dead time to a quarter of the record. It gives no deviation to a parameter at its bound, and
+takes the error of a converter for white noise. Here the parameters are drawn from their posterior.
+Thus a T_2 or L near 0 has an interval, as have a K and T_1 that the record leaves open. If the
+converter's step exceeds the noise, the likelihood of a sample is the probability of its code.
 """
 
 from __future__ import annotations
