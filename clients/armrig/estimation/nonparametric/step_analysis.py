@@ -23,7 +23,7 @@ from armrig.estimation.nonparametric.step_answer import Answer, step_answer
 from armrig.estimation.nonparametric.step_process import ProcessAnswer, step_process
 from armrig.numerics.quantities import digits, plural, times, with_std
 from armrig.numerics.rounding import rounding_std
-from armrig.numerics.step_times import area_above, lag_of_angle
+from armrig.numerics.step_times import SHARE, area_above, lag_of_angle
 from armrig.numerics.stretches import Mask, constant, stretches
 from armrig.plots.layout import drawn_by
 
@@ -43,6 +43,8 @@ _CURVE_ERROR = 0.1
 The value was found from data without noise, with 2 to 4 samples in the time tau.
 """
 _MAX_OVERSHOOT_STD = 0.03  # with a larger std the overshoot may be noise
+_MAX_SAMPLES = 1500  # samples after the step that the process model uses
+_MAX_LENGTH = 20  # least length of a record that is cut, in 63 % times
 _MIN_RISING_SHARE = 0.02  # least reported rise after the record, as a share of the gain
 _UNKNOWN = "not determined"
 _MAX_RELATIVE_STD = 0.2  # with a larger std, a number of a record that has not settled is unknown
@@ -307,12 +309,21 @@ def _process(
 ) -> ProcessAnswer | None:
     """Return the response as P1D or P2D; None if it is neither, or moved before the step."""
     y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y)
-    near = k >= _before(0, steps.pre).start
+    # A long record is cut well after it has settled, and then thinned.
+    tail = y[(k >= (2 * k[-1]) // 3) & np.isfinite(y)]
+    if not tail.size:
+        return None
+    reached = k[(k > 0) & (y * np.sign(np.mean(tail)) >= SHARE * abs(np.mean(tail)))]
+    if not reached.size:
+        return None
+    last = min(int(k[-1]), max(_MAX_SAMPLES, _MAX_LENGTH * int(reached[0])))
+    stride = -(-last // _MAX_SAMPLES)
+    near = (k >= _before(0, steps.pre).start) & (k <= last) & ((k < 0) | (k % stride == 0))
     process = step_process(
         np.asarray(data.Ts * k[near], dtype=np.float64),
         y[near],
         weight[near],
-        data.Ts,
+        data.Ts * stride,
         quantum=_converter_step(data) / float(np.sqrt(weight.max())),
         steps=len(steps.at),
         band=SETTLING_BAND,
