@@ -72,6 +72,7 @@ def test_the_dead_time_is_not_part_of_the_time_constant() -> None:
 
 
 @pytest.mark.exhaustive
+@pytest.mark.exhaustive
 def test_the_reported_deviations_equal_the_scatter_of_many_runs() -> None:
     """Gain, 63 % time, equivalent time and settling time, in 40 runs; noise is no overshoot."""
     found = [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(40)]
@@ -310,6 +311,7 @@ def test_a_single_sample_between_gaps_is_not_averaged() -> None:
 
 
 @pytest.mark.exhaustive
+@pytest.mark.exhaustive
 def test_overshoot_and_settling_time_are_those_of_the_response_and_not_of_its_noise(
     sampled: Any,
 ) -> None:
@@ -496,7 +498,16 @@ def heated(length: float, noise: float = 0.05, Ts: float = 1.0) -> Dataset:
     return Dataset(u=u, y=0.3 * np.round(y / 0.3), Ts=Ts, output="heat")
 
 
-@pytest.mark.parametrize(("length", "Ts"), [(2.0, 1.0), (5.0, 1.0), (12.0, 1.0), (6.0, 0.1)])
+@pytest.mark.parametrize(
+    ("length", "Ts"),
+    [
+        (2.0, 1.0),
+        *(
+            pytest.param(*x, marks=pytest.mark.exhaustive)
+            for x in ((5.0, 1.0), (12.0, 1.0), (6.0, 0.1))
+        ),
+    ],
+)
 def test_a_heater_has_the_numbers_of_a_process(length: float, Ts: float) -> None:
     """The gain was 23 to 32 deviations too small, and the dead time was in the time constant."""
     found = step_analysis(heated(length, Ts=Ts))
