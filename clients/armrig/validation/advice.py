@@ -399,10 +399,8 @@ def _about_rails(data: Dataset) -> Iterator[Finding]:
     at, rails = rails_of(data.y) if data.valid.any() else (data.valid, [])
     if rails:
         text = f"{np.count_nonzero(at)} of {data.N} samples of {data.output} are at its largest or "
-        text += (
-            "smallest value, as at a converter's rail: import the file with --mask-rails, which "
-        )
-        text += "marks them missing"
+        text += "smallest value, as at a converter's rail: mark them missing "
+        text += "(`armrig import` with --mask-rails)"
         yield warning("rails", text, "rails")
 
 

@@ -52,7 +52,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     _table(folder / "one.csv", "y", y)
     _table(folder / "noTs.csv", "u,y", u, y)
     _table(folder / "other.csv", "tid,spenning,vinkel", t, u, y)
-    _table(folder / "backwards.csv", "t,u,y", t[::-1], u, y)
     (folder / "text.csv").write_text("t,u,y\n0,1,2\n0.01,1,off\n0.02,1,2\n")
     _table(folder / "high.csv", "u", np.full(50, 9.0))
     return folder
@@ -114,7 +113,6 @@ REFUSED = [
     ("identify one.csv --structure arx", "one column, but an input and an output are needed"),
     ("identify noTs.csv --structure arx", "give it in s (--Ts)"),
     ("identify other.csv --structure arx", "1 tid, 2 spenning, 3 vinkel"),
-    ("identify backwards.csv --structure arx", "give Ts in s (--Ts) if the times are wrong"),
     ("identify same.csv --structure arx", "y equals u: give the column of the"),
     ("identify constant.csv --structure arx", "u is always 2.5"),
     ("identify data.csv --structure arx --signal u", "input and signal are both column 2"),

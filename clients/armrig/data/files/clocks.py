@@ -47,6 +47,7 @@ _MIN_ORDER = 0.8  # mean sign of the intervals of times, some of which go back
 _MIN_ROWS = 3
 _COUNTERS = frozenset({"k", "n", "i", "no", "nr", "id", "index", "row", "sample", "entry_id"})
 _MAX_SHARED = 0.05  # share of rows with both values, of two columns in separate rows
+_MIN_ALONE = 10  # rows of uneven times with only one of the values: a merged file has many
 _MIN_APART = 0.2  # share of rows that have only the one value, and of rows with only the other
 
 
@@ -274,7 +275,7 @@ def _are_apart(a: Mask, b: Mask, is_even: bool) -> bool:
     """Return whether two columns have their values in different rows."""
     both, alone = np.count_nonzero(a & b), min(map(np.count_nonzero, (a & ~b, b & ~a)))
     is_shared = both > _MAX_SHARED * (least := both + alone)
-    is_apart = not is_shared or (not is_even and alone >= _MIN_APART * a.size)
+    is_apart = not is_shared or (not is_even and alone >= max(_MIN_ALONE, _MIN_APART * a.size))
     return bool(least >= _MIN_ROWS and alone and is_apart)
 
 

@@ -112,7 +112,7 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
 def _name(column: str, what: str) -> str:
     """Return the name of a column as a rig's description may have it."""
     name = re.sub(r"\W+", "_", column, flags=re.A).strip("_")[:32]
-    return name if name[:1].isalpha() else f"{what}_{name}"[:32]
+    return name if re.match("[A-Za-z]", name) else f"{what}_{name}"[:32]
 
 
 def require_rig(path: Path, command: str) -> None:
