@@ -53,6 +53,16 @@ ALLOWED = {
         "clients/armrig/lab/avrdude.py",
         "expected signature for|invalid device signature",
     ): _OTHERS,
+    (
+        "clients/armrig/data/files/dates.py",
+        r"(?:(?P<days>-?\d+) days?,? \+?)?(?:(?P<h>\d{1,3}):)?(?P<m>\d{1,3}):"
+        r"(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?",
+    ): _OTHERS,
+    (
+        "clients/armrig/data/files/instrument_headers.py",
+        r"(?:,\s*(?P<unit>[^,()]+?))?\s*\((?:LGR|SEN) S/N.*|,\s*GMT[-+]\d\d:\d\d$",
+    ): _OTHERS,
+    ("clients/armrig/data/files/stamps.py", "days (MATLAB's datenum)"): _OWN,
     ("clients/armrig/lab/fleet_recorder.py", "rig "): _SHOWN,
     ("clients/armrig/rig/local_daemon.py", "armrigd: "): _SHOWN,
     ("clients/armrig/lab/host.py", r"^flags\s*:.*\bhypervisor\b"): _OTHERS,
