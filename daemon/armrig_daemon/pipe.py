@@ -12,8 +12,10 @@ from typing import Any
 
 import msgspec
 from armrig_core.commands.codes import GapCode, OutcomeCode, RefusalCode
+from armrig_core.control.evaluation import Program
 from armrig_core.rig.calibration import Calibration
 from armrig_core.telemetry.telemetry import SAMPLE_LENGTH
+from msgspec import UNSET, UnsetType
 
 _HEAD = Struct("<IB")
 _SAMPLE_KIND, _RECORD_KIND = 0, 1
@@ -164,7 +166,30 @@ class Host(Tagged, frozen=True, kw_only=True):
     granted: dict[str, Any]
 
 
-Record = Gap | Log | Timing | Clock | State | Trace | RunStarted | RunEnded | Answer | Host
+class Control(Tagged, frozen=True, kw_only=True):
+    """Decision of a control law for one sample."""
+
+    t_host_ns: int
+    k: int
+    r: float
+    """Reference, in the unit of the law."""
+    v: float
+    """Voltage before the limits, in V."""
+    u_v: float
+    """Commanded voltage, in V."""
+    is_low: bool
+    """True if v is below the lowest voltage."""
+    is_high: bool
+    """True if v is above the highest voltage."""
+    is_slewed: bool
+    """True if the change of the voltage was limited."""
+    predicted: int
+    """Number of samples that had not arrived, and that the law predicted."""
+
+
+Record = (
+    Gap | Log | Timing | Clock | State | Trace | RunStarted | RunEnded | Answer | Host | Control
+)
 """Messages of the loop to the service, except samples."""
 
 
@@ -203,13 +228,17 @@ class Set(Leased, frozen=True, kw_only=True):
 
 
 class Run(Leased, frozen=True, kw_only=True):
-    """Play an experiment."""
+    """Play an experiment, or control the rig by a law."""
 
     run_id: str
     codes: bytes
-    """One u16, little-endian, for each sample."""
+    """One u16, little-endian, for each sample; empty in control."""
     scheduled: bool = False
     """True if the device paces the run; false if the host paces the run."""
+    law: Program | UnsetType = UNSET
+    """Law that determines the code of each sample, in exchange mode."""
+    reference: bytes | UnsetType = UNSET
+    """Reference of the law: one float64, little-endian, for each sample."""
 
 
 class Stop(Order, frozen=True, kw_only=True):

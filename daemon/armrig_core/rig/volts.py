@@ -11,6 +11,8 @@ from armrig_core.errors import InputError
 
 U_MAX_V = FULL_SCALE_MV / 1000
 """Largest motor voltage, in V. A higher voltage, or a voltage below 0 V, destroys the rig."""
+CODES_PER_V = CODE_FULL_SCALE / U_MAX_V
+"""Codes per volt."""
 
 
 def code_of(u: float) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
+from armrig_core.control.evaluation import Program
 from armrig_core.rig.volts import volts_of
 from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
@@ -220,8 +221,27 @@ def _refusal(state: State, order: pipe.Leased) -> list[Action]:
                 return refusal
             # Each code is checked when it is sent, because the check of a million codes would delay
             # the tick.
+            if order.law:
+                return _refuse_law(state, order, order.law)
             return [] if order.codes else refuse(order, "the experiment is empty")
     return []
+
+
+def _refuse_law(state: State, order: pipe.Run, law: Program) -> list[Action]:
+    """Return the refusal of a law; [] for an allowed law."""
+    rules, ts_us = state.rules, state.ts_us
+    if order.scheduled:
+        text = "a control law runs in exchange mode: request exchange mode"
+        return refuse(order, text, RefusalCode.CANNOT_PACE)
+    if law.Ts_us != ts_us:
+        text = f"the law has Ts={law.Ts_us / 1e6:g} s, and the rig {ts_us / 1e6:g} s"
+        return refuse(order, text)
+    if not rules.code_min <= law.lo_code <= rules.rest_code <= law.hi_code <= rules.code_max:
+        codes = law.lo_code, law.hi_code, rules.code_min, rules.code_max
+        low, high, least, most = (f"{volts_of(code):.4g}" for code in codes)
+        text = f"the law has {low} … {high} V; allowed are {least} … {most} V, with {rules.rest}"
+        return refuse(order, text)
+    return [] if order.reference else refuse(order, "the reference is empty")
 
 
 def _cannot_pace(state: State, order: pipe.Run) -> list[Action]:

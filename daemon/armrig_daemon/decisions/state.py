@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
+from armrig_core.control.evaluation import Latch, LawState, Program
 from armrig_core.rig.calibration import Calibration, Potentiometer
 from armrig_core.rig.channels import Conversion
 from armrig_core.rig.emulated import EMULATOR_UID
@@ -273,12 +274,27 @@ class Lease(msgspec.Struct, frozen=True, gc=False):
     """Identity of the owner that the service has verified; empty if none was verified."""
 
 
+class Control(msgspec.Struct, frozen=True, gc=False):
+    """Law of a run in control, with its reference and its state."""
+
+    law: Program
+    latch: Latch
+    reference: bytes
+    """One float64, little-endian, for each sample."""
+    state: LawState
+
+    @property
+    def values(self) -> memoryview[float]:
+        """Return the reference as numbers, in the order of bytes of this machine."""
+        return memoryview(self.reference).cast("d")
+
+
 class ActiveRun(msgspec.Struct, frozen=True, gc=False):
     """Experiment that is planned or running."""
 
     run_id: str
     codes: bytes
-    """One u16, little-endian, for each sample."""
+    """One u16, little-endian, for each sample; empty in control."""
     k_first: int
     """Number k of the run's first sample; -1 before the first sample."""
     scheduled: bool = False
@@ -287,11 +303,13 @@ class ActiveRun(msgspec.Struct, frozen=True, gc=False):
     """Index of the next sample to arrive in a scheduled run, or to request in exchange mode."""
     t_zero_ns: int = 0
     """In a scheduled run: the host's estimate of the time at which sample 0 was due."""
+    control: Control | UnsetType = UNSET
+    """Law that determines each code of the run; without it, the code is one of `codes`."""
 
     @property
     def samples(self) -> int:
         """Return the length of the experiment in samples."""
-        return len(self.codes) // 2
+        return len(self.control.reference) // 8 if self.control else len(self.codes) // 2
 
     def code(self, i: int) -> int:
         """Return u[i]."""

@@ -21,6 +21,7 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions import (
     clock_comparison,
+    control,
     gaps,
     orders,
     outcomes,
@@ -243,6 +244,9 @@ def handle_sample(state: State, now_ns: int, m: wire.Sample) -> Decided:
         # If the device has stopped, the sample is still valid: handle the state after the sample.
         state, actions = carry_out(now_ns, transitions.note_state(state, now_ns, m.state))
         done += actions
+    if state.run is not None and state.run.control:
+        state, actions = carry_out(now_ns, control.observe(state, arrived.sample))
+        done += actions
     # The limits come before the queue: a full queue starts the run of a rig that is inside them.
     if limits := state.rules.limits:
         state, actions = carry_out(now_ns, output_limits.observe(state, limits, arrived.sample))
@@ -392,6 +396,9 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcome
     if i >= run.samples:
         state = replace(state, run=replace(run, due=run.samples))
         return state, rest, [*done, outcomes.Halt("complete", code=OutcomeCode.COMPLETE)]
+    if run.control:
+        state, code, more = control.decide(state, now_ns, run, run.control, i)
+        return state, code, [*done, *more]
     code = run.code(i)
     if not state.rules.allows(run.code_before(i, rest), code):
         fault = Fault(Id.LIMITS, f"u[{i}] is not within the limits")

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import msgspec
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from armrig_daemon.decisions.state import (
@@ -126,13 +127,15 @@ class Trace:
 
 
 def written_state(state: State) -> bytes:
-    """Return a state as bytes, without the codes of its run and without its lease.
+    """Return a state as bytes, without the codes or the reference of its run, and its lease.
 
-    The codes are not needed, because the recording contains the input. The lease is left out,
-    because a reader of the recording could otherwise control the rig. The list of missing samples
-    is also left out. It has up to 45 kB, and affects neither a frame nor a sample.
+    They are not needed, because the recording contains the input or the reference. The lease is
+    left out, because a reader of the recording could otherwise control the rig. The list of missing
+    samples is also left out. It has up to 45 kB, and affects neither a frame nor a sample.
     """
     run, lease = state.run, state.lease
+    if run and run.control:
+        run = replace(run, control=replace(run.control, reference=b""))
     return _ENCODER.encode(
         replace(
             state,
@@ -143,8 +146,8 @@ def written_state(state: State) -> bytes:
     )
 
 
-def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
-    """Return the state that `written_state` has encoded, with the codes of its run.
+def restored(data: bytes, source: bytes, version: int = VERSION) -> State:
+    """Return the state that `written_state` has encoded, with the codes or reference of its run.
 
     Raises
     ------
@@ -153,7 +156,13 @@ def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
     """
     _check(version)
     state = _STATE.decode(data)
-    return state if state.run is None else replace(state, run=replace(state.run, codes=codes))
+    run = state.run
+    if run is None:
+        return state
+    if run.control:
+        control = replace(run.control, reference=source)
+        return replace(state, run=replace(run, control=control))
+    return replace(state, run=replace(run, codes=source))
 
 
 def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
@@ -177,9 +186,9 @@ def _written_event(event: Event, lease: str) -> bytes:
 
 
 def _without_secrets(order: Order, lease: str) -> Order:
-    """Return an order without codes, which no refusal needs, and with a mark for a valid lease."""
+    """Return an order without its input, which no refusal needs, and with a mark for the lease."""
     if isinstance(order, Run):
-        order = replace(order, codes=b"")
+        order = replace(order, codes=b"", law=UNSET, reference=UNSET)
     if isinstance(order, Leased | Arm):
         order = replace(order, lease=_HELD if order.lease == lease else "")
     return order

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from armrig_core.commands.codes import RefusalCode
+from armrig_core.control.evaluation import Latch, begin
 from armrig_core.rig.emulated import EMULATOR_UID
 from armrig_core.rig.volts import volts_of
 from armrig_protocol import messages as wire
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import FULL_SCALE_MV, SCHEMA_HASH, VERSION, Capability, Code
 from armrig_protocol.messages import State as DeviceState
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import outcomes
@@ -20,6 +22,7 @@ from armrig_daemon.decisions.state import (
     ActiveRun,
     Clock,
     Configuration,
+    Control,
     Emit,
     Lease,
     PendingRequest,
@@ -169,7 +172,8 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     if isinstance(order, Set):
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
-        return replace(state, run=ActiveRun(order.run_id, order.codes, -1)), done
+        run = ActiveRun(order.run_id, order.codes, -1, control=_begin_control(state, order))
+        return replace(state, run=run), done
     # The device takes its first sample one Ts after it received START.
     heard_ns = (asked.sent_ns + now_ns) // 2
     run = replace(state.run, k_first=state.k + 1, t_zero_ns=heard_ns + state.ts_us * 1000)
@@ -178,6 +182,16 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     )
     queue = replace(state.queue, order=None)
     return replace(state, run=run, queue=queue), [*done, Emit(started)]
+
+
+def _begin_control(state: State, order: Run) -> Control | UnsetType:
+    """Return the law of a run before its first sample; unset for a run of codes."""
+    law, rules = order.law, state.rules
+    if not law or not order.reference:
+        return UNSET
+    bits = state.device.pwm_bits if state.device else 16
+    latch = Latch(rules.rest_code, bits, rules.code_min, rules.code_max, rules.slew)
+    return Control(law, latch, order.reference, begin(law))
 
 
 def _stopped(state: State, asked: PendingRequest) -> Step:

@@ -1,0 +1,279 @@
+"""Control laws: a linear controller as data, in a file that is checked and hashed.
+
+The input u[k] is latched together with sample k, so u[k] can depend on y up to y[k-1]. With the
+difference Δ of a signal from the law's operating point, the law is
+
+    x[k+1] = A x[k] + B w[k],    w[k] = (r[k], Δu[k-d], Δy1[k], Δy2[k]),    x[0] = x0
+    v[k]   = C x[k] + D r[k] + u0,    u[k] = slew(sat(v[k], lo, hi))
+
+u is the voltage that the device latched, and d the `input_delay` in samples. The input in w is
+therefore the limited one, which is the law's anti-windup. A missing y is replaced by F x.
+`evaluation.py` evaluates a law.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from math import ceil, floor, isfinite
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import msgspec
+from msgspec import Meta
+
+from armrig_core.control.evaluation import Program, Row, Rows
+from armrig_core.errors import FileError, InputError
+from armrig_core.process.bounded import read_bounded
+from armrig_core.process.printable import plural, printable
+from armrig_core.rig.description import Description
+from armrig_core.rig.volts import CODES_PER_V, U_MAX_V
+
+MAX_STATES = 8
+"""Largest number of states of a law."""
+MAX_DELAY = 200
+"""Largest dead time of the input in a law, in samples."""
+LIMIT_BYTES = 1 << 18
+"""Largest size of a law's file, in B."""
+MIN_TS_US, MAX_TS_US = 5_000, 1_000_000
+"""Shortest and longest sampling time of a law, in µs."""
+_ROUNDING_CODES = 1e-6
+
+Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
+Text = Annotated[str, Meta(max_length=80)]
+
+
+class LawOutput(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A measured output that a law uses."""
+
+    name: Text
+    """Name of the output in the rig's description."""
+    unit: Text
+    y0: float = 0.0
+    """Value of the output at the operating point, in its unit; 0 for a turning output."""
+    turning: bool = False
+    """True if the output is an angle of a turning shaft. The law then counts the angle, with its
+    turns, from the law's own prediction at the first valid sample."""
+
+
+class Reference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The reference r of a law."""
+
+    name: Text
+    unit: Text
+    low: float
+    """Lowest value that a run may request, in the unit."""
+    high: float
+    """Highest value that a run may request, in the unit."""
+
+
+class Tracking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Bound of the control error, beyond which a run ends.
+
+    The tracked value is `row` · (x[k], Δy1[k-1], Δy2[k-1]) + `offset`, in the unit of r.
+    """
+
+    row: Row
+    offset: float = 0.0
+    most: Annotated[float, Meta(gt=0)]
+    """Largest difference of reference and tracked value, in the unit of r."""
+    samples: Annotated[int, Meta(ge=1, le=1_000_000)]
+    """Number of consecutive samples with a larger difference after which the run ends."""
+
+
+class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A control law, as in its file.
+
+    Examples
+    --------
+    A heater at 10 °C above 23 °C by proportional control, with 1 s between two samples:
+
+    >>> law = ControlLaw(
+    ...     Ts_us=1_000_000, input="power", u0=2.5, hi=5.0,
+    ...     outputs=(LawOutput(name="T1", unit="degC", y0=33.0),),
+    ...     reference=Reference(name="T1", unit="degC", low=23.0, high=60.0),
+    ...     A=((0.0,),), B=((0.2, 0.0, -0.2),), C=(1.0,), x0=(0.0,),
+    ... )
+    >>> law.order, len(law.sha256)
+    (1, 64)
+    """
+
+    format: Literal["armrig control law"] = "armrig control law"
+    Ts_us: Annotated[int, Meta(ge=MIN_TS_US, le=MAX_TS_US)]
+    """Sampling time, in µs; that of the run must be equal."""
+    input: Text = "u"
+    """Name of the rig's input; the law has its voltage at the pin."""
+    outputs: Annotated[tuple[LawOutput, ...], Meta(min_length=1, max_length=2)]
+    reference: Reference
+    A: Rows
+    """(n, n)."""
+    B: Rows
+    """(n, 2 + ny): columns for r, Δu, Δy1 and Δy2."""
+    C: Row
+    """(n,), in V."""
+    D: float = 0.0
+    """Direct term of r, in V per unit of r; r itself is no difference."""
+    F: Rows | None = None
+    """(ny, n): prediction of Δy[k] from x[k]. Required for a turning output. Without it, a missing
+    y is replaced by the newest valid one."""
+    x0: Row
+    """(n,): states at the beginning of each run."""
+    u0: float = 0.0
+    """Voltage of the operating point, in V."""
+    lo: Volts = 0.0
+    """Lowest voltage of the law, in V."""
+    hi: Volts = U_MAX_V
+    """Highest voltage of the law, in V."""
+    slew: Annotated[float, Meta(ge=0, le=U_MAX_V)] = 0.0
+    """Largest change of the voltage in one sample, in V; 0 is no limit."""
+    input_delay: Annotated[int, Meta(ge=0, le=MAX_DELAY)] = 0
+    """Dead time of the input in the law's model, in samples."""
+    most_blind: Annotated[int, Meta(ge=1, le=1000)] = 20
+    """Number of consecutive samples without a valid output after which the run ends."""
+    most_limited: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
+    """Number of consecutive samples at `lo` or `hi` after which the run ends; 0 is no limit."""
+    tracking: Tracking | None = None
+    """Bound of the control error; None for no bound."""
+    design: dict[str, Any] = {}
+    """How the law was designed: method, weights, hash of the model, predicted margins."""
+
+    @property
+    def order(self) -> int:
+        """Number n of states."""
+        return len(self.x0)
+
+    @property
+    def text(self) -> bytes:
+        """Contents of the law's file."""
+        return msgspec.json.format(msgspec.json.encode(self)) + b"\n"
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the law's text."""
+        return hashlib.sha256(self.text).hexdigest()
+
+    def __post_init__(self) -> None:
+        """Refuse a law that cannot be evaluated."""
+        n, ny = self.order, len(self.outputs)
+        if n > MAX_STATES:
+            raise InputError(f"the law has {plural(n, 'state')}; at most {MAX_STATES} are allowed")
+        shapes = {"A": (self.A, n, n), "B": (self.B, n, 2 + ny), "C": ((self.C,), 1, n)}
+        if self.F is not None:
+            shapes["F"] = (self.F, ny, n)
+        if self.tracking is not None:
+            shapes["tracking.row"] = ((self.tracking.row,), 1, n + ny)
+        for key, (rows, high, wide) in shapes.items():
+            if len(rows) != high or any(len(row) != wide for row in rows):
+                raise InputError(f"{key} must have {high} x {wide} numbers: x0 has {n}")
+        r, bound = self.reference, self.tracking
+        numbers = [x for rows, *_ in shapes.values() for row in rows for x in row]
+        numbers += [*self.x0, self.D, self.u0, r.low, r.high, *(o.y0 for o in self.outputs)]
+        numbers += [bound.offset, bound.most] if bound else []
+        if not all(map(isfinite, numbers)):
+            raise InputError("the law has a number that is not finite")
+        if not self.lo < self.hi:
+            raise InputError(f"lo = {self.lo:g} V must be below hi = {self.hi:g} V")
+        if not r.low <= r.high:
+            raise InputError(f"reference.low = {r.low:g} must be at most high = {r.high:g}")
+        names = [o.name for o in self.outputs]
+        if len({*names}) < ny:
+            raise InputError(f"outputs: {names[0]} is given twice")
+        for output in self.outputs:
+            if output.turning and output.y0:
+                raise InputError(f"{output.name} turns, so its y0 must be 0, not {output.y0:g}")
+            if output.turning and self.F is None:
+                raise InputError(
+                    f"{output.name} turns through a dead band, so the law needs F, its prediction "
+                    "of the output; `armrig.control_law(C, model=…)` adds it"
+                )
+
+    @classmethod
+    def of(cls, text: bytes) -> Self:
+        """Return the law in the contents of a file; raise InputError if it is no law."""
+        try:
+            return msgspec.json.decode(text, type=cls)
+        except (msgspec.DecodeError, RecursionError) as err:
+            raise InputError(f"no control law: {printable(str(err))}") from err
+
+    def check_reference(self, values: Sequence[float]) -> None:
+        """Refuse a reference with a value that is outside the law's range, or not finite."""
+        low, high = self.reference.low, self.reference.high
+        for k, r in enumerate(values):
+            if not low <= r <= high:  # NaN fails this, too
+                raise InputError(
+                    f"r[{k}] = {r:g} {self.reference.unit}: the law allows {low:g} to {high:g}"
+                )
+
+    def check_rig(self, rig: Description, Ts_us: int, u_min_v: float, u_max_v: float) -> None:
+        """Refuse a law of another rig, another sampling time or wider limits.
+
+        `u_min_v` and `u_max_v` are the limits of the configuration, in V.
+        """
+        if self.Ts_us != Ts_us:
+            raise InputError(
+                f"the law has Ts = {self.Ts_us / 1e6:g} s, and the run {Ts_us / 1e6:g} s: run with "
+                "the law's Ts, or design the law for this one"
+            )
+        if self.input != rig.input.name:
+            raise InputError(
+                f"the law drives {self.input}, and the rig's input is {rig.input.name}"
+            )
+        for output in self.outputs:
+            described = rig.outputs.get(output.name)
+            if described is None:
+                raise InputError(
+                    f"the law uses {output.name}, and the rig has {', '.join(rig.outputs)}"
+                )
+            if (output.unit, output.turning) != (described.unit, described.turning):
+                turns = {True: ", turning", False: ""}
+                raise InputError(
+                    f"the law's {output.name} is in {output.unit}{turns[output.turning]}, and the "
+                    f"rig's in {described.unit}{turns[described.turning]}"
+                )
+        rest_v = rig.input.rest_v
+        low, high = max(u_min_v, 0.0), min(u_max_v, rig.input.u_max_v)
+        if not low <= self.lo < self.hi <= high:
+            raise InputError(
+                f"the law's limits are {self.lo:g} to {self.hi:g} V; the rig allows {low:g} to "
+                f"{high:g} V"
+            )
+        if not self.lo <= rest_v <= self.hi:
+            raise InputError(
+                f"the law's limits are {self.lo:g} to {self.hi:g} V, and the rig rests at "
+                f"{rest_v:g} V, which must lie between them"
+            )
+
+    def program(self, rig: Description) -> Program:
+        """Return the law as the core evaluates it for a rig."""
+        channels = [*rig.outputs]
+        return Program(
+            law_sha256=self.sha256,
+            Ts_us=self.Ts_us,
+            rows=tuple((*a, *b) for a, b in zip(self.A, self.B, strict=True)),
+            v_row=(*self.C, self.D),
+            u0=self.u0,
+            x0=self.x0,
+            predictions=self.F,
+            channels=tuple(channels.index(output.name) for output in self.outputs),
+            y0=tuple(output.y0 for output in self.outputs),
+            turning=tuple(output.turning for output in self.outputs),
+            lo_code=ceil(self.lo * CODES_PER_V - _ROUNDING_CODES),
+            hi_code=floor(self.hi * CODES_PER_V + _ROUNDING_CODES),
+            slew=floor(self.slew * CODES_PER_V + _ROUNDING_CODES),
+            input_delay=self.input_delay,
+            most_blind=self.most_blind,
+            most_limited=self.most_limited,
+            tracked=(*self.tracking.row, self.tracking.offset) if self.tracking else None,
+            most_error=self.tracking.most if self.tracking else 0.0,
+            most_astray=self.tracking.samples if self.tracking else 0,
+        )
+
+
+def read_law(path: Path) -> ControlLaw:
+    """Return the law in a file; raise FileError, which names the file."""
+    try:
+        return ControlLaw.of(read_bounded(path, LIMIT_BYTES))
+    except OSError as err:
+        raise FileError(f"{path}: {err.strerror}") from err
+    except InputError as err:
+        raise FileError(f"{path}: {err}") from err
