@@ -16,26 +16,81 @@ from armrig_core.errors import InputError
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters
     from armrig_core.rig.description import Description
+    from armrig_core.rig.equations_file import EquationsProcess
 
 _Array = NDArray[np.float64]
-_Ends = tuple[_Array, _Array, _Array]
+Ends = tuple[_Array, _Array, _Array]
 """Lowest and highest changes of the outputs, (N, ny), and the last changes, of a part of a run."""
 
 MOST_POINTS = 20_000_000
 """Largest number of points in time of one rehearsal; they take half a second to compute."""
+PART_SAMPLES = 1 << 14
+"""Number of samples that are simulated at once; 40 states then have 5 MB."""
+EQUATIONS_S = 4
+"""Longest processor time of own equations, in s."""
 _BLOCK_SAMPLES = 64  # samples that one matrix product advances
-_PART_SAMPLES = 1 << 14  # samples that are simulated at once: 40 states then have 5 MB
 _STEP_PHASE_RAD = 0.2  # phase of the oscillation between points: 0.5 % error at a peak
 _MAX_STEPS = 1000  # points in one sampling interval
-_EQUATIONS_S = 4  # longest processor time of own equations
 
 
-class _Limits(NamedTuple):
+class OutputLimits(NamedTuple):
+    """Limits of an output in a run."""
+
     unit: str = "rad"
     low: float = -inf
     high: float = inf
     turns: float = 0.0
     """Rotation from the start, in turns, that is not allowed; 0 sets no limit."""
+
+
+class RigModel(NamedTuple):
+    """Model of a rig about its rest: x' = A x + B v, or x(t + Ts) = A x + B v; y = rest + C x."""
+
+    A: _Array
+    B: _Array
+    C: _Array
+    rest: _Array
+    """Outputs at rest, (ny,)."""
+    limits: dict[str, OutputLimits]
+    """Limits of the outputs, by name; of an arm without its rotating part, those of more outputs
+    than the model has."""
+    swing: float | None
+    """Frequency of the fastest oscillation, in rad/s; None for a model in discrete time."""
+    Ts: float | None = None
+    """Sampling time of a model in discrete time, in s."""
+    delay_s: float = 0.0
+    """Dead time of the input, in s."""
+    origin_v: float = 0.0
+    """Voltage at the pin at which v is 0."""
+    process: EquationsProcess | None = None
+    """Process of own equations, whose small motions the matrices describe; otherwise None."""
+    file: str = ""
+    """File of the model, as the description names it."""
+    is_arm: bool = False
+
+    def step(self, Ts: float, N: int) -> tuple[_Array, int]:
+        """Return the matrix of (x, v) for each of m parts of Ts, and m, for a run of N samples."""
+        from armrig_core.rig.arm import zero_order_hold
+
+        if self.swing is None:
+            return _augmented(self.A, self.B), 1
+        m = max(1, min(ceil(Ts * self.swing / _STEP_PHASE_RAD), MOST_POINTS // N, _MAX_STEPS))
+        return _augmented(*zero_order_hold(self.A, self.B, Ts / m)), m
+
+    def rehearsal(
+        self, lowest: _Array, highest: _Array, last: _Array, start_rad: float | None
+    ) -> Rehearsal:
+        """Return the ranges of the outputs as the result of a rehearsal."""
+        if not self.is_arm:
+            ranges = zip(self.limits.items(), lowest.tolist(), highest.tolist(), strict=True)
+            return Rehearsal(outputs={name: (low, high, o.unit) for (name, o), low, high in ranges})
+        largest, turned = np.abs(np.maximum(highest, -lowest)), float(last[0])
+        return Rehearsal(
+            revolutions=float(largest[0]) / tau,
+            alpha_rad=float(largest[1]) if len(largest) > 1 else 0.0,
+            turned_rad=turned,
+            theta_1_rad=None if start_rad is None else start_rad + turned,
+        )
 
 
 def rehearse(
@@ -90,8 +145,12 @@ def rehearse(
     armrig_core.errors.InputError: the rehearsal turns theta_1 by up to 3.47 turns: ...
     """
     most = alpha_rad or inf
-    limits = {"theta_1": _Limits(turns=revolutions), "alpha": _Limits(low=-most, high=most)}
-    return _of_arm(u, Ts, parameters, limits, theta_1_rad, arm_removed=arm_removed)
+    limits = {
+        "theta_1": OutputLimits(turns=revolutions),
+        "alpha": OutputLimits(low=-most, high=most),
+    }
+    model = _arm_model(parameters, limits, arm_removed=arm_removed)
+    return _response(model, np.asarray(u, dtype=np.float64), Ts, theta_1_rad)
 
 
 def rehearse_outputs(
@@ -117,88 +176,101 @@ def rehearse_outputs(
     OperationError
         Own equations took too long.
     """
+    model = rig_model(described, parameters, arm_removed=arm_removed)
+    volts = np.asarray(u, dtype=np.float64) - model.origin_v
+    every = max(1, round(model.Ts / Ts)) if model.Ts else 1
+    if model.Ts is not None and abs(model.Ts - every * Ts) > 1e-9:
+        raise InputError(
+            f"Ts = {Ts:g} s: the model in {model.file} has Ts = {model.Ts:g} s; record with this "
+            "sampling time, or identify a model from a recording at yours"
+        )
+    volts, Ts = volts[::every], every * Ts  # the emulator, too, reads u at these instants
+    late = min(round(model.delay_s / Ts), volts.size)
+    before = described.input.rest_v - model.origin_v
+    volts = np.concatenate([np.full(late, before), volts[: volts.size - late]]) if late else volts
+    return _response(model, volts, Ts, start_rad)
+
+
+def rig_model(
+    described: Description,
+    parameters: ArmParameters | None,
+    *,
+    arm_removed: bool = False,
+    cpu_s: int = EQUATIONS_S,
+) -> RigModel:
+    """Return the model of a described rig; own equations have `cpu_s` s of processor time.
+
+    Raises InputError if the rig has no model.
+    """
     # Imported here: a reader of a stored rehearsal does not need scipy.
     from armrig_core.rig.description import require_model
 
     limits = {
-        name: _Limits(o.unit, o.low, o.high, o.turns) for name, o in described.outputs.items()
+        name: OutputLimits(o.unit, o.low, o.high, o.turns) for name, o in described.outputs.items()
     }
     if described.arm:
-        return _of_arm(u, Ts, parameters, limits, start_rad, arm_removed=arm_removed)
-    model, system = require_model(described, cpu_s=_EQUATIONS_S)
-    every = max(1, round(system.Ts / Ts)) if system.Ts else 1
-    if system.Ts is not None and abs(system.Ts - every * Ts) > 1e-9:
-        raise InputError(
-            f"Ts = {Ts:g} s: the model in {model.file} has Ts = {system.Ts:g} s; record with this "
-            "sampling time, or identify a model from a recording at yours"
-        )
-    u, Ts = np.asarray(u)[::every], every * Ts  # the emulator, too, reads u at these instants
-    # Own equations take the voltage at the pin, and matrices its difference from the rest.
-    pad, rest_v = 0.0, described.input.rest_v
-    volts = np.asarray(u, dtype=np.float64)
-    if system.process is not None:
-        pad = rest_v
-    else:
-        volts = volts - rest_v
-    late = min(round(model.delay_s / Ts), volts.size)
-    delayed = np.concatenate([np.full(late, pad), volts[: volts.size - late]]) if late else volts
-    rest = np.array(model.offset or [0.0] * len(limits))
-    if system.process is not None:
-        with closing(system.process) as process:
-            outputs = (process.run(part.tolist(), Ts) for part in _parts(delayed))
-            lowest, highest, _ = _checked(limits, ((y, y, y[-1]) for y in outputs), rest, Ts)
-    else:
-        A, B, C = (np.array(matrix) for matrix in system[:3])
-        poles = np.linalg.eigvals(A)
-        swings = np.abs(poles[np.abs(poles.imag) > 0])
-        swing = None if system.Ts else float(swings.max(initial=0.0))
-        ends = _extremes(A, B, C, delayed, Ts, swing)
-        lowest, highest, _ = _checked(limits, ends, rest, Ts)
-    ranges = zip(limits.items(), lowest.tolist(), highest.tolist(), strict=True)
-    return Rehearsal(outputs={name: (low, high, o.unit) for (name, o), low, high in ranges})
+        return _arm_model(parameters, limits, arm_removed=arm_removed)
+    model, system = require_model(described, cpu_s=cpu_s)
+    A, B, C = (np.array(matrix) for matrix in system[:3])
+    poles = np.linalg.eigvals(A)
+    swing = float(np.abs(poles[np.abs(poles.imag) > 0]).max(initial=0.0))
+    return RigModel(
+        A,
+        B,
+        C,
+        rest=np.array(model.offset or [0.0] * len(limits)),
+        limits=limits,
+        swing=None if system.Ts else swing,
+        Ts=system.Ts,
+        delay_s=model.delay_s,
+        # Own equations take the voltage at the pin, and matrices its difference from the rest.
+        origin_v=described.input.rest_v if system.process is None else 0.0,
+        process=system.process,
+        file=model.file,
+    )
 
 
-def _of_arm(
-    u: ArrayLike,
-    Ts: float,
-    parameters: ArmParameters | None,
-    limits: dict[str, _Limits],
-    start_rad: float | None,
-    *,
-    arm_removed: bool,
-) -> Rehearsal:
-    """Return the response of the arm, or of the chassis alone; `limits` are of both outputs."""
+def _arm_model(
+    parameters: ArmParameters | None, limits: dict[str, OutputLimits], *, arm_removed: bool
+) -> RigModel:
+    """Return the model of the arm, or of the chassis alone; `limits` are of both outputs."""
     # Imported here: a reader of a stored rehearsal does not need scipy.
     from armrig_core.rig.arm import ArmParameters, arm_matrices, chassis_matrices
 
     p = parameters or ArmParameters()
     A, B, C = chassis_matrices(p) if arm_removed else arm_matrices(p)
     swing = 0.0 if arm_removed else sqrt(p.K_lin / p.J_1 + p.K_lin / p.J_2)  # undamped
-    ends = _extremes(A, B, C, np.asarray(u, dtype=np.float64), Ts, swing)
-    lowest, highest, last = _checked(limits, ends, np.zeros(len(C)), Ts)
-    largest, turned = np.abs(np.maximum(highest, -lowest)), float(last[0])
-    return Rehearsal(
-        revolutions=float(largest[0]) / tau,
-        alpha_rad=0.0 if arm_removed else float(largest[1]),
-        turned_rad=turned,
-        theta_1_rad=None if start_rad is None else start_rad + turned,
-    )
+    return RigModel(A, B, C, np.zeros(len(C)), limits, swing, is_arm=True)
+
+
+def _response(model: RigModel, v: _Array, Ts: float, start_rad: float | None) -> Rehearsal:
+    """Return the response of a model to an input in V, each value held for Ts."""
+    if model.process is not None:
+        with closing(model.process) as process:
+            outputs = (process.run(part.tolist(), Ts) for part in _parts(v))
+            return check_ends(model, ((y, y, y[-1]) for y in outputs), Ts, start_rad)
+    return check_ends(model, _extremes(model, v, Ts), Ts, start_rad)
 
 
 def _parts(u: _Array) -> Iterator[_Array]:
     """Yield the samples of an input in parts."""
-    for begin in range(0, u.size, _PART_SAMPLES):
-        yield u[begin : begin + _PART_SAMPLES]
+    for begin in range(0, u.size, PART_SAMPLES):
+        yield u[begin : begin + PART_SAMPLES]
 
 
-def _checked(
-    limits: dict[str, _Limits], ends: Iterable[_Ends], rest: _Array, Ts: float
-) -> tuple[_Array, _Array, _Array]:
-    """Return the lowest and the highest value of each output, and their last changes.
+def check_ends(
+    model: RigModel,
+    ends: Iterable[Ends],
+    Ts: float,
+    start_rad: float | None,
+    wrong: str = "u[{}], {:.3g} s; shorten the input or change its voltages",
+) -> Rehearsal:
+    """Return the result of a rehearsal in which the outputs change by `ends`.
 
-    `ends` are changes from `rest`, the outputs at rest. Raises InputError if a value is outside
-    the limits.
+    Raises InputError if a value is outside the limits. `wrong` is the end of its sentence, with
+    places for the number of the sample and its time.
     """
+    limits, rest = model.limits, model.rest
     low, high = (np.array([getattr(x, side) for x in limits.values()]) for side in ("low", "high"))
     turns = np.array([x.turns for x in limits.values()])[: len(rest)]
     low, high = low[: len(rest)], high[: len(rest)]
@@ -224,44 +296,41 @@ def _checked(
         if key == "turns":
             does = f"turns {name} by up to {max(highest[i], -lowest[i]) / tau:.3g} turns"
         raise InputError(
-            f"the rehearsal {does}: {name}.{key} = {getattr(limit, key):g} is reached at u[{k}], "
-            f"{k * Ts:.3g} s; shorten the input or change its voltages, or change the limit "
-            "([limits], or the rig's description)"
+            f"the rehearsal {does}: {name}.{key} = {getattr(limit, key):g} is reached at "
+            f"{wrong.format(k, k * Ts)}, or change the limit ([limits], or the rig's description)"
         )
-    return rest + lowest, rest + highest, last
+    return model.rehearsal(rest + lowest, rest + highest, last, start_rad)
 
 
-def _extremes(
-    A: _Array, B: _Array, C: _Array, u: _Array, Ts: float, swing: float | None
-) -> Iterator[_Ends]:
-    """Yield the lowest and highest y = C x of each interval without its start, and the last y.
-
-    The run is simulated in parts. The state x is 0 at first. `swing` is the frequency of the
-    fastest oscillation, in rad/s; with None, A and B are those of one interval.
-    """
-    from armrig_core.rig.arm import zero_order_hold
-
-    n, m = len(A), 1
-    if swing is None:
-        step = _augmented(A, B)
-    else:
-        m = max(1, min(ceil(Ts * swing / _STEP_PHASE_RAD), MOST_POINTS // u.size, _MAX_STEPS))
-        step = _augmented(*zero_order_hold(A, B, Ts / m))
+def _extremes(model: RigModel, v: _Array, Ts: float) -> Iterator[Ends]:
+    """Yield the ends of a run, part by part; the state x is 0 at first."""
+    n = len(model.A)
+    step, m = model.step(Ts, v.size)
     whole = np.linalg.matrix_power(step, m)
     start = np.zeros(n)
-    for part in _parts(u):
+    for part in _parts(v):
         x = _states(whole[:n, :n], whole[:n, n], part, start)
         start = x[-1]
-        lowest = x[1:] @ C.T
-        highest = lowest.copy()
-        point = np.eye(n + 1)
-        for _ in range(m - 1):
-            point = step @ point
-            between = x[:-1] @ (C @ point[:n, :n]).T
-            between += np.outer(part, C @ point[:n, n])
-            np.minimum(lowest, between, out=lowest)
-            np.maximum(highest, between, out=highest)
-        yield lowest, highest, C @ start
+        yield interval_ends(model.C, step, m, x, part)
+
+
+def interval_ends(C: _Array, step: _Array, m: int, x: _Array, v: _Array) -> Ends:
+    """Return the lowest and highest y = C x of each interval without its start, and the last y.
+
+    `x` are the states (N + 1, n) at the samples, `v` is the input (N,) that is held between them,
+    and `step` maps (x, v) to (x, v) after each of the m parts of an interval.
+    """
+    n = C.shape[1]
+    lowest = x[1:] @ C.T
+    highest = lowest.copy()
+    point = np.eye(n + 1)
+    for _ in range(m - 1):
+        point = step @ point
+        between = x[:-1] @ (C @ point[:n, :n]).T
+        between += np.outer(v, C @ point[:n, n])
+        np.minimum(lowest, between, out=lowest)
+        np.maximum(highest, between, out=highest)
+    return lowest, highest, C @ x[-1]
 
 
 def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
