@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
+from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import with_integrator
 from armrig.estimation.request import estimator
@@ -110,7 +111,12 @@ def two_stage(
     excited = merge([part[count - 1 :].replaced(step=_STEP, u=x @ eta) for part, x in pairs])
     fit = estimator(structure)(excited, **options)
     P = _covariance(fit, excited, references, first, rest)
-    return replace(fit, covariance=P, covariance_robust=P, free=(), digest=data.digest)
+    # The loop removes the slow noise from the second stage, but not its mean, which looks sure.
+    has_level = level_without_input(data) is not None
+    findings = tuple(f for f in fit.findings if has_level or f.about != "level")
+    return replace(
+        fit, covariance=P, covariance_robust=P, free=(), digest=data.digest, findings=findings
+    )
 
 
 def _references(r: ArrayLike, data: Dataset) -> list[Array]:
