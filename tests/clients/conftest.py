@@ -9,9 +9,11 @@ import tempfile
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path, PurePosixPath
+from threading import TIMEOUT_MAX
 
 import armrig
 import pytest
+from armrig.cli import printing
 from armrig_core.access.endpoint import endpoint
 
 from tests.clients.fake_daemon import FakeDaemon
@@ -26,6 +28,12 @@ def every_module_is_loaded() -> None:
     for module in pkgutil.walk_packages(armrig.__path__, "armrig."):
         if not module.name.endswith("__main__"):
             import_module(module.name)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_line_of_progress() -> None:
+    """Print no progress into stored texts on a slow machine."""
+    printing.PROGRESS_INTERVAL_S = TIMEOUT_MAX
 
 
 @pytest.fixture(autouse=True)

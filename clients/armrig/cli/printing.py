@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from threading import Timer
+from threading import Event, Thread, Timer
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 MIN_WAIT_S = 1.0
 """Shortest wait that shows a spinner, in s."""
+PROGRESS_INTERVAL_S = 4.0
+"""Time between two lines of progress in a pipe, in s."""
 
 Count = Callable[[int, int, str], None]
 """Function of the number of finished items, the number of all items, and the next item's name."""
@@ -260,14 +262,15 @@ def spinner(
     """Show a spinner after `after_s` if standard error is a terminal.
 
     The yielded function replaces the spinner with a bar that shows the item, the number of
-    remaining items, and the time left.
+    remaining items, and the time left. Without a terminal, a line every few seconds shows them.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 
     console = console or Console(stderr=True)
     if not console.is_terminal:
-        yield lambda done, total, name: None
+        with _progress_lines(what) as count:
+            yield count
         return
     waiting = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
     shown = Progress(*waiting, console=console, transient=True)
@@ -290,6 +293,31 @@ def spinner(
         timer.join()
         if shown.live.is_started:  # otherwise a dumb terminal would print an empty line
             shown.stop()
+
+
+@contextmanager
+def _progress_lines(what: str) -> Iterator[Count]:
+    """Print a line with the progress every `PROGRESS_INTERVAL_S`, once an item is counted."""
+    begun, ended, line = monotonic(), Event(), ""
+
+    def report() -> None:
+        while not ended.wait(PROGRESS_INTERVAL_S):
+            inform(line)
+
+    thread = Thread(target=report, daemon=True)
+
+    def count(done: int, total: int, name: str) -> None:
+        nonlocal line
+        line = f"{what} {name}: {remaining(done, total, monotonic() - begun)}"
+        if not thread.ident:
+            thread.start()
+
+    try:
+        yield count
+    finally:
+        ended.set()
+        if thread.ident:
+            thread.join()
 
 
 def remaining(done: int, total: int, elapsed_s: float) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from armrig.cli import printing
 from armrig.cli.printing import MIN_WAIT_S, estimating, remaining, spinner
 from armrig.cli.results import write_plot
 from rich.console import Console
@@ -17,7 +18,7 @@ from tests.integration.processes import wait_for
 
 
 def test_a_spinner_shows_its_task_and_the_remaining_time_after_a_while() -> None:
-    out, nowhere = StringIO(), StringIO()
+    out = StringIO()
     terminal = Console(file=out, force_terminal=True, width=100)
 
     with spinner("estimating", terminal, after_s=60):
@@ -27,13 +28,25 @@ def test_a_spinner_shows_its_task_and_the_remaining_time_after_a_while() -> None
         wait_for(lambda: "estimating …" in out.getvalue())
         count(10, 40, "OE[2 2 1]")
         wait_for(lambda: "30 of 40 remain, about " in out.getvalue())
-    with spinner("estimating", Console(file=nowhere), after_s=0.0) as count:
-        count(10, 40, "OE[2 2 1]")
-        time.sleep(0.1)  # what would be shown would be shown within it
 
     assert quick == ""
     assert "estimating OE[2 2 1] …" in out.getvalue()
-    assert not nowhere.getvalue()
+
+
+def test_slow_work_into_a_pipe_prints_its_progress_from_time_to_time(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with spinner("estimating") as count:
+        count(10, 40, "OE[2 2 1]")
+    quick = capsys.readouterr()
+    monkeypatch.setattr(printing, "PROGRESS_INTERVAL_S", 0.01)
+    with spinner("estimating") as count:
+        count(10, 40, "OE[2 2 1]")
+        time.sleep(0.3)  # the next model takes long
+
+    slow = capsys.readouterr()
+    assert (quick.out, quick.err, slow.out) == ("", "", "")
+    assert slow.err.count("estimating OE[2 2 1]: 30 of 40 remain, about") > 1
 
 
 @pytest.mark.parametrize(
