@@ -144,8 +144,9 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def text(self) -> bytes:
-        """Contents of the law's file."""
-        return msgspec.json.format(msgspec.json.encode(self)) + b"\n"
+        """Contents of the law's file, the same for a number that was given as 1 or as 1.0."""
+        law = msgspec.json.decode(msgspec.json.encode(self), type=ControlLaw)
+        return msgspec.json.format(msgspec.json.encode(law)) + b"\n"
 
     @property
     def sha256(self) -> str:
@@ -156,7 +157,10 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         """Refuse a law that cannot be evaluated."""
         n, ny = self.order, len(self.outputs)
         if n > MAX_STATES:
-            raise InputError(f"the law has {plural(n, 'state')}; at most {MAX_STATES} are allowed")
+            raise InputError(
+                f"the law has {plural(n, 'state')}; at most {MAX_STATES} are allowed: design it "
+                "with a model of lower order"
+            )
         shapes = {"A": (self.A, n, n), "B": (self.B, n, 2 + ny), "C": ((self.C,), 1, n)}
         if self.F is not None:
             shapes["F"] = (self.F, ny, n)
@@ -164,20 +168,29 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             shapes["tracking.row"] = ((self.tracking.row,), 1, n + ny)
         for key, (rows, high, wide) in shapes.items():
             if len(rows) != high or any(len(row) != wide for row in rows):
-                raise InputError(f"{key} must have {high} x {wide} numbers: x0 has {n}")
+                widths = " or ".join(map(str, sorted({*map(len, rows)}))) or "0"
+                raise InputError(
+                    f"{key} has {len(rows)} x {widths} numbers; with {plural(n, 'state')} in "
+                    f"x0 and {plural(ny, 'output')} it must have {high} x {wide}"
+                )
         r, bound = self.reference, self.tracking
-        numbers = [x for rows, *_ in shapes.values() for row in rows for x in row]
-        numbers += [*self.x0, self.D, self.u0, r.low, r.high, *(o.y0 for o in self.outputs)]
-        numbers += [bound.offset, bound.most] if bound else []
-        if not all(map(isfinite, numbers)):
-            raise InputError("the law has a number that is not finite")
+        numbers = {key: [x for row in rows for x in row] for key, (rows, *_) in shapes.items()}
+        numbers |= {"x0": [*self.x0], "D": [self.D], "u0": [self.u0]}
+        numbers |= {"reference": [r.low, r.high], "outputs": [o.y0 for o in self.outputs]}
+        numbers |= {"tracking": [bound.offset, bound.most]} if bound else {}
+        for key, values in numbers.items():
+            if wrong := [x for x in values if not isfinite(x)]:
+                raise InputError(
+                    f"{key} of the law has the number {wrong[0]}; all numbers must be finite: "
+                    "repeat the design, and look at its model"
+                )
         if not self.lo < self.hi:
             raise InputError(f"lo = {self.lo:g} V must be below hi = {self.hi:g} V")
         if not r.low <= r.high:
             raise InputError(f"reference.low = {r.low:g} must be at most high = {r.high:g}")
         names = [o.name for o in self.outputs]
         if len({*names}) < ny:
-            raise InputError(f"outputs: {names[0]} is given twice")
+            raise InputError(f"outputs: {names[0]} is given twice; give each output once")
         for output in self.outputs:
             if output.turning and output.y0:
                 raise InputError(f"{output.name} turns, so its y0 must be 0, not {output.y0:g}")
@@ -201,7 +214,8 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         for k, r in enumerate(values):
             if not low <= r <= high:  # NaN fails this, too
                 raise InputError(
-                    f"r[{k}] = {r:g} {self.reference.unit}: the law allows {low:g} to {high:g}"
+                    f"r[{k}] = {r:g} {self.reference.unit}: the law allows {low:g} to {high:g}; "
+                    "change this value, or low and high of the law's reference"
                 )
 
     def check_rig(self, rig: Description, Ts_us: int, u_min_v: float, u_max_v: float) -> None:
@@ -216,31 +230,34 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             )
         if self.input != rig.input.name:
             raise InputError(
-                f"the law drives {self.input}, and the rig's input is {rig.input.name}"
+                f"the law drives {self.input}, and the rig's input is {rig.input.name}: design the "
+                "law for this rig"
             )
         for output in self.outputs:
             described = rig.outputs.get(output.name)
             if described is None:
                 raise InputError(
-                    f"the law uses {output.name}, and the rig has {', '.join(rig.outputs)}"
+                    f"the law uses {output.name}, and the rig has {', '.join(rig.outputs)}: design "
+                    "the law for these outputs"
                 )
             if (output.unit, output.turning) != (described.unit, described.turning):
                 turns = {True: ", turning", False: ""}
                 raise InputError(
                     f"the law's {output.name} is in {output.unit}{turns[output.turning]}, and the "
-                    f"rig's in {described.unit}{turns[described.turning]}"
+                    f"rig's in {described.unit}{turns[described.turning]}: design the law in the "
+                    "rig's unit"
                 )
         rest_v = rig.input.rest_v
         low, high = max(u_min_v, 0.0), min(u_max_v, rig.input.u_max_v)
         if not low <= self.lo < self.hi <= high:
             raise InputError(
                 f"the law's limits are {self.lo:g} to {self.hi:g} V; the rig allows {low:g} to "
-                f"{high:g} V"
+                f"{high:g} V: narrow lo and hi of the law"
             )
         if not self.lo <= rest_v <= self.hi:
             raise InputError(
                 f"the law's limits are {self.lo:g} to {self.hi:g} V, and the rig rests at "
-                f"{rest_v:g} V, which must lie between them"
+                f"{rest_v:g} V, which must lie between them: widen lo and hi of the law"
             )
 
     def program(self, rig: Description) -> Program:
@@ -269,10 +286,27 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         )
 
 
-def read_law(path: Path) -> ControlLaw:
-    """Return the law in a file; raise FileError, which names the file."""
+def load_law(path: str | Path) -> ControlLaw:
+    """Return the law in a file.
+
+    Raises
+    ------
+    FileError
+        The file cannot be read, or contains no law; the message names the file.
+
+    Examples
+    --------
+    >>> import pathlib
+    >>> law = ControlLaw(
+    ...     Ts_us=10_000, outputs=(LawOutput(name="y", unit="V"),), A=(), B=(), C=(), D=1.0, x0=(),
+    ...     reference=Reference(name="u", unit="V", low=0.0, high=5.0),
+    ... )
+    >>> _ = pathlib.Path("law.json").write_bytes(law.text)
+    >>> load_law("law.json") == law
+    True
+    """
     try:
-        return ControlLaw.of(read_bounded(path, LIMIT_BYTES))
+        return ControlLaw.of(read_bounded(Path(path), LIMIT_BYTES))
     except OSError as err:
         raise FileError(f"{path}: {err.strerror}") from err
     except InputError as err:

@@ -6,10 +6,10 @@ bits on every machine and every version of Python.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from math import inf, isfinite, tau
-from operator import mul
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import msgspec
 from msgspec.structs import replace
@@ -133,95 +133,99 @@ def decide(
     A code is within the law's limits and those of the rig. Its change is limited with respect to
     every code that the device may hold.
     """
-    codes = state.codes
-    if len(codes) < k - state.first:  # ticks were skipped: the device holds the newest code
-        codes += ((codes[-1] if codes else latch.rest_code),) * (k - state.first - len(codes))
+    committed, codes, first = state.k, state.codes, state.first
+    if len(codes) < k - first:  # ticks were skipped: the device holds the newest code
+        codes += ((codes[-1] if codes else latch.rest_code),) * (k - first - len(codes))
         state = replace(state, codes=codes)
     ahead = state
     while ahead.k < k:
         ahead = _advanced(law, ahead, None, reference[ahead.k], latch)
-    v = _dot(law.v_row, (*ahead.x, reference[k])) + law.u0
-    low, high = max(law.lo_code, latch.code_min), min(law.hi_code, latch.code_max)
+    (v,) = _products((law.v_row,), (*ahead.x, reference[k]))
+    v += law.u0
     if not isfinite(v):
-        return state, Command(latch.rest_code, v, False, False, False, k - state.k)
+        return state, Command(latch.rest_code, v, False, False, False, k - committed)
     code = round(min(max(v * CODES_PER_V, -1.0), 65536.0))
+    low, high = max(law.lo_code, latch.code_min), min(law.hi_code, latch.code_max)
     is_low, is_high = code < low, code > high
     code = low if is_low else high if is_high else code
-    within = _within_slew(law, state, code, latch)
+    most, within = min(law.slew or latch.slew, latch.slew or law.slew), code
+    if most:
+        newest = committed - 1 - first  # the newest code that a sample has confirmed
+        held = codes[newest:] if newest >= 0 else (latch.rest_code, *codes)
+        within = min(max(code, max(held) - most), min(held) + most)
     limited = state.limited + 1 if is_low or is_high else 0
     state = replace(state, codes=(*codes, within), limited=limited)
-    return state, Command(within, v, is_low, is_high, within != code, k - state.k)
-
-
-def _within_slew(law: Program, state: LawState, code: int, latch: Latch) -> int:
-    """Return the code nearest to `code` that may follow every code that the device may hold."""
-    most = min(law.slew or latch.slew, latch.slew or law.slew)
-    if not most:
-        return code
-    newest = state.k - 1 - state.first  # the newest code that a sample has confirmed
-    held = state.codes[newest:] if newest >= 0 else (latch.rest_code, *state.codes)
-    return min(max(code, max(held) - most), min(held) + most)
+    return state, Command(within, v, is_low, is_high, within != code, k - committed)
 
 
 def _advanced(
     law: Program, state: LawState, values: Sequence[float] | None, r: float, latch: Latch
 ) -> LawState:
     """Return the state after one more sample; without `values`, the sample is missing."""
-    x, k = state.x, state.k
+    x, k, codes, first = state.x, state.k, state.codes, state.first
     y, zeros, is_blind = _outputs(law, state, values)
     delayed = k - law.input_delay
-    code = state.codes[delayed - state.first] if delayed >= 0 else latch.rest_code
+    # Before the run, and after the last code of the law, the device holds rest.
+    is_decided = 0 <= delayed < first + len(codes)
+    code = codes[delayed - first] if is_decided else latch.rest_code
     # The device rounds a code to its resolution: this is the code that it latches.
-    z = (*x, r, volts_of(applied_code(code, latch.pwm_bits)) - law.u0, *y)
-    x = tuple([_dot(row, z) for row in law.rows])
+    u_v = volts_of(applied_code(code, latch.pwm_bits))
+    x = _products(law.rows, (*x, r, u_v - law.u0, *y))
     astray = 0
     if law.tracked is not None:
-        error = r - _dot(law.tracked, (*x, *y, 1.0))
+        error = r - _products((law.tracked,), (*x, *y, 1.0))[0]
         astray = state.astray + 1 if not abs(error) <= law.most_error else 0
     # The newest latched code is kept for the slew, and the older ones for the dead time.
-    first = max(state.first, min(k, k + 1 - law.input_delay))
-    return LawState(
-        k + 1,
-        x,
-        y,
-        zeros,
-        state.codes[first - state.first :],
-        first,
-        state.blind + 1 if is_blind else 0,
-        astray,
-        state.limited,
-    )
+    kept = max(first, min(k, k + 1 - law.input_delay))
+    blind = state.blind + 1 if is_blind else 0
+    return LawState(k + 1, x, y, zeros, codes[kept - first :], kept, blind, astray, state.limited)
 
 
 def _outputs(
     law: Program, state: LawState, values: Sequence[float] | None
 ) -> tuple[Row, tuple[float | None, ...], bool]:
     """Return Δy of a sample, the zeros of turning outputs, and True if no output is valid."""
-    rows = law.predictions
-    expected = state.y if rows is None else tuple([_dot(row, state.x) for row in rows])
+    F, zeros = law.predictions, state.zeros
+    expected = state.y if F is None else _products(F, state.x)
     if values is None:
-        return expected, state.zeros, True
-    y, zeros, is_blind = list(expected), list(state.zeros), True
-    for i, channel in enumerate(law.channels):
+        return expected, zeros, True
+    y, is_blind = [], True
+    for y0, channel, turning, own in zip(law.y0, law.channels, law.turning, expected, strict=True):
         value = values[channel]
         if not -inf < value < inf:  # a NaN fails this, too
+            y.append(own)
             continue
         is_blind = False
-        if not law.turning[i]:
-            y[i] = value - law.y0[i]
+        if not turning:
+            y.append(value - y0)
             continue
+        i = len(y)
         zero = zeros[i]
         if zero is None:
-            zeros[i] = zero = value - expected[i]
+            zero = value - own
+            zeros = (*zeros[:i], zero, *zeros[i + 1 :])
         turned = value - zero
-        turns = (expected[i] - turned) / tau
-        y[i] = turned + tau * round(turns) if isfinite(turns) else turned
-    return tuple(y), tuple(zeros), is_blind
+        turns = (own - turned) / tau
+        y.append(turned + tau * round(turns) if isfinite(turns) else turned)
+    return tuple(y), zeros, is_blind
 
 
-def _dot(row: Row, z: Row) -> float:
-    """Return the sum of products, from left to right: sum() and numpy round otherwise."""
-    s = 0.0
-    for product in map(mul, row, z):  # a third faster than a loop over pairs
-        s += product
-    return s
+def _products(rows: Rows, z: Row) -> Row:
+    """Return the product of a matrix and z; each sum adds from left to right, from 0.
+
+    sum() and numpy round otherwise.
+    """
+    return _sums(len(z))(rows, z)
+
+
+@cache
+def _sums(width: int) -> Callable[[Rows, Row], Row]:
+    """Return the function of `_products` for rows of a width.
+
+    An expression of names takes half the time of a loop over the products: 1.8 µs in place of
+    3.6 µs for 5 rows of 9 numbers.
+    """
+    a, z = ([f"{name}{i}, " for i in range(width)] for name in "az")
+    products = "".join(f" + a{i} * z{i}" for i in range(width))
+    text = f"lambda A, z: tuple([0.0{products} for ({''.join(z)}) in (z,) for ({''.join(a)}) in A])"
+    return cast("Callable[[Rows, Row], Row]", eval(text))

@@ -1,0 +1,71 @@
+"""The evaluation of the golden vectors, without pytest, so that any Python can run it.
+
+`PYTHONPATH=firmware_protocol:daemon python -m tests.core.control.golden` needs msgspec only.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+from armrig_core.control.evaluation import Latch, LawState, Program, begin, decide, observe
+
+VECTORS = Path(__file__).with_name("vectors.json")
+
+
+def cases() -> list[dict[str, Any]]:
+    """Return the stored cases; a float has the same bits as when it was written."""
+    return [dict(case) for case in json.loads(VECTORS.read_text())]
+
+
+def differences(case: dict[str, Any]) -> list[str]:
+    """Return what the evaluation of a case computes otherwise than its vector says."""
+    law, latch, r = program_of(case["law"]), Latch(**case["rig"]), case["reference"]
+    state, pairs = begin(law), []
+    for event in case["events"]:
+        if "observe" in event:
+            values = [nan if value is None else value for value in event["values"]]
+            state = observe(law, state, event["observe"], values, r, latch)
+            continue
+        state, command = decide(law, state, event["decide"], r, latch)
+        flags = [command.is_low, command.is_high, command.is_slewed]
+        v = command.v if isfinite(command.v) else None
+        computed = {"v": v, "code": command.code, "flags": flags, "predicted": command.predicted}
+        pairs.append((event, {"decide": event["decide"], **computed}))
+    pairs.append((case["end"], end_of(state)))
+    return [f"{expected}: {computed}" for expected, computed in pairs if expected != computed]
+
+
+def end_of(state: LawState) -> dict[str, Any]:
+    """Return the state after the run, as the vectors have it."""
+    counts = {"blind": state.blind, "astray": state.astray, "limited": state.limited}
+    return {"k": state.k, "x": [*state.x], "y": [*state.y], "zeros": [*state.zeros], **counts}
+
+
+def program_of(law: dict[str, Any]) -> Program:
+    """Return the law of a case as the core evaluates it."""
+    fields = {name: _tuples(value) for name, value in law.items()}
+    rows = tuple((*a, *b) for a, b in zip(fields.pop("A"), fields.pop("B"), strict=True))
+    v_row = (*fields.pop("C"), fields.pop("D"))
+    bounds = {"most_blind": 100, "most_limited": 0, "most_astray": 100}
+    return Program(
+        law_sha256="",
+        Ts_us=10_000,
+        rows=rows,
+        v_row=v_row,
+        predictions=fields.pop("F"),
+        **fields,
+        **bounds,
+    )
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+if __name__ == "__main__":
+    found = [f"{case['name']}: {line}" for case in cases() for line in differences(case)]
+    sys.exit("\n".join(found) or 0)
