@@ -1,3 +1,5 @@
+from armrig_core.control.control_law import ControlLaw as ControlLaw
+from armrig_core.control.control_law import load_law as load_law
 from armrig_core.errors import ArmrigError as ArmrigError
 from armrig_core.errors import FileError as FileError
 from armrig_core.errors import InputError as InputError
@@ -6,6 +8,10 @@ from armrig_core.rig.equations import Parameter as Parameter
 from armrig_core.rig.equations import friction as friction
 from armrig_core.rig.equations import saturation as saturation
 
+from armrig.control.law_check import check_law as check_law
+from armrig.control.pid import pid as pid
+from armrig.control.state_feedback import lqg as lqg
+from armrig.control.state_feedback import place as place
 from armrig.data.dataset import Dataset as Dataset
 from armrig.data.dataset import Signals as Signals
 from armrig.data.files.loading import load_data as load_data

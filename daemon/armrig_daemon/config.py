@@ -61,6 +61,8 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 if TYPE_CHECKING:
     import numpy as np
     from armrig_core.commands.commands import Rehearsal
+    from armrig_core.control.control_law import ControlLaw
+    from armrig_core.control.evaluation import Latch
     from armrig_core.rig.arm import ArmParameters
     from numpy.typing import NDArray
 
@@ -294,6 +296,42 @@ class Config(Table, frozen=True, kw_only=True):
             arm_removed=self.arm.removed or description.arm_removed,
             start_rad=start_rad,
         )
+
+    def control_rehearsal(
+        self,
+        law: ControlLaw,
+        reference: Vector,
+        description: Description,
+        start_rad: float | None,
+        *,
+        unstable: bool,
+    ) -> Rehearsal | None:
+        """Return the response of the rig's model under a law; None for a rig without a model.
+
+        `start_rad` is the angle of the turning shaft of an arm. Raises InputError if the response
+        is outside the limits, or the closed loop is unstable without being permitted to be so.
+        """
+        from armrig_core.commands.control_rehearsal import rehearse_control
+
+        if description.model is None:
+            return None
+        return rehearse_control(
+            law,
+            reference,
+            self.limited(description),
+            parameters=self.arm.parameters() if description.arm else None,
+            arm_removed=self.arm.removed or description.arm_removed,
+            start_rad=start_rad,
+            latch=self._latch(description),
+            unstable=unstable,
+        )
+
+    def _latch(self, description: Description) -> Latch:
+        """Return the limits of the codes, and their resolution on the rig's board."""
+        from armrig_core.control.evaluation import Latch
+
+        rules, bits = self.rules(description), LAYOUTS[description.rig.image].pwm_bits
+        return Latch(rules.rest_code, bits, rules.code_min, rules.code_max, rules.slew)
 
     def limited(self, description: Description) -> Description:
         """Return the description with the limits of `[limits]`, which narrow those of its outputs.

@@ -42,7 +42,7 @@ def test_a_damaged_history_reply_is_refused_or_decoded(
     [
         b"",
         bytes(31),
-        bytes(32) + b"\x06" + bytes(4),
+        bytes(32) + b"\x07" + bytes(4),
         bytes(33),
         bytes(33) + b"\5\0\0\0ab",
         encode_past(bytes(16), NUMBER_LIMIT, 0, [("event", b"")]),

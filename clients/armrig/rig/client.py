@@ -47,6 +47,7 @@ from armrig.rig.session import (
 
 if TYPE_CHECKING:  # a stop waits for all imports of this module
     import numpy as np
+    from armrig_core.control.control_law import ControlLaw
     from armrig_core.rig.description import Input
     from numpy.typing import ArrayLike, NDArray
 
@@ -301,13 +302,104 @@ class Rig:
             details=dict(details or {}) | made,
             dead_man=dead_man,
         )
+        return self._play(request, voltage.size, accepted, progress, tell)
+
+    def control(
+        self,
+        law: ControlLaw,
+        reference: ArrayLike,
+        *,
+        dead_man: float = 1.0,
+        unstable: bool = False,
+        experiment: str = "control",
+        details: Mapping[str, Any] | None = None,
+        accepted: Callable[[commands.RunAccepted], None] | None = None,
+        progress: Progress | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> Path:
+        """Control the rig by a law, wait until the run is recorded, and return its path.
+
+        The daemon rehearses the closed loop on the rig's model, and evaluates the law at each
+        sample. A run that ends early by a bound of the law leaves no fault. Every exception during
+        the wait, including Ctrl-C, stops the rig. The lease ends with the run.
+
+        Parameters
+        ----------
+        law : ControlLaw
+            Law, such as of `armrig.control_law`. Its Ts must be that of `arm`.
+        reference : array_like, shape (N,)
+            Reference at each sample, in the unit of the law and inside its range.
+        dead_man : float, default 1
+            Time in s, 0.5 to 60. If this process sends no sign of life for this time, the daemon
+            stops the run.
+        unstable : bool, default False
+            True to allow a closed loop whose rehearsal is unstable; the limits of the outputs hold.
+        experiment, details, accepted, progress, tell : optional
+            As for `run`.
+
+        Returns
+        -------
+        Path
+            Path of the recording, with the law and the reference.
+
+        Raises
+        ------
+        RunEndedError
+            The run ended before its last sample.
+        RefusedError
+            The rig is not armed, or law, reference or rehearsal are not allowed.
+        ValueError
+            A value of the reference is not allowed. Nothing was sent.
+
+        Examples
+        --------
+        A law that adds nothing to a voltage of r volts:
+
+        >>> from armrig_core.control.control_law import LawOutput, Reference
+        >>> law = armrig.ControlLaw(
+        ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),),
+        ...     reference=Reference(name="u", unit="V", low=0, high=5),
+        ...     A=(), B=(), C=(), D=1.0, x0=(), F=((),),
+        ... )
+        >>> with armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student", Ts=0.01)
+        ...     path = rig.control(law, [1.0, 2.0, 3.0])
+        >>> armrig.load(path).u.round(1)
+        array([1., 2., 3.])
+        """
+        import numpy as np
+
+        r = np.asarray(reference, dtype=np.float64)
+        if r.ndim != 1 or r.size == 0:
+            raise InputError(f"reference has shape {r.shape}, it must be (N,) with N >= 1")
+        law.check_reference(r.tolist())
+        request = commands.Control(
+            **self._stamp(REPLY_S + self._sending_s(r.size)),
+            law=law,
+            reference=r.tolist(),
+            unstable=unstable,
+            experiment=experiment,
+            details=dict(details or {}),
+            dead_man=dead_man,
+        )
+        return self._play(request, r.size, accepted, progress, tell)
+
+    def _play(
+        self,
+        request: commands.Run | commands.Control,
+        samples: int,
+        accepted: Callable[[commands.RunAccepted], None] | None,
+        progress: Progress | None,
+        tell: Callable[[str], None] | None,
+    ) -> Path:
+        """Send a run, wait until it is recorded, and return its path; stop the rig at an error."""
         run = None
         try:
-            run = self._wait_for_beginning(request)
+            run = self._wait_for_beginning(request, samples)
             if accepted is not None:
                 accepted(run)
             progress, tell = progress or (lambda done, total: None), tell or (lambda sentence: None)
-            last = self._finished(request, run, progress, tell)
+            last = self._finished(request, samples, run, progress, tell)
             self.last_run = last
         except BaseException as err:
             if run is None and isinstance(err, RefusedError):
@@ -317,9 +409,11 @@ class Rig:
                 self.stop()
             raise
         self._lease = ""
-        return complete_recording(last, voltage.size)
+        return complete_recording(last, samples)
 
-    def _wait_for_beginning(self, request: commands.Run) -> commands.RunAccepted:
+    def _wait_for_beginning(
+        self, request: commands.RunOptions, samples: int
+    ) -> commands.RunAccepted:
         """Send a run, and wait until it begins; the daemon gets a sign of life each second."""
         (key, payload), replies = self._query(request), _Replies()
         self._connected().get(
@@ -330,7 +424,7 @@ class Rig:
             timeout=_PREPARATION_S,
         )
         ends_s = time.monotonic() + _PREPARATION_S
-        sign_s = _SIGN_S + self._sending_s(len(request.u))
+        sign_s = _SIGN_S + self._sending_s(samples)
         while (found := replies.wait(sign_s)) is None:
             sign_s = _SIGN_S
             stamp = self._stamp(min(REPLY_S, ends_s - time.monotonic()))
@@ -344,7 +438,8 @@ class Rig:
 
     def _finished(
         self,
-        request: commands.Run,
+        request: commands.RunOptions,
+        samples: int,
         run: commands.RunAccepted,
         progress: Progress,
         tell: Callable[[str], None],
@@ -356,8 +451,7 @@ class Rig:
             # continues. The next sign of life must not wait, so each request is sent only once.
             with suppress(BusyError):
                 what = (
-                    f"rig {self.rig}: link lost after {done} or more of "
-                    f"{plural(len(request.u), 'sample')}"
+                    f"rig {self.rig}: link lost after {done} or more of {plural(samples, 'sample')}"
                 )
                 status = self._status_over_link(what, until_s, tell)
                 wait_s = _POLL_INTERVAL_S
@@ -370,9 +464,8 @@ class Rig:
                         "restarted during the run; `armrig ls` shows what it had recorded"
                     )
                 # A complete run may have missing samples: `last.samples` may be less than `total`.
-                total = len(request.u)
-                done = total if last.is_complete else last.samples
-                progress(done, total)
+                done = samples if last.is_complete else last.samples
+                progress(done, samples)
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:

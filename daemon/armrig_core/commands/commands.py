@@ -9,6 +9,7 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
+from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError, ParameterError
 from armrig_core.process.printable import printable
 from armrig_core.rig.calibration import Calibration
@@ -147,6 +148,29 @@ class Run(RunOptions, frozen=True, kw_only=True):
     """Motor voltage at each sample, in V."""
 
 
+class ControlOptions(RunOptions, frozen=True, kw_only=True):
+    """Command `control` without its reference."""
+
+    name: ClassVar[str] = "control"
+    pacing: Literal["exchange"] = "exchange"
+    experiment: Name = "control"
+    dead_man: Annotated[float, Meta(ge=0.5, le=60, description="s")] = 1.0
+    law: ControlLaw
+    """Law, as in its file."""
+    unstable: bool = False
+    """True to allow a closed loop whose rehearsal is unstable, inside the limits of the outputs."""
+
+
+class Control(ControlOptions, frozen=True, kw_only=True):
+    """Control the rig by a law, and record the run; the reply is a `RunAccepted`.
+
+    The reply may take long, as that of `run`, because the closed loop is rehearsed.
+    """
+
+    reference: Annotated[list[float], Meta(min_length=1, max_length=MOST_SAMPLES)]
+    """Reference at each sample, in the unit of the law."""
+
+
 class Renew(Leased, frozen=True, kw_only=True):
     """Show that the client of the current run, or of the run in preparation, is still alive."""
 
@@ -209,7 +233,7 @@ MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
 """Longest command over a network, in B: 8 MiB minus zenoh's own part of the message."""
 MOST_DETAILS_BYTES = 1 << 20
 """Longest JSON text of a run's `details`, in B."""
-Requests = Arm | Disarm | Run | Renew | Set | Stop | Note | Reset | Calibrate | Status
+Requests = Arm | Disarm | Run | Control | Renew | Set | Stop | Note | Reset | Calibrate | Status
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
 """Class of each command, by the command's name."""
@@ -386,7 +410,7 @@ def parse(name: str, payload: bytes) -> Requests:
         )
     if isinstance(request, Note):
         check_note(request.text)
-    if isinstance(request, Run):
+    if isinstance(request, RunOptions):
         check_details(request.details)
     return request
 

@@ -78,7 +78,7 @@ class Record(NamedTuple):
 
     opcode: int
     body: bytes
-    """Content; empty for the attachment with the name `Wanted.left`."""
+    """Content; empty for an attachment with a name in `Wanted.left`."""
     place: Place
 
 
@@ -88,8 +88,8 @@ class Wanted:
 
     chunk: Callable[[int, int], bool] | None = None
     """Filter of chunks by their first and last log time, in ns; None selects all chunks."""
-    left: str = ""
-    """Name of an attachment whose content is not read; its `Record` has an empty `body`."""
+    left: tuple[str, ...] = ()
+    """Names of attachments whose content is not read; their `Record` has an empty `body`."""
     attachment: int = RECORD_LIMIT
     """Longest attachment that is read, in B; longer attachments are skipped."""
 
@@ -126,7 +126,7 @@ def file_records(
         begin = b""
         if opcode == Opcode.ATTACHMENT:
             begin = source.read(min(length, _ATTACHMENT_HEAD + _NAME_LIMIT))
-            if _stays(begin, wanted.left):
+            if any(_is_named(begin, name) for name in wanted.left):
                 yield Record(opcode, b"", place)
                 source.skip(length - len(begin))
                 continue
@@ -189,10 +189,10 @@ def attachment_sha256(stream: IO[bytes], place: Place) -> str:
     return "" if left or expected not in (0, crc) else digest.hexdigest()
 
 
-def _stays(begin: bytes, name: str) -> bool:
+def _is_named(begin: bytes, name: str) -> bool:
     expected = len(name).to_bytes(4, "little") + name.encode()
     at = _ATTACHMENT_HEAD - 4
-    return name != "" and begin[at : at + len(expected)] == expected
+    return begin[at : at + len(expected)] == expected
 
 
 def _check_data(source: ByteSource, body: bytes) -> None:

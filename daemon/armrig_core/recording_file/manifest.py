@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Self
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.commands.commands import EVERY, Rehearsal
@@ -21,6 +22,11 @@ RECOVERED = "armrig.recovered"
 """Name of the metadata record that a recovery adds to an unfinished file."""
 CONFIG, CALIBRATION, INPUT = "config.json", "calibration.json", "input.csv"
 """Names of the attachments; the input has one voltage per line, under the heading u_v."""
+REFERENCE, CONTROLLER = "reference.csv", "controller.json"
+"""Names of the attachments of a run in control, in place of the input: the reference, with one
+number per line under a heading, and the law."""
+SOURCES = (INPUT, REFERENCE)
+"""Names of the attachments that may have 80 MB."""
 CALIBRATION_RAW = "calibration.csv.gz"
 """Name of the attachment with the samples from which the calibration was estimated."""
 
@@ -37,7 +43,8 @@ class _Record(msgspec.Struct, frozen=True, kw_only=True):
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP needs them; each value is a JSON text."""
         fields = msgspec.structs.asdict(self)
-        return {key: msgspec.json.encode(value).decode() for key, value in fields.items()}
+        values = {key: value for key, value in fields.items() if value is not UNSET}
+        return {key: msgspec.json.encode(value).decode() for key, value in values.items()}
 
     @classmethod
     def of(cls, metadata: dict[str, str]) -> Self:
@@ -101,7 +108,9 @@ class Manifest(_Record, frozen=True, kw_only=True):
     calibration_raw_sha256: str = ""
     """SHA-256 of the attached samples of the calibration; empty without such samples."""
     input_sha256: str = ""
-    """SHA-256 of the attached input, which only the first part of a run contains."""
+    """SHA-256 of the attached input or reference, which only the first part of a run contains."""
+    controller_sha256: str | UnsetType = UNSET
+    """SHA-256 of the attached law; absent for a run whose input was known before."""
     rehearsal: Rehearsal | None = None
     """Response of the rig's model to the input, computed before the run."""
 
@@ -116,6 +125,11 @@ class Manifest(_Record, frozen=True, kw_only=True):
         return every if type(every) is int and 1 <= every <= _MOST_EVERY else 1
 
     @property
+    def source(self) -> str:
+        """Name of the attachment that determines the input: the input itself, or a reference."""
+        return REFERENCE if self.controller_sha256 else INPUT
+
+    @property
     def attachment_hashes(self) -> dict[str, str]:
         """Recorded SHA-256 of the attachments of this file, by name, in hexadecimal digits."""
         hashes = {
@@ -123,7 +137,8 @@ class Manifest(_Record, frozen=True, kw_only=True):
             CALIBRATION: self.calibration_sha256,
             DESCRIPTION: self.description_sha256,
             CALIBRATION_RAW: self.calibration_raw_sha256,
-            INPUT: self.input_sha256 if self.part <= 1 else "",
+            self.source: self.input_sha256 if self.part <= 1 else "",
+            CONTROLLER: self.controller_sha256 or "",
         }
         return {name: sha256 for name, sha256 in hashes.items() if sha256}
 

@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from armrig_core.commands.codes import CONTINUED, Ending, OutcomeCode
 from armrig_core.errors import ArmrigError
 from armrig_core.process.printable import plural
-from armrig_core.recording_file.manifest import INPUT, Manifest, Outcome
+from armrig_core.recording_file.manifest import Manifest, Outcome
 from armrig_core.recording_file.part_names import ACTIVE, part_path
 from armrig_core.recording_file.recording_part import ChangedError, EndsHereError, Part
 from armrig_core.telemetry.telemetry import Outgoing
@@ -241,7 +241,8 @@ class Recording:
             self._part.discard()
             return False
         # Only the first part contains the input, which may have 80 MB.
-        self._attachments = {n: data for n, data in first.attachments.items() if n != INPUT}
+        source = first.manifest.source
+        self._attachments = {n: data for n, data in first.attachments.items() if n != source}
         try:
             self._part.begin(*first)
         except OSError as err:

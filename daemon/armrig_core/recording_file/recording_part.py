@@ -116,6 +116,8 @@ class Part:
         writer.start(profile=PROFILE, library=f"armrig {manifest.armrig}")
         rig = description_of(attachments).channels
         for stream in RECORDED:
+            if stream == "control" and not manifest.controller_sha256:
+                continue
             name = protobuf.OF_STREAM[stream]
             schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name, rig))
             channels[stream] = writer.register_channel(

@@ -76,9 +76,22 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
 }
 
+_CONTROL_FIELDS = (
+    ("t_host_ns", "sfixed64"),
+    ("k", "fixed64"),
+    ("r", "double"),
+    ("v", "double"),
+    ("u_v", "double"),
+    ("is_low", "bool"),
+    ("is_high", "bool"),
+    ("is_slewed", "bool"),
+    ("predicted", "fixed64"),
+)
+
 SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (
     f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "Clock", "State", "Trace")
 )
+CONTROL = f"{PACKAGE}.Control"
 LOG = "foxglove.Log"
 NOTE = "note"
 """`name` of a log record that a person wrote; all other records have another name."""
@@ -90,6 +103,7 @@ OF_STREAM = {
     "clock": CLOCK,
     "state": STATE,
     "trace": TRACE,
+    "control": CONTROL,
 }
 """Full name of the message type of each stream."""
 
@@ -108,10 +122,15 @@ LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
 
 
 def _armrig_file(channels: tuple[Channel, ...]) -> descriptor_pb2.FileDescriptorProto:
-    file = descriptor_pb2.FileDescriptorProto(
-        name="armrig/v1/armrig.proto", package=PACKAGE, syntax="proto3"
-    )
-    for name, fields in (_MESSAGES | {"Sample": sample_fields(channels)}).items():
+    messages = _MESSAGES | {"Sample": sample_fields(channels)}
+    return _file("armrig/v1/armrig.proto", messages)
+
+
+def _file(
+    path: str, messages: dict[str, tuple[tuple[str, str], ...]]
+) -> descriptor_pb2.FileDescriptorProto:
+    file = descriptor_pb2.FileDescriptorProto(name=path, package=PACKAGE, syntax="proto3")
+    for name, fields in messages.items():
         message = file.message_type.add(name=name)
         for number, (field, kind) in enumerate(fields, 1):
             entry = message.field.add(name=field, number=number, label="LABEL_OPTIONAL")
@@ -162,6 +181,8 @@ def _log_file() -> descriptor_pb2.FileDescriptorProto:
 def _files(
     name: str, channels: tuple[Channel, ...] = CHANNELS
 ) -> list[descriptor_pb2.FileDescriptorProto]:
+    if name == CONTROL:  # a file of its own, so that the schemas of other messages do not change
+        return [_file("armrig/v1/control.proto", {"Control": _CONTROL_FIELDS})]
     if name != LOG:
         return [_armrig_file(channels)]
     timestamp = descriptor_pb2.FileDescriptorProto()
@@ -201,5 +222,5 @@ def decoded(name: str, data: bytes) -> Any:
 @cache
 def _without_numbers(name: str) -> Any:
     """Return a message in which each number has the `ABSENT` value of its type."""
-    fields = _MESSAGES.get(name.removeprefix(f"{PACKAGE}."), ())
+    fields = (_MESSAGES | {"Control": _CONTROL_FIELDS}).get(name.removeprefix(f"{PACKAGE}."), ())
     return message_class(name)(**{field: ABSENT[kind] for field, kind in fields if kind in ABSENT})

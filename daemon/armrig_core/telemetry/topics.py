@@ -6,8 +6,8 @@ import re
 
 from armrig_core.errors import InputError, InputTypeError
 
-STREAMS = ("sample", "gap", "event", "timing", "clock", "state")
-"""Streams that a rig publishes."""
+STREAMS = ("sample", "gap", "event", "timing", "clock", "state", "control")
+"""Streams that a rig publishes; `control` contains the decisions of a control law."""
 RECORDED = (*STREAMS, "trace")
 """Streams that a recording contains; `trace` contains the inputs of the daemon's decisions."""
 

@@ -14,12 +14,14 @@ from typing import NamedTuple
 
 from armrig_core.access.access_control import MOST_BYTES, MOST_CALIBRATION_BYTES
 from armrig_core.commands.codes import RefusalCode
-from armrig_core.commands.commands import REQUESTS, Calibrate, Leased, Refused, Run, refused
+from armrig_core.commands.commands import REQUESTS, Calibrate, Leased, Refused, RunOptions, refused
 
 from armrig_daemon.decisions.orders import NOT_HELD
 
 LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, Leased))
 """Names of the commands that contain a lease."""
+RUNS = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, RunOptions))
+"""Names of the commands that begin a run."""
 PER_S = 200
 """Largest number of queries of one kind that are answered each second, for all clients together."""
 BURST = 100
@@ -37,7 +39,7 @@ def refusal(name: str, payload: bytes, lease: bytes) -> Refused | None:
     if name in LEASED and not (lease and lease in payload):
         return refused(RefusalCode.NOT_HELD, NOT_HELD)
     most = MOST_CALIBRATION_BYTES if name == Calibrate.name else MOST_BYTES
-    if name != Run.name and len(payload) > most:
+    if name not in RUNS and len(payload) > most:
         text = f"{name}: {len(payload)} B, at most {most} B are allowed"
         return refused(RefusalCode.TOO_LONG, text, bytes=len(payload), most_bytes=most)
     return None

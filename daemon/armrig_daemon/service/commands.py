@@ -27,7 +27,7 @@ from armrig_daemon.decisions import orders
 from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
-from armrig_daemon.service.admission import Bucket, take
+from armrig_daemon.service.admission import RUNS, Bucket, take
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.host.child import LoopChild
@@ -239,7 +239,7 @@ class Commands:
 
     def _try(self, command: Command) -> None:
         try:
-            if command.name == commands.RunOptions.name:
+            if command.name in RUNS:
                 self._prepare(command)
             else:
                 self._carry_out(command, commands.parse(command.name, command.payload))
@@ -287,7 +287,7 @@ class Commands:
                 self.cancel("reset")
             case commands.Calibrate():
                 self._calibrate(command, request)
-            case commands.Run():
+            case commands.Run() | commands.Control():
                 raise AssertionError  # `_prepare` has taken it
             case _:
                 assert_never(request)
@@ -371,7 +371,8 @@ class Commands:
         if self._rig.state.phase == Phase.ACTIVE and self._runs.is_idle:
             raise CommandRefusedError(commands.refused(RefusalCode.BY_HAND, orders.BY_HAND))
         config, start_rad = self._runs.config, self._rig.start_rad
-        self._preparation.begin(command, Job(0, command.payload, self._Ts, config, start_rad))
+        job = Job(0, command.payload, self._Ts, config, start_rad, command.name)
+        self._preparation.begin(command, job)
         command.payload = b""  # of up to 80 MB
 
     def _renew(self, command: Command, request: commands.Renew) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import (
     MOST_SAMPLES,
+    ControlOptions,
     Refused,
     Rehearsal,
     RunOptions,
@@ -23,6 +24,7 @@ from armrig_core.commands.commands import (
     decode,
     refused,
 )
+from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError, OperationError
 from armrig_core.rig.description import Description
 from armrig_core.rig.volts import codes_of
@@ -32,7 +34,8 @@ from armrig_daemon.config import Config, Limits
 
 _PIECE_BYTES = 1 << 20
 _BLOCK_SAMPLES = 1 << 16
-_PIECE = msgspec.json.Decoder(list[Volts])
+_VOLTAGES = msgspec.json.Decoder(list[Volts])
+_NUMBERS = msgspec.json.Decoder(list[float])
 
 
 class Plan(NamedTuple):
@@ -40,21 +43,29 @@ class Plan(NamedTuple):
 
     options: RunOptions
     samples: int
-    codes: bytes
-    """One u16, little-endian, for each sample."""
+    source: bytes
+    """One u16, little-endian, for each sample; in control, the reference as one float64 each."""
     text: bytes
-    """Input as text for the recording: a heading, then one voltage per line."""
+    """Input or reference as text for the recording: a heading, then one number per line."""
     text_sha256: str
     rehearsal: Rehearsal | None
     """Response of the model to the input; None for a rig without a model."""
     zone: timezone
     """Time zone of this host at the time of the plan."""
+    law: ControlLaw | None = None
+    """Law of a run in control."""
 
 
 class _Request(RunOptions, frozen=True, kw_only=True):
     """Command `run` whose input is not decoded yet."""
 
     u: msgspec.Raw
+
+
+class _ControlRequest(ControlOptions, frozen=True, kw_only=True):
+    """Command `control` whose reference is not decoded yet."""
+
+    reference: msgspec.Raw
 
 
 def decode_run(payload: bytes | bytearray) -> tuple[RunOptions, NDArray[np.float64]]:
@@ -64,12 +75,31 @@ def decode_run(payload: bytes | bytearray) -> tuple[RunOptions, NDArray[np.float
     """
     request = decode(RunOptions.name, payload, _Request)
     check_details(request.details)
-    blocks = [*_voltages(memoryview(request.u))]
-    u = np.concatenate([np.zeros(0), *blocks])
-    if not 1 <= u.size <= MOST_SAMPLES:
-        limit = f"<= {MOST_SAMPLES}" if u.size else ">= 1"
-        raise InputError(f"run: Expected `array` of length {limit} - at `$.u`")
-    return options_of(request), u
+    return options_of(request), _vector("run", "u", request.u, _VOLTAGES)
+
+
+def decode_control(
+    payload: bytes | bytearray,
+) -> tuple[ControlOptions, NDArray[np.float64]]:
+    """Return the command `control` without its reference, and the reference (N,).
+
+    Raises InputError as `decode_run` does.
+    """
+    request = decode(ControlOptions.name, payload, _ControlRequest)
+    check_details(request.details)
+    return request, _vector("control", "reference", request.reference, _NUMBERS)
+
+
+def _vector(
+    command: str, key: str, text: msgspec.Raw, kind: msgspec.json.Decoder[list[float]]
+) -> NDArray[np.float64]:
+    """Return the numbers of a command's array (N,)."""
+    blocks = [*_blocks_of(command, key, memoryview(text), kind)]
+    values = np.concatenate([np.zeros(0), *blocks])
+    if not 1 <= values.size <= MOST_SAMPLES:
+        limit = f"<= {MOST_SAMPLES}" if values.size else ">= 1"
+        raise InputError(f"{command}: Expected `array` of length {limit} - at `$.{key}`")
+    return values
 
 
 def options_of(request: RunOptions) -> RunOptions:
@@ -77,8 +107,10 @@ def options_of(request: RunOptions) -> RunOptions:
     return RunOptions(**{name: getattr(request, name) for name in RunOptions.__struct_fields__})
 
 
-def _voltages(text: memoryview) -> Iterator[NDArray[np.float64]]:
-    """Yield the numbers of a JSON array, in V, in pieces."""
+def _blocks_of(
+    command: str, key: str, text: memoryview, kind: msgspec.json.Decoder[list[float]]
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the numbers of a JSON array in pieces."""
     begin = 0
     while begin < len(text):
         end = begin + _PIECE_BYTES
@@ -88,9 +120,10 @@ def _voltages(text: memoryview) -> Iterator[NDArray[np.float64]]:
         piece = bytes(text[begin:end]).strip()
         piece = b"[" * (begin > 0) + piece + b"]" * (end < len(text))
         try:
-            yield np.array(_PIECE.decode(piece), dtype=np.float64)
+            yield np.array(kind.decode(piece), dtype=np.float64)
         except msgspec.DecodeError as err:
-            raise InputError(f"run: {str(err).replace('`$', '`$.u')}") from err
+            where = str(err).replace("`$", f"`$.{key}")
+            raise InputError(f"{command}: {where}") from err
         begin = end + 1
 
 
@@ -111,11 +144,45 @@ def make_plan(
     """
     volts = checked(u, config.limits, description.input.rest_v)
     rehearsal = config.rehearsal(volts, Ts, description, start_rad)
-    text = one_a_line(_blocks(volts))
+    source = b"".join(map(codes_of, _blocks(volts)))
+    return _planned(options, source, one_a_line(_blocks(volts)), volts.size, rehearsal)
+
+
+def make_control_plan(
+    request: ControlOptions,
+    r: ArrayLike,
+    Ts: float,
+    config: Config,
+    description: Description,
+    start_rad: float | None = None,
+) -> Plan:
+    """Return the plan of a run in control.
+
+    `r` is the reference (N,) in the unit of the law; the other arguments are those of `make_plan`.
+
+    Raises InputError if the law is not one for this rig and this sampling time, the reference or
+    the rehearsal is outside the limits, or the closed loop is unstable.
+    """
+    law, limits = request.law, config.limits
+    reference = np.asarray(r, dtype=np.float64)
+    law.check_rig(description, round(Ts * 1e6), limits.u_min_v, limits.u_max_v)
+    law.check_reference(reference.tolist())
+    rehearsal = config.control_rehearsal(
+        law, reference, description, start_rad, unstable=request.unstable
+    )
+    source = reference.astype("<f8").tobytes()
+    text = one_a_line(_blocks(reference), f"r_{law.reference.name}")
+    plan = _planned(options_of(request), source, text, reference.size, rehearsal)
+    return plan._replace(law=law)
+
+
+def _planned(
+    options: RunOptions, source: bytes, text: bytes, samples: int, rehearsal: Rehearsal | None
+) -> Plan:
     return Plan(
         options=options,
-        samples=volts.size,
-        codes=b"".join(map(codes_of, _blocks(volts))),
+        samples=samples,
+        source=source,
         text=text,
         text_sha256=hashlib.sha256(text).hexdigest(),
         rehearsal=rehearsal,
@@ -135,27 +202,33 @@ def plan_of(
     description: Description,
     start_rad: float | None = None,
     tell: Callable[[RunOptions], object] = lambda options: None,
+    command: str = RunOptions.name,
 ) -> Plan | Refused:
-    """Return the plan of a command `run`, or the refusal; the arguments are those of `make_plan`.
+    """Return the plan of a command `run` or `control`, or the refusal; see `make_plan`.
 
-    `payload` returns the command, which may have 80 MB and is then no longer needed. `tell` is
-    called with the options before the rehearsal, which may take long.
+    `command` is the name of the command. `payload` returns the command, which may have 80 MB and is
+    then no longer needed. `tell` is called with the options before the rehearsal, which may take
+    long.
     """
     try:
+        if command == ControlOptions.name:
+            request, r = decode_control(payload())
+            tell(options_of(request))
+            return make_control_plan(request, r, Ts, config, description, start_rad)
         options, u = decode_run(payload())
         tell(options)
         return make_plan(options, u, Ts, config, description, start_rad)
     except (ValueError, OperationError) as err:
         return refused(RefusalCode.NOT_ALLOWED, str(err))
     except Exception as err:
-        return refused(RefusalCode.INTERNAL, f"run: {err!r}")
+        return refused(RefusalCode.INTERNAL, f"{command}: {err!r}")
 
 
-def one_a_line(blocks: Iterable[list[float]]) -> bytes:
-    """Return an input as text for the recording: a heading, then a voltage per line."""
+def one_a_line(blocks: Iterable[list[float]], heading: str = "u_v") -> bytes:
+    """Return an input as text for the recording: a heading, then a number per line."""
     # msgspec takes a tenth of the time of repr.
     texts = (msgspec.json.encode(block)[1:-1].replace(b",", b"\n") for block in blocks)
-    return b"u_v\n" + b"\n".join(texts) + b"\n"
+    return heading.encode() + b"\n" + b"\n".join(texts) + b"\n"
 
 
 def checked(u: ArrayLike, limits: Limits, rest_v: float = 0.0) -> NDArray[np.float64]:

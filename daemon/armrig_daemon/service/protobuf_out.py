@@ -6,19 +6,23 @@ import msgspec
 from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.telemetry import Outgoing
 
-from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
+from armrig_daemon.pipe import Clock, Control, Distribution, Gap, Log, State, Timing, Trace
 
 _DISTRIBUTIONS = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth")
 
 
-def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns: int) -> Outgoing:
+Published = Gap | Log | Timing | Clock | State | Control
+"""Records of the loop that the service publishes."""
+
+
+def outgoing(record: Published | Trace, clock_offset_ns: int) -> Outgoing:
     """Return a record as a message.
 
     `clock_offset_ns` is the real-time clock minus the monotonic clock, in ns, for the wall-clock
     time in the message of a log record.
     """
     match record:
-        case Gap() | Clock() | Trace():
+        case Gap() | Clock() | Trace() | Control():
             stream = type(record).__name__.lower()
             message = protobuf.message_class(protobuf.OF_STREAM[stream])(**_fields(record))
             t_ns = record.t_to_ns if isinstance(record, Gap) else record.t_host_ns
@@ -58,7 +62,7 @@ def _out(stream: str, t_ns: int, data: bytes) -> Outgoing:
     return Outgoing(stream, t_ns, t_ns, 0, data)
 
 
-def _fields(record: Gap | Clock | Trace | Distribution) -> dict[str, object]:
+def _fields(record: Gap | Clock | Trace | Control | Distribution) -> dict[str, object]:
     return msgspec.structs.asdict(record)
 
 

@@ -26,8 +26,8 @@ from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CALIBRATION_RAW,
     CONFIG,
+    CONTROLLER,
     DESCRIPTION,
-    INPUT,
     Manifest,
 )
 from armrig_core.recording_file.recorder import Recording
@@ -36,6 +36,7 @@ from armrig_core.rig.calibration_file import raw_samples
 from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
+from msgspec import UNSET
 
 from armrig_daemon import pipe
 from armrig_daemon.config import Config
@@ -45,6 +46,7 @@ from armrig_daemon.service.host.host_facts import HostFacts, check_directory, of
 from armrig_daemon.service.plan import Plan
 
 _BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed
+_BYTES_PER_DECISION = 120  # of a control law
 _BYTES_PER_SECOND = 4000  # of the core's inputs and its reports, which do not depend on Ts
 _BASE_BYTES = 1 << 20  # size of a recording without samples
 _MOST_DROPPED = 2  # recordings that never began and whose threads still wait for the disk
@@ -168,10 +170,11 @@ class Runs:
         if objection := self.objection():
             raise CommandRefusedError(objection)
         options = plan.options
-        run_id = self._circumstances.run_id(plan.codes)
+        run_id = self._circumstances.run_id(plan.source)
         stamp = self._circumstances.now(plan.zone).strftime("%Y%m%dT%H%M%S")
         name = f"{self._config.rig.id}-{options.experiment}-{stamp}-{run_id}.mcap"
-        needed = _most_bytes(plan.samples, Ts) + _BASE_BYTES
+        each = _BYTES_PER_SAMPLE + (_BYTES_PER_DECISION if plan.law else 0)
+        needed = round(plan.samples * (each + _BYTES_PER_SECOND * Ts)) + _BASE_BYTES
         recording = Recording(
             self._directory / name,
             changed=self._changed,
@@ -188,8 +191,10 @@ class Runs:
             lease=options.lease,
             n=options.n,
             run_id=run_id,
-            codes=plan.codes,
+            codes=b"" if plan.law else plan.source,
             scheduled=options.pacing == "scheduled",
+            law=plan.law.program(self.description) if plan.law else UNSET,
+            reference=plan.source if plan.law else UNSET,
         )
         path = str(recording.path)
         return order, RunAccepted(run_id=run_id, recording=path, rehearsal=plan.rehearsal)
@@ -251,8 +256,10 @@ class Runs:
             CONFIG: msgspec.json.encode(self._config),
             CALIBRATION: msgspec.json.encode(self._config.calibration),
             DESCRIPTION: self.description.text,
-            INPUT: planned.plan.text,
+            manifest.source: planned.plan.text,
         }
+        if planned.plan.law:
+            attachments[CONTROLLER] = planned.plan.law.text
         if self._calibration_raw:
             attachments[CALIBRATION_RAW] = self._calibration_raw
         self._last = _begun(planned)
@@ -386,6 +393,7 @@ class Runs:
             description_sha256=self.description.sha256,
             calibration_raw_sha256=hashlib.sha256(raw).hexdigest() if raw else "",
             input_sha256=planned.plan.text_sha256,
+            controller_sha256=planned.plan.law.sha256 if planned.plan.law else UNSET,
             rehearsal=planned.plan.rehearsal,
         )
 
@@ -393,11 +401,6 @@ class Runs:
 def _no_room(directory: Path, needed: int) -> str:
     objection = check_directory(directory, needed)
     return objection.error if objection else ""
-
-
-def _most_bytes(samples: int, Ts: float) -> int:
-    """Return the largest size of a recording beyond its base, in B."""
-    return round(samples * (_BYTES_PER_SAMPLE + _BYTES_PER_SECOND * Ts))
 
 
 def part_samples(minutes: float, samples: int, Ts: float) -> int:

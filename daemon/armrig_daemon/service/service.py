@@ -38,6 +38,7 @@ from armrig_daemon.pipe import (
     Alive,
     Answer,
     Clock,
+    Control,
     Gap,
     Host,
     Log,
@@ -58,7 +59,7 @@ from armrig_daemon.service.host.startup_recovery import StartupRecovery
 from armrig_daemon.service.host.systemd import Notifier
 from armrig_daemon.service.host.worker import Worker
 from armrig_daemon.service.preparation import Preparation
-from armrig_daemon.service.protobuf_out import outgoing
+from armrig_daemon.service.protobuf_out import Published, outgoing
 from armrig_daemon.service.publish import NetworkError, Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
@@ -329,16 +330,16 @@ class Service:
                     if not record.owner:
                         self._commands.note_lease("")
                     batch += self._published([record])
-                case Gap() | Clock():
+                case Gap() | Clock() | Control():
                     batch += self._published([record])
         self._runs.add(batch)
 
-    def _published(self, records: Iterable[Gap | Log | Timing | Clock | State]) -> list[Outgoing]:
+    def _published(self, records: Iterable[Published]) -> list[Outgoing]:
         """Publish records; return the messages for the recording."""
         published = [(record, self._publish(record)) for record in records]
         return [message for record, message in published if self._runs.includes(record)]
 
-    def _publish(self, record: Gap | Log | Timing | Clock | State) -> Outgoing:
+    def _publish(self, record: Published) -> Outgoing:
         if isinstance(record, State):
             self._rig.state = record
             self._notifier.status(state_sentence(record, self._rig.line))

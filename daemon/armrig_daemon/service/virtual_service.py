@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 from armrig_core.commands.codes import Ending
-from armrig_core.commands.commands import Run
+from armrig_core.commands.commands import Control, Run
 from armrig_core.errors import InputError, OperationError
 from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.emulated import VIRTUAL_PORT
@@ -40,7 +40,7 @@ from armrig_daemon.pipe import (
     Trace,
 )
 from armrig_daemon.service.host.host_facts import HostFacts
-from armrig_daemon.service.plan import make_plan, options_of
+from armrig_daemon.service.plan import make_control_plan, make_plan, options_of
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.thinning import Thinning
@@ -95,8 +95,8 @@ class VirtualService:
         self._answers: dict[int, Answer] = {}
         self._has_ended = self._has_sample = False
 
-    def record(self, request: Run) -> Path:
-        """Arm, play and record a run; return the path of the complete recording.
+    def record(self, request: Run | Control) -> Path:
+        """Arm, play or control, and record a run; return the path of the complete recording.
 
         The lease and the number of `request` are replaced.
 
@@ -107,13 +107,15 @@ class VirtualService:
         granted = self._ask(pipe.Arm(owner="virtual time", lease=LEASE, ts_us=0))
         self._n += 1
         request = replace(request, lease=LEASE, n=self._n)
-        u, Ts = request.u, granted.body["Ts"]
-        plan = make_plan(options_of(request), u, Ts, self._config, self._description)
+        Ts, rig = granted.body["Ts"], (self._config, self._description)
+        if isinstance(request, Control):
+            plan = make_control_plan(request, request.reference, Ts, *rig)
+        else:
+            plan = make_plan(options_of(request), request.u, Ts, *rig)
         order, _ = self._runs.open(plan, Ts, waits=True)
         self._has_ended = False
         self._ask(order)
-        seconds = len(request.u) * granted.body["Ts"]
-        self._until(lambda: self._has_ended, "does not end its run", seconds)
+        self._until(lambda: self._has_ended, "does not end its run", plan.samples * Ts)
         level, text = self._runs.finished(_FINISH_S)
         last = self._runs.last
         if level != "info" or last is None or not last.is_complete:
@@ -168,7 +170,7 @@ class VirtualService:
                     self._answers[record.order] = record
                 case Log() if not self._thinning.lets_through(record):
                     pass
-                case Trace() | Gap() | Log() | Timing() | Clock() | State():
+                case Trace() | Gap() | Log() | Timing() | Clock() | State() | pipe.Control():
                     if isinstance(record, State):
                         self._state = record
                     if self._runs.includes(record):
@@ -186,16 +188,22 @@ def _name(seed: int, codes: bytes) -> str:
     return hashlib.blake2b(codes, key=str(seed).encode(), digest_size=4).hexdigest()
 
 
-def requests_of(text: bytes) -> list[Run]:
-    """Return the runs in `text`; each line is a `run` command as JSON, without its lease.
+def requests_of(text: bytes) -> list[Run | Control]:
+    """Return the runs in `text`; each line is a command `run` or `control`, without its lease.
+
+    A command `control` is the one with a law.
 
     Raises ValueError if a line is not a run; the message names the line and the error.
     """
-    runs: list[Run] = []
+    runs: list[Run | Control] = []
     for number, line in enumerate(text.splitlines(), 1):
         try:
             fields: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
-            runs.append(msgspec.convert({"lease": LEASE, "n": 0, **fields}, Run))
+            fields |= {"lease": LEASE, "n": 0}
+            if "law" in fields:
+                runs.append(msgspec.convert(fields, Control))
+            else:
+                runs.append(msgspec.convert(fields, Run))
         except msgspec.MsgspecError as err:
             raise InputError(f"line {number} is no run: {err}") from err
     return runs

@@ -86,7 +86,7 @@ def test_a_plan_contains_the_input_and_its_rehearsal(plans: Plans) -> None:
     plan = plans.made(plans.asked(_payload([0.0, 2.5, 5.0], experiment="x")))
 
     assert isinstance(plan, Plan)
-    assert (plan.samples, plan.codes.hex(), plan.options.experiment) == (3, "00000080ffff", "x")
+    assert (plan.samples, plan.source.hex(), plan.options.experiment) == (3, "00000080ffff", "x")
     assert plan.text == b"u_v\n0.0\n2.5\n5.0\n"
     assert plan.rehearsal is not None
 

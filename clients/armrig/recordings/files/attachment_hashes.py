@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from hashlib import sha256
 
-from armrig_core.recording_file.manifest import DESCRIPTION, INPUT, RECOVERED, Manifest, Recovered
+from armrig_core.recording_file.manifest import DESCRIPTION, RECOVERED, Manifest, Recovered
 
 from armrig.recordings.files.container import Content
 
@@ -15,9 +15,9 @@ _SHOWN_DIGITS = 12
 _WAY_OUT = "copy the recording again, from its rig or from a backup"
 
 
-def attachment_names(content: Content) -> set[str]:
-    """Return the names of the attachments, including an input that is damaged."""
-    return {*content.attachments, *([INPUT] if content.input else [])}
+def attachment_names(content: Content, manifest: Manifest) -> set[str]:
+    """Return the names of the attachments, including an input or reference that is damaged."""
+    return {*content.attachments, *([manifest.source] if content.input else [])}
 
 
 def attachment_fault(content: Content, manifest: Manifest) -> str:
@@ -27,7 +27,7 @@ def attachment_fault(content: Content, manifest: Manifest) -> str:
     the recording would be read as that of the arm, unless a damage of the file explains it.
     """
     for name, recorded in manifest.attachment_hashes.items():
-        came = content.input_sha256 if name == INPUT else ""
+        came = content.input_sha256 if name == manifest.source else ""
         if name in content.attachments:
             came = sha256(content.attachments[name]).hexdigest()
         if came and came != recorded:
@@ -52,4 +52,4 @@ def _damage(content: Content) -> str:
 
 def without_hash(content: Content, manifest: Manifest) -> tuple[str, ...]:
     """Return the names of the attachments without a hash in the manifest."""
-    return tuple(sorted(attachment_names(content) - {*manifest.attachment_hashes}))
+    return tuple(sorted(attachment_names(content, manifest) - {*manifest.attachment_hashes}))

@@ -34,11 +34,12 @@ from armrig_core.recording_file.manifest import (
     CALIBRATION,
     CALIBRATION_RAW,
     CONFIG,
+    CONTROLLER,
     DESCRIPTION,
-    INPUT,
     OUTCOME,
     RECOVERED,
     RUN,
+    SOURCES,
 )
 from armrig_core.recording_file.opening import byte_source
 from armrig_core.telemetry import protobuf
@@ -61,8 +62,10 @@ _NAME_LIMIT = 100  # B
 _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # costs in the budget; measured, rounded
 # Bytes that a parsed message takes in addition to its payload; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
-READ = STREAMS
-"""Streams read by default. Only a replay also needs the stream `trace`, the core's steps."""
+_OVERHEADS |= {"control": 900}
+READ = tuple(stream for stream in STREAMS if stream != "control")
+"""Streams read by default. A replay also needs the stream `trace`, the core's steps, and `control`
+has a message for each sample."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -86,14 +89,15 @@ class Content:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Metadata records by name."""
     attachments: dict[str, bytes] = field(default_factory=dict)
-    """Calibration, readings of the calibration, and configuration, by the attachment's name.
+    """Calibration, readings of the calibration, configuration, description and law, by the name of
+    the attachment.
 
-    The input is left out, because it may be long.
+    The input, or the reference of a law, is left out, because it may be long.
     """
     input: Place | None = None
-    """Place of the input's attachment in the file."""
+    """Place of the attached input, or of the reference, in the file."""
     input_sha256: str = ""
-    """SHA-256 of the input; "" if no input is attached, or if its attachment is damaged."""
+    """SHA-256 of the input or reference; "" without one, or if its attachment is damaged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,9 +160,9 @@ def streamed(path: Path, stream: str) -> Iterator[Any]:
 def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[None]:
     """Read to the end or to the first damage, which the content names; yield after each record."""
     content = reader.content
-    wanted = Wanted(left=INPUT)
+    wanted = Wanted(left=SOURCES)
     if part is not None:
-        wanted = Wanted(left=INPUT, chunk=lambda start, end: reader.wants(part, start, end))
+        wanted = Wanted(left=SOURCES, chunk=lambda start, end: reader.wants(part, start, end))
     try:
         for record in file_records(source, wanted, reader.spend_work):
             reader.add(record)
@@ -176,7 +180,7 @@ def _read_by_index(source: ByteSource, first: _Reader) -> Content:
     content, left_out = Content(size=first.content.size), 0
     reader = _Reader(content, first.kept)
     try:
-        for record in indexed_records(source.stream, content.size, INPUT):
+        for record in indexed_records(source.stream, content.size, SOURCES):
             reader.spend_work(1)
             if record is None:
                 left_out += 1
@@ -286,7 +290,7 @@ class _Reader:
             self.left_out.append(str(damage))
             return
         attachment = Attachment.read(data_stream(body))
-        if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG, DESCRIPTION):
+        if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG, CONTROLLER, DESCRIPTION):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
     def _walk(self, chunk: bytes) -> None:

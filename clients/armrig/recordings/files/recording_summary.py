@@ -292,20 +292,21 @@ def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
     return found
 
 
-def indexed_records(stream: IO[bytes], size: int, left: str) -> Iterator[Record | None]:
+def indexed_records(stream: IO[bytes], size: int, left: tuple[str, ...]) -> Iterator[Record | None]:
     """Yield the schemas and channels of a file's index, and the records that the index names.
 
     The index contains the length of each record, so that a damaged head of a record costs nothing.
-    The content of the attachment `left` is not read. None means that a record is too long or
+    The content of the attachments `left` is not read. None means that a record is too long or
     overlaps with the previous record. Raises the exceptions of `index_records`.
     """
-    found, left_name = [], len(left).to_bytes(4, "little") + left.encode()
+    found = []
+    left_names = tuple(len(name).to_bytes(4, "little") + name.encode() for name in left)
     for opcode, entry in index_records(stream, size):
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield Record(opcode, entry, Place(0, 0))
         elif opcode in _INDEXED:
             kind, place_at = _INDEXED[opcode]
-            is_left = kind == Opcode.ATTACHMENT and entry.startswith(left_name, _NAME_AT)
+            is_left = kind == Opcode.ATTACHMENT and entry.startswith(left_names, _NAME_AT)
             found.append((*_PLACE.unpack_from(entry, place_at), kind, is_left))
     end = len(MAGIC)
     for begin, length, opcode, is_left in sorted(found):

@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.manifest import RUN, Manifest
+from armrig_core.recording_file.manifest import RUN, Manifest, description_of
 from armrig_core.rig.volts import codes_of
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
-from armrig_daemon.decisions.state import Action, Emit, Publish, Send
+from armrig_daemon.decisions.state import Action, Emit, Publish, Send, State
 from armrig_daemon.pipe import Log
 from armrig_protocol.frame import Spoilt, Unknown, decode
 
 from armrig.numerics.quantities import plural
 from armrig.recordings.files.container import Content, read, streamed
+from armrig.recordings.files.control_run import law_of
 from armrig.recordings.files.loading import check_attachments, files_of, run_content
 from armrig.recordings.files.recording_summary import is_foreign
 from armrig.recordings.files.sample_rows import SAMPLE_DTYPE
@@ -27,6 +28,9 @@ from armrig.recordings.files.verification import recorded_input
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from armrig_core.control.control_law import ControlLaw
+    from armrig_core.rig.description import Description
 
 MAX_CHUNK_BYTES = 4096
 """Largest size of a chunk of the core's steps, in B."""
@@ -108,7 +112,11 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(paths[0], content.input, manifest.samples)
-    state = trace.restored(begin.state, codes_of(u.tolist()), begin.version)
+    law = law_of(content.attachments)
+    source = codes_of(u.tolist()) if law is None else u.astype("<f8").tobytes()
+    state = trace.restored(begin.state, source, begin.version)
+    if law is not None:
+        _check_law(state, law, description_of(content.attachments))
     # Samples read together with the answer to START precede the first step.
     k = content.samples["k"]
     theirs = content.samples[k > state.last_reported_k]
@@ -152,6 +160,13 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
         until=content.damage,
         said=tuple(said),
     )
+
+
+def _check_law(state: State, law: ControlLaw, rig: Description) -> None:
+    """Refuse core steps of another law than the attached one."""
+    control = state.run.control if state.run else None
+    if not control or control.law != law.program(rig):
+        raise InputError("the steps belong to another law than the attached controller.json")
 
 
 def _steps(chunks: Iterator[Any], numbers: list[int]) -> Iterator[trace.Step]:

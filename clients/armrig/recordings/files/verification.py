@@ -31,6 +31,7 @@ from armrig.data.files.imported_file import ImportedData
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.quantities import NBSP, digits, listed, plural
 from armrig.recordings.files.attachment_hashes import attachment_fault, attachment_names
+from armrig.recordings.files.control_run import ControlRun, control_run
 from armrig.recordings.files.imports import imported_data
 from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.recording_names import named_path
@@ -285,12 +286,30 @@ def check_clock(r: Recording) -> Finding:
 def _check_attached_input(r: Recording) -> Finding:
     path, content = beginning(r.path)
     if content.input is None:
-        return warning("input", "no input is attached")
+        return warning("input", f"no {r.manifest.source} is attached")
     try:
         u = recorded_input(path, content.input, r.manifest.samples)
     except DamageError as err:
         return unusable("input", str(err))
-    return check_input(r, u)
+    run = control_run(r)
+    return check_input(r, u) if run is None else check_control(r, run, u)
+
+
+def check_control(r: Recording, run: ControlRun, reference: Vector) -> Finding:
+    """Check that reference and input of each decision agree with the attachment and the samples."""
+    at = run.k - r.manifest.k_first
+    if reference.size != r.manifest.samples or ((at < 0) | (at >= reference.size)).any():
+        return unusable("input", f"the attached reference has {plural(reference.size, 'value')}")
+    if (other := reference[at] != run.r).any():
+        k = run.k[other.argmax()]
+        return unusable("input", f"the reference at k={k} is not the attached one")
+    _, decisions, samples = np.intersect1d(run.k, r.samples["k"], return_indices=True)
+    if samples.size < r.samples.size:
+        return unusable("input", f"{plural(r.samples.size - samples.size, 'sample')} without a law")
+    if (other := run.u[decisions] != r.samples["u_cmd_v"][samples]).any():
+        k = r.samples["k"][samples[other.argmax()]]
+        return unusable("input", f"the voltage at k={k} is not that of the law")
+    return good("input", f"by the law in {plural(run.k.size, 'decision')}, {run.shares}")
 
 
 def _check_configuration(r: Recording) -> Finding:
@@ -316,7 +335,7 @@ def _check_attachments(r: Recording) -> Finding:
     _, content = beginning(r.path)
     if fault := attachment_fault(content, r.manifest):  # of a damaged file, which is loaded
         return unusable("attachments", fault)
-    hashes, found = r.manifest.attachment_hashes, attachment_names(content)
+    hashes, found = r.manifest.attachment_hashes, attachment_names(content, r.manifest)
     if missing := sorted({*hashes} - found):
         text = f"missing, although the manifest contains the hash: {listed(missing)}"
         if r.recovered is not None and r.recovered.damage:

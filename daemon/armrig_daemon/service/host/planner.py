@@ -47,12 +47,14 @@ class Job(NamedTuple):
 
     number: int
     payload: bytes
-    """Command `run`, as JSON."""
+    """Command as JSON."""
     Ts: float
     """Sampling time of the lease, in s."""
     config: Config
     start_rad: float | None
     """Angle of the turning shaft, in rad; None if it is not known."""
+    command: str = RunOptions.name
+    """Name of the command, `run` or `control`."""
 
 
 Result = RunOptions | Plan | Refused
@@ -182,7 +184,7 @@ class Planner:
         late.start()
         try:
             with suppress(BrokenPipeError):  # the process has ended, as its answer says
-                settings = job.Ts, job.config, job.start_rad, self._description
+                settings = job.Ts, job.config, job.start_rad, self._description, job.command
                 for part in (pickle.dumps((job.number, *settings)), job.payload):
                     _write(process.stdin, part)
             return self._read_plan(process.stdout.fileno(), job.number)
@@ -207,8 +209,8 @@ class Planner:
             if not isinstance(found, RunOptions):
                 break
             self._hand_back(number, found)
-        codes, text = _read(fd), _read(fd)
-        return found._replace(codes=codes, text=text) if isinstance(found, Plan) else found
+        source, text = _read(fd), _read(fd)
+        return found._replace(source=source, text=text) if isinstance(found, Plan) else found
 
 
 def _reap(process: subprocess.Popen[bytes] | None) -> int:
@@ -280,19 +282,19 @@ def _main(parent: int) -> None:
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # a library may print
     while request := _frame(requests):
-        number, Ts, config, start_rad, description = pickle.loads(request)
+        number, Ts, config, start_rad, description, command = pickle.loads(request)
         _limit_processor_time()
-        codes = text = b""
+        source = text = b""
 
         def tell(value: object, number: int = number) -> None:
             _write(answers, pickle.dumps((number, value)))
 
         payload = partial(_frame, requests)
-        made = plan_of(payload, Ts, config, description, start_rad, tell)
+        made = plan_of(payload, Ts, config, description, start_rad, tell, command)
         if isinstance(made, Plan):
-            codes, text, made = made.codes, made.text, made._replace(codes=b"", text=b"")
+            source, text, made = made.source, made.text, made._replace(source=b"", text=b"")
         tell(made)
-        for part in (codes, text):
+        for part in (source, text):
             _write(answers, part)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 

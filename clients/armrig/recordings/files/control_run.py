@@ -1,0 +1,88 @@
+"""Run in control of a recording: its law, and the decisions of the law."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+from armrig_core.control.control_law import ControlLaw
+from armrig_core.recording_file.manifest import CONTROLLER
+from numpy.typing import NDArray
+
+from armrig.data.columns import Vector
+from armrig.numerics.quantities import plural
+from armrig.numerics.stretches import Mask
+from armrig.recordings.files.container import streamed
+from armrig.recordings.files.loading import beginning, files_of
+from armrig.recordings.recording import Recording
+
+_NUMBERS = ("k", "r", "v", "u_v", "is_low", "is_high", "is_slewed", "predicted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ControlRun:
+    """Law of a run, and its decisions; element i of an array (N,) belongs to decision i."""
+
+    law: ControlLaw
+    k: NDArray[np.int64]
+    """Number of the sample together with which the input was latched."""
+    r: Vector
+    """Reference, in the unit of the law."""
+    v: Vector
+    """Voltage before the limits, in V."""
+    u: Vector
+    """Commanded voltage, in V."""
+    is_low: Mask
+    """True if v was below the lowest voltage."""
+    is_high: Mask
+    """True if v was above the highest voltage."""
+    is_slewed: Mask
+    """True if the change of the voltage was limited."""
+    predicted: NDArray[np.int64]
+    """Number of samples that had not arrived, and that the law predicted."""
+
+    @property
+    def shares(self) -> str:
+        """Return the shares of decisions at a limit, and with predicted samples, as text."""
+        limited = np.mean(self.is_low | self.is_high) if self.k.size else 0.0
+        slewed = np.mean(self.is_slewed) if self.k.size else 0.0
+        text = f"input at its limit in {100 * limited:.3g} % of samples"
+        if slewed:
+            text += f", change limited in {100 * slewed:.3g} %"
+        late = int(np.count_nonzero(self.predicted))
+        return text + (f", {plural(late, 'decision')} without the newest sample" if late else "")
+
+
+def law_of(attachments: Mapping[str, bytes]) -> ControlLaw | None:
+    """Return the attached law; None without one. Raises InputError if it is no law."""
+    text = attachments.get(CONTROLLER)
+    return None if text is None else ControlLaw.of(text)
+
+
+def control_run(recording: Recording) -> ControlRun | None:
+    """Return the law and the decisions of a recording; None for a run without a law.
+
+    Raises FileError or InputError if the file cannot be read, or its law is none.
+    """
+    if not recording.manifest.controller_sha256:
+        return None
+    law = law_of(beginning(recording.path)[1].attachments)
+    if law is None:
+        return None
+    messages = chain.from_iterable(streamed(path, "control") for path in files_of(recording.path))
+    table = np.array([[getattr(m, name) for name in _NUMBERS] for m in messages])
+    k, r, v, u, *bits, predicted = table.reshape(-1, len(_NUMBERS)).T
+    low, high, slewed = (bit.astype(np.bool_) for bit in bits)
+    return ControlRun(
+        law=law,
+        k=k.astype(np.int64),
+        r=r,
+        v=v,
+        u=u,
+        is_low=low,
+        is_high=high,
+        is_slewed=slewed,
+        predicted=predicted.astype(np.int64),
+    )
