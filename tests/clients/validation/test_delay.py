@@ -479,3 +479,20 @@ def test_the_last_tested_lag_is_no_answer() -> None:
 
     with pytest.raises(InputError, match="the data do not determine the delay"):
         armrig.delay(data)
+
+
+def test_a_position_behind_a_dead_zone_is_given_no_direct_term() -> None:
+    """The shape of the onset fitted lag 0 best, but lag 0 itself is not significant."""
+    rng, N, Ts, tau = np.random.default_rng(0), 1000, 0.02, 0.2
+    u, y, w = np.repeat(rng.uniform(-4, 4, N), 8)[:N], np.zeros(N), 0.0
+    moving = np.sign(u) * np.maximum(np.abs(u) - 0.5, 0)
+    for t in range(1, N):
+        y[t] = y[t - 1]
+        for _ in range(10):
+            w += Ts / 10 / tau * (moving[t - 1] - w)
+            y[t] += Ts / 10 * w
+    y += 0.02 * rng.standard_normal(N)
+
+    late = armrig.delay(armrig.Dataset(u=u, y=y, Ts=Ts, output="position"))
+
+    assert (late.nk, late.interval[0]) == (1, 0)

@@ -256,7 +256,10 @@ def _onset(
     misfit = smooth_onsets(data, first, last, integrator=integrates, progress=progress)
     if not angle and min(misfit.values()) > SURPRISING:
         return first, last, {}  # it is no smooth onset
-    return *possible(misfit), misfit
+    least, latest = possible(misfit)
+    if not latest:  # only a significant lag 0 is a direct term: a dead zone looks like a late onset
+        return first, last, {}
+    return least, latest, misfit
 
 
 def _hidden_s(data: Dataset, rise: Vector, step: float) -> float | None:
