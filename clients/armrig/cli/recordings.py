@@ -205,6 +205,7 @@ TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
+    from armrig.recordings.files.control_run import control_run
     from armrig.recordings.files.imports import imported_data
     from armrig.recordings.overview import contents_facts, contents_rows
 
@@ -221,14 +222,19 @@ def info(file: File, part: Part, out: Shown) -> None:
         return
     recording = named(armrig.load(file, part.calibration, start=part.start, stop=part.stop))
     name_runs(recording)
+    run = control_run(recording)
 
     def say_next_command() -> None:
         if recording.N:
             say_next("plot", file=typed(file))
 
     out.show(
-        facts=lambda: contents_facts(recording),
-        say=lambda: print_table(*contents_rows(recording, verbose=out.verbose), verdict=True),
+        facts=lambda: contents_facts(recording) | ({"control": run.facts()} if run else {}),
+        say=lambda: print_table(
+            *contents_rows(recording, verbose=out.verbose),
+            *([("control", run.summary)] if run else []),
+            verdict=True,
+        ),
         figures=lambda: timing_figures(recording),
         say_next=say_next_command,
         height=TIMING_HEIGHT,

@@ -59,7 +59,7 @@ def _recorded(config: Config, folder: Path, description: Description) -> Path:
     return rig.record(Run(lease=LEASE, n=0, u=u, experiment="blackbox", details={}))
 
 
-def _rewritten(source: Path, target: Path, change: Change, **fields: Any) -> Path:
+def rewritten(source: Path, target: Path, change: Change, **fields: Any) -> Path:
     """Write a copy with other attachments (None: without it) and other fields in the manifest."""
     with source.open("rb") as read, target.open("wb") as written:
         reader, writer = make_reader(read), Writer(written)
@@ -114,7 +114,7 @@ def test_the_manifest_contains_the_hash_of_every_attachment(run: Path) -> None:
 
 
 def test_a_file_with_its_own_attachments_passes(run: Path, tmp_path: Path) -> None:
-    copy = _rewritten(run, tmp_path / "copy.mcap", lambda _, data: data)
+    copy = rewritten(run, tmp_path / "copy.mcap", lambda _, data: data)
 
     for path in (run, copy):
         checks = {check.about: check for check in verify(path).checks}
@@ -132,7 +132,7 @@ def test_an_exchanged_attachment_is_refused(
     name: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An exchanged rig.toml renamed the outputs, and an exchanged calibration scaled them."""
-    path = _rewritten(run, tmp_path / "run.mcap", _exchanged(name, *EXCHANGED[name]))
+    path = rewritten(run, tmp_path / "run.mcap", _exchanged(name, *EXCHANGED[name]))
     said = (
         rf"run\.mcap: the attachment '{name}' is not that of this run: its SHA-256 begins with "
         r"[0-9a-f]{12}, in the manifest with [0-9a-f]{12}; copy the recording again"
@@ -152,7 +152,7 @@ def test_an_unfinished_file_with_an_exchanged_attachment_is_refused(
     run: Path, tmp_path: Path
 ) -> None:
     """A file that is cut off is not damaged: its beginning is as it was written."""
-    path = _rewritten(run, tmp_path / "run.mcap", _exchanged(INPUT, *EXCHANGED[INPUT]))
+    path = rewritten(run, tmp_path / "run.mcap", _exchanged(INPUT, *EXCHANGED[INPUT]))
     path.write_bytes(path.read_bytes()[:-5000])
 
     with pytest.raises(FileError, match=r"the attachment 'input\.csv' is not that of this run"):
@@ -179,7 +179,7 @@ def test_files_of_older_releases_load_with_a_note(
 ) -> None:
     none = {key: "" for key in Manifest.__struct_fields__ if key.endswith("_sha256")}
     change = _exchanged(INPUT, *EXCHANGED[INPUT])
-    path = _rewritten(run, tmp_path / "old.mcap", change, armrig="0.2.0", **none)
+    path = rewritten(run, tmp_path / "old.mcap", change, armrig="0.2.0", **none)
 
     old = armrig.load(path)
 
@@ -195,7 +195,7 @@ def test_files_of_older_releases_load_with_a_note(
 def test_a_missing_attachment_fails_the_verification(run: Path, tmp_path: Path) -> None:
     for name in NAMES[:2]:
         path = tmp_path / "run.mcap"
-        _rewritten(run, path, lambda n, data, gone=name: None if n == gone else data)
+        rewritten(run, path, lambda n, data, gone=name: None if n == gone else data)
 
         found = {check.about: check for check in verify(path).checks}["attachments"]
         assert found.level == "unusable"
@@ -206,7 +206,7 @@ def test_a_recording_without_its_description_is_not_read_as_the_arms(tmp_path: P
     (tmp_path / "rc").mkdir()
     rc = _recorded(Config(), tmp_path / "rc", shipped("rc"))
     path = tmp_path / "rc.mcap"
-    _rewritten(rc, path, lambda name, data: None if name == DESCRIPTION else data)
+    rewritten(rc, path, lambda name, data: None if name == DESCRIPTION else data)
 
     with pytest.raises(FileError, match=r"the attachment 'rig\.toml' is missing, but the manifest"):
         armrig.load(path)
@@ -217,7 +217,7 @@ def test_only_the_first_part_of_a_run_has_the_hash_of_the_input(run: Path, tmp_p
     for part, names in ((1, {*NAMES}), (2, {*NAMES} - {INPUT})):
         path = tmp_path / f"part-{part}.mcap"
         keep: Change = lambda name, data, names=names: data if name in names else None  # noqa: E731
-        _rewritten(run, path, keep, part=part, **of)
+        rewritten(run, path, keep, part=part, **of)
 
         found = armrig.load(path)
         assert {*found.manifest.attachment_hashes} == names

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -43,16 +44,40 @@ class ControlRun:
     predicted: NDArray[np.int64]
     """Number of samples that had not arrived, and that the law predicted."""
 
+    def facts(self) -> dict[str, Any]:
+        """Return hash, reference and shares of the run, by name, for programs."""
+        count, is_limited = max(self.k.size, 1), self.is_low | self.is_high
+        return {
+            "law_sha256": self.law.sha256,
+            "method": self.law.design.get("method", ""),
+            "reference": [float(self.r.min()), float(self.r.max())] if self.k.size else [],
+            "decisions": int(self.k.size),
+            "limited_share": float(is_limited.sum() / count),
+            "slewed_share": float(self.is_slewed.sum() / count),
+            "predicted": int(np.count_nonzero(self.predicted)),
+        }
+
     @property
     def shares(self) -> str:
         """Return the shares of decisions at a limit, and with predicted samples, as text."""
-        limited = np.mean(self.is_low | self.is_high) if self.k.size else 0.0
-        slewed = np.mean(self.is_slewed) if self.k.size else 0.0
-        text = f"input at its limit in {100 * limited:.3g} % of samples"
-        if slewed:
-            text += f", change limited in {100 * slewed:.3g} %"
-        late = int(np.count_nonzero(self.predicted))
-        return text + (f", {plural(late, 'decision')} without the newest sample" if late else "")
+        facts = self.facts()
+        text = f"input at its limit in {100 * facts['limited_share']:.3g} % of samples"
+        if facts["slewed_share"]:
+            text += f", its change limited in {100 * facts['slewed_share']:.3g} %"
+        if late := facts["predicted"]:
+            text += f", {plural(late, 'decision')} without the newest sample"
+        return text
+
+    @property
+    def summary(self) -> str:
+        """Return law, reference and shares of the run as text."""
+        facts, r = self.facts(), self.law.reference
+        method = f"{facts['method']} " if facts["method"] else ""
+        text = f"law {method}{self.law.sha256[:12]}"
+        if self.k.size:
+            low, high = facts["reference"]
+            text += f", {r.name} {low:.4g} to {high:.4g} {r.unit}"
+        return f"{text}; {self.shares}"
 
 
 def law_of(attachments: Mapping[str, bytes]) -> ControlLaw | None:
