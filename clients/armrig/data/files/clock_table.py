@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.errors import FileError
 from numpy.typing import NDArray
 
-from armrig.data.files.decimal_marks import is_missing, number
+from armrig.data.files.cells import is_missing, number
 from armrig.data.files.table import Table, Vector, chosen, shown
 from armrig.data.files.text import TextTable
 from armrig.numerics.quantities import listed

@@ -9,8 +9,7 @@ from itertools import groupby, pairwise, takewhile
 
 from armrig_core.errors import FileError
 
-from armrig.data.files.cells import REWRITTEN, Kind, kind, split
-from armrig.data.files.decimal_marks import is_missing
+from armrig.data.files.cells import REWRITTEN, Kind, is_missing, kind, split
 from armrig.data.files.table import Column, shown, titled
 
 Lines = Sequence[tuple[int, str]]

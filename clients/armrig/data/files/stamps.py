@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.errors import FileError
 
+from armrig.data.files.cells import number
 from armrig.data.files.dates import DAY_S, TIME_OF_DAY, UTC_ZONE, moment, month_first
-from armrig.data.files.decimal_marks import number
 from armrig.data.files.table import Column, Table, Vector, shown
 from armrig.data.step import DOUBT, Step, codes_of
 from armrig.numerics.quantities import digits

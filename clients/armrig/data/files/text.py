@@ -10,14 +10,20 @@ from itertools import chain
 import numpy as np
 from armrig_core.errors import FileError
 
-from armrig.data.files.cells import REWRITTEN, SEPARATORS, SWITCH, Kind, kind, quantity, split
-from armrig.data.files.decimal_marks import (
+from armrig.data.files.cells import (
+    REWRITTEN,
+    SEPARATORS,
+    SWITCH,
+    Kind,
     contradicts,
     doubtful_cell,
     is_missing,
+    kind,
     mark_of,
     number,
     proved_marks,
+    quantity,
+    split,
 )
 from armrig.data.files.instrument_headers import (
     PROBED_LINES,
