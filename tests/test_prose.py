@@ -54,7 +54,7 @@ ALLOWED = {
         "expected signature for|invalid device signature",
     ): _OTHERS,
     (
-        "clients/armrig/data/files/dates.py",
+        "clients/armrig/data/files/stamps.py",
         r"(?:(?P<days>-?\d+) days?,? \+?)?(?:(?P<h>\d{1,3}):)?(?P<m>\d{1,3}):"
         r"(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?",
     ): _OTHERS,

@@ -6,12 +6,12 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 from armrig_core.errors import FileError
 
 from armrig.data.files.cells import number
-from armrig.data.files.dates import DAY_S, TIME_OF_DAY, UTC_ZONE, moment, month_first
 from armrig.data.files.table import Column, Table, Vector, shown
 from armrig.data.step import DOUBT, Step, codes_of
 from armrig.numerics.quantities import digits
@@ -40,6 +40,7 @@ TIME_NAMES = frozenset(
 _BETWEEN_WORDS = re.compile(r"[\s/_-]+")
 DATE_NAMES = frozenset({"date", "datum", "day", "fecha"})
 """Names of a column of dates, if another column contains times of day."""
+_DAY_S = 86400.0
 _EPOCH = "s since 1970"
 _EPOCH_S = (9e8, 4.2e9)  # 1998 to 2103, in seconds since 1970, or since 1904
 _MONTH_S = 2.7e6
@@ -57,15 +58,29 @@ _BY_SIZE = {
         f"{name} since 1970": (_EPOCH_S[0] / unit, _EPOCH_S[1] / unit, _MONTH_S / unit, unit)
         for unit, name in _TICKS.items()
     },
-    "days (MATLAB's datenum)": (7e5, 8e5, 0.5, DAY_S),  # since year 0, from 1916 to 2190
+    "days (MATLAB's datenum)": (7e5, 8e5, 0.5, _DAY_S),  # since year 0, from 1916 to 2190
     # Since 1900, from 1998 to 2050.
-    Step("days (Excel's dates); give --Ts if they are in s", DOUBT): (3.6e4, 5.5e4, 0.05, DAY_S),
+    Step("days (Excel's dates); give --Ts if they are in s", DOUBT): (3.6e4, 5.5e4, 0.05, _DAY_S),
 }
 """Range of times without a unit, their largest usual interval, and the unit in s, by its name."""
 _MAX_NAME = 80  # characters in which a unit is looked for
 _SPAN_S = (1e-9, 1e11)
 _HOUR_S = 3600.0
 _MAX_DIGITS = 9
+_UTC = "UTC"
+_TIME_OF_DAY = re.compile(
+    r"(?:(?P<days>-?\d+) days?,? \+?)?(?:(?P<h>\d{1,3}):)?(?P<m>\d{1,3}):"
+    r"(?P<s>\d\d(?:[.,]\d+)?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+)
+_DATE = re.compile(r"(?P<a>\d{1,2})(?P<mark>[./-])(?P<b>\d{1,2})(?P=mark)(?P<year>\d{4}|\d\d)")
+_FRACTION = re.compile(r"(?<=:\d\d:\d\d)[.,](\d+)")
+_ZONE = re.compile(
+    r"(?P<moment>.*?:\d\d(?:[.,]\d+)?(?: [AP]M)?)\s*(?P<name>Z|[A-Z]{3,5})?"
+    r"(?:(?P<sign>[+-])(?P<h>\d\d?)(?::?(?P<m>[0-5]\d))?)?(?:\[.*\])?",
+    re.IGNORECASE,
+)
+_MATLAB = "%d-%b-%Y %H:%M:%S"
+_ORIGIN = (datetime(1970, 1, 1), datetime(1970, 1, 1, tzinfo=UTC))  # of dates as numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,7 +294,7 @@ def _last_digit(t: Vector) -> float:
 
 def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
     """Return the times of dates or times of day, without the changes of a clock."""
-    is_time = bool(TIME_OF_DAY.fullmatch(cells[0].strip()))
+    is_time = bool(_TIME_OF_DAY.fullmatch(cells[0].strip()))
     dates = [j for j, column in enumerate(table.columns) if column.name.casefold() in DATE_NAMES]
     if is_time and dates and dates[0] != i:
         days, is_time = table.texts(dates[0]), False
@@ -287,11 +302,11 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
     notes: list[str] = []
     if not table.columns[i].unit and _HOURS_AND_MINUTES.fullmatch(cells[0].strip()):
         notes.append(Step(f"times such as {cells[0].strip()} are read as hours:minutes", DOUBT))
-    is_american, zones = month_first(cells), dict[str, int]()
-    seconds, part = np.empty(len(cells)), np.empty(len(cells))
+    is_american, zones = _is_month_first(cells), dict[str, int]()
+    ns = np.empty(len(cells), np.int64)
     for k, cell in enumerate(map(str.strip, cells)):
         try:
-            seconds[k], part[k], zone = moment(cell, month_first=is_american)
+            ns[k], zone = _moment(cell, month_first=is_american)
         except (ValueError, OverflowError):
             raise FileError(
                 f"{table.place(k)}: '{shown(cell)}' is not a time; write a number, or a time such "
@@ -302,16 +317,15 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
                 f"{table.place(k)}: '{shown(cell)}' is in another time zone than the times before; "
                 "write all times in UTC, or with their offsets, as 2024-03-31T01:59:00+01:00"
             )
-    begin = float(seconds[0] + part[0])
-    t = (seconds - seconds[0]) + (part - part[0])  # exact, because the differences are small
+    t = (ns - ns[0]) / 1e9
     is_span = "day" in cells[0]
     if is_time and not is_span:
-        t += DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -DAY_S / 2)  # midnight
+        t += _DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -_DAY_S / 2)  # midnight
     if "" in zones:
         t, changes = _without_clock_changes(t, table.place)
         notes += changes
     has_seconds = any(map(_SECONDS_WRITTEN.search, cells)) or ":" not in cells[0]
-    zone = "" if zones.keys() == {UTC_ZONE} else f" in {''.join(zones) or 'local time'}"
+    zone = "" if zones.keys() == {_UTC} else f" in {''.join(zones) or 'local time'}"
     clock = "" if is_span else "s since midnight" if is_time else _EPOCH + zone
     return Times(
         t=t,
@@ -319,7 +333,7 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
         name=named,
         place=table.place,
         notes=notes,
-        begin=begin,
+        begin=float(ns[0] / 1e9),
         clock=clock,
     )
 
@@ -338,3 +352,68 @@ def _without_clock_changes(t: Vector, place: Callable[[int], str]) -> tuple[Vect
             text = f"{place(k)}: the clock goes {way} by 1 h, as at a change of summer time; "
             notes.append(Step(f"{text}this hour was removed from the times", DOUBT))
     return t - moved, notes
+
+
+# ---- dates and times of day
+
+
+def _is_month_first(cells: Sequence[str]) -> bool:
+    """Return whether dates are written as 3/31/2024, not as 31.3.2024."""
+    if not _DATE.match(cells[0].strip()):
+        return False
+    parts = [part for cell in cells if (part := _DATE.match(cell.strip()))]
+    firsts, seconds = ([int(part[m]) for part in parts] for m in "ab")
+    if max(firsts) > 12 or max(seconds) > 12:
+        return max(firsts) <= 12
+    # The times lie closer together in the right order.
+    american, other = (
+        max(np.abs(np.diff(31 * np.array(months) + days)), default=0)
+        for months, days in ((firsts, seconds), (seconds, firsts))
+    )
+    if american != other:
+        return bool(american < other)
+    return any(part["mark"] == "/" for part in parts)
+
+
+def _moment(text: str, *, month_first: bool) -> tuple[int, str]:
+    """Return a date in ns since 1970, or a time of day in ns, and the zone, "" without one."""
+    ns = 0
+    if match := _FRACTION.search(text):
+        ns, text = round(1e9 * float(f"0.{match[1]}")), text[: match.start()] + text[match.end() :]
+    with suppress(ValueError):  # first, because it is fast
+        date = datetime.fromisoformat(text)
+        return ns + _ns(date - _ORIGIN[date.tzinfo is not None]), _UTC if date.tzinfo else ""
+    if (match := _ZONE.fullmatch(text)) and text != match["moment"]:
+        more, zone = _moment(match["moment"], month_first=month_first)
+        name, sign = (match["name"] or _UTC).upper(), match["sign"]
+        offset = _ns(timedelta(hours=int(match["h"] or 0), minutes=int(match["m"] or 0)))
+        zone = zone or (_UTC if sign or name in ("Z", "GMT") else name)
+        return ns + more - offset * (-1 if sign == "-" else 1), zone
+    if _TIME_OF_DAY.fullmatch(text):
+        return ns + _ns(_time_of_day(text)), ""
+    if match := _DATE.match(text):
+        month, day, year = map(int, match.group(*("ab" if month_first else "ba"), "year"))
+        time = text[match.end() :].strip(" T,") or "0:00:00"
+        date = datetime(year + 2000 * (year < 100), month, day)
+        return ns + _ns(date - _ORIGIN[0] + _time_of_day(time)), ""
+    if (plain := text.replace(",", ".").replace("/", "-")) != text:
+        more, zone = _moment(plain, month_first=month_first)
+        return ns + more, zone
+    return ns + _ns(datetime.strptime(text, _MATLAB) - _ORIGIN[0]), ""
+
+
+def _ns(span: timedelta) -> int:
+    return span // timedelta(microseconds=1) * 1000
+
+
+def _time_of_day(text: str) -> timedelta:
+    match = _TIME_OF_DAY.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    hours, minutes, seconds = int(match["h"] or 0), int(match["m"]), match["s"].replace(",", ".")
+    if match["h"] is None and "." not in seconds:  # 1:59 is in hours, Excel's 1:59.5 in minutes
+        hours, minutes, seconds = minutes, int(seconds), "0"
+    if half := (match["half"] or "").casefold()[:1]:
+        hours = hours % 12 + 12 * (half == "p")
+    days = int(match["days"] or 0)
+    return timedelta(days=days, hours=hours, minutes=minutes, seconds=float(seconds))
