@@ -12,15 +12,19 @@ import numpy as np
 from armrig_core.errors import FileError
 
 from armrig.data.files.clock_table import (
+    EVEN,
+    NEAR,
+    Clock,
     ClockTable,
+    are_near,
     few_rows,
     index_of,
     names_of,
+    on_master,
     rows_of,
     rows_with_value,
     sizes_of,
 )
-from armrig.data.files.held_times import EVEN, NEAR, Clock, are_near, on_master
 from armrig.data.files.stamps import (
     DATE_NAMES,
     TIME_NAMES,
