@@ -8,27 +8,16 @@ the number of its instant. The manifest's details contain an `Import`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from io import BytesIO
-from itertools import chain
 from typing import Any
 
 import msgspec
 import numpy as np
 from armrig_core.commands.codes import COMPLETE, OutcomeCode
 from armrig_core.errors import FileError
-from armrig_core.recording_file.budget import WORK, Budget, DamageError
-from armrig_core.recording_file.byte_source import ByteSource
-from armrig_core.recording_file.chunks import Unpacker
-from armrig_core.recording_file.file_records import (
-    MAGIC,
-    MESSAGE_HEAD,
-    UNREADABLE,
-    Wanted,
-    file_records,
-)
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.file_records import MESSAGE_HEAD, UNREADABLE
 from armrig_core.recording_file.manifest import OUTCOME, RUN, Manifest, Outcome
 from armrig_core.recording_file.recording_part import PROFILE
 from mcap.data_stream import ReadDataStream
@@ -38,21 +27,15 @@ from mcap.writer import CompressionType, Writer
 
 from armrig.data.columns import Matrix, Vector
 from armrig.data.files import IMPORTED
+from armrig.data.files.messages import mcap_records
 from armrig.data.files.sampling_grid import Grid
 from armrig.data.files.table import Column, Table, require_room
-from armrig.data.step import Step, codes_of
+from armrig.data.step import Step
 
 TOPIC = "data"
 """Topic of the rows."""
 _SCHEMA = "armrig.Row"
 _MAX_INSTANTS = 1 << 31
-
-
-class ImportedColumn(msgspec.Struct, frozen=True, kw_only=True):
-    """Name and unit of an imported column."""
-
-    name: str
-    unit: str = ""
 
 
 class ImportedSource(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,7 +54,7 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
     """Files from which the data come."""
     options: dict[str, str] = {}
     """Reading options that the user gave, by name."""
-    columns: tuple[ImportedColumn, ...]
+    columns: tuple[Column, ...]
     """Names and units of the columns, in their order."""
     inputs: tuple[str, ...] = ()
     """Columns that the user named as inputs."""
@@ -130,16 +113,11 @@ class ImportedData(msgspec.Struct, frozen=True, kw_only=True):
     def table(self) -> GridTable:
         """Return the data as a table on its grid."""
         return GridTable(
-            columns=[Column(name=c.name, unit=c.unit) for c in self.facts.columns],
+            columns=self.facts.columns,
             values=[*self.values.T],
             notes=[Step(text, code) for text, code in self.facts.history],
             grid=Grid(Ts=self.Ts, at=self.at, size=self.size, breaks=self.facts.breaks),
         )
-
-
-def history_of(steps: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return steps of a reading as the file contains them."""
-    return tuple(zip(map(str, steps), codes_of(steps), strict=True))
 
 
 def write_imported(
@@ -162,15 +140,12 @@ def write_imported(
     for source in data.facts.sources:
         digest.update(source.sha256.encode())
     run_id = digest.hexdigest()[:8]
+    facts = msgspec.structs.replace(data.facts, values_sha256=data.sha256)
     manifest = Manifest(
         rig="",
         run_id=run_id,
         experiment=f"{IMPORTED}-{name}",
-        details={
-            IMPORTED: msgspec.to_builtins(
-                msgspec.structs.replace(data.facts, values_sha256=data.sha256)
-            )
-        },
+        details={IMPORTED: msgspec.to_builtins(facts)},
         Ts=data.Ts,
         samples=data.size,
         started=started,
@@ -178,19 +153,21 @@ def write_imported(
         armrig=armrig,
         protocol="",
     )
-    rows, missing = len(data.at), data.size - len(data.at)
+    rows = len(data.at)
     outcome = Outcome(
-        outcome=COMPLETE.text, samples=rows, missing=missing, code=OutcomeCode.COMPLETE
+        outcome=COMPLETE.text,
+        samples=rows,
+        missing=data.size - rows,
+        code=OutcomeCode.COMPLETE,
     )
     stream = BytesIO()
     writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(profile=PROFILE, library=f"armrig {armrig}")
-    names = [column.name for column in data.facts.columns]
+    names = [column.name for column in facts.columns]
     properties = {name: {"type": ["number", "null"]} for name in names}
-    schema = writer.register_schema(
-        _SCHEMA, "jsonschema", msgspec.json.encode({"type": "object", "properties": properties})
-    )
-    channel = writer.register_channel(TOPIC, "json", schema)
+    schema = msgspec.json.encode({"type": "object", "properties": properties})
+    of_schema = writer.register_schema(_SCHEMA, "jsonschema", schema)
+    channel = writer.register_channel(TOPIC, "json", of_schema)
     writer.add_metadata(RUN, manifest.metadata())
     for k, row in zip(data.at.tolist(), data.values.tolist(), strict=True):
         log_time = round(k * data.Ts * 1e9)
@@ -229,18 +206,10 @@ def read_imported(data: bytes) -> ImportedData | None:
 
 
 def _read(data: bytes) -> ImportedData | None:
-    budget = Budget(len(data))
-    chunks, spend = Unpacker(budget), partial(budget.spend, WORK)
-    source = ByteSource(BytesIO(data), len(data))
-    source.skip(len(MAGIC))
-    manifest: Manifest | None = None
-    facts: Import | None = None
+    manifest, facts, names = None, None, list[str]()
     at, rows, is_whole = list[int](), list[list[float]](), False
     decoder = msgspec.json.Decoder(dict[str, float | None])
-    for opcode, body in chain.from_iterable(
-        map(chunks.parts, file_records(source, Wanted(attachment=0), spend))
-    ):
-        spend(1)
+    for opcode, body in mcap_records(data):
         if opcode == Opcode.METADATA:
             record = Metadata.read(ReadDataStream(BytesIO(body)))
             is_whole |= record.name == OUTCOME
@@ -254,27 +223,17 @@ def _read(data: bytes) -> ImportedData | None:
                 raise DamageError("a row before the manifest")
             row = decoder.decode(body[MESSAGE_HEAD.size :])
             at.append(MESSAGE_HEAD.unpack_from(body)[1])
-            values = (row.get(name) for name in names)
-            rows.append([np.nan if value is None else value for value in values])
+            rows.append([np.nan if (x := row.get(name)) is None else x for name in names])
             require_room(8 * len(names) * len(rows), len(data))
     if manifest is None or facts is None:
         return None
     if not is_whole:
         raise DamageError("it ends too early")
-    instants = np.array(at, dtype=np.int64)
-    if not at or manifest.samples > _MAX_INSTANTS or not _fits(instants, manifest.samples):
+    instants, size = np.array(at, dtype=np.int64), manifest.samples
+    if not at or size > _MAX_INSTANTS or np.any(np.diff(instants) <= 0) or at[-1] >= size:
         raise DamageError("its rows are not in order")
-    found = ImportedData(
-        facts=facts,
-        Ts=manifest.Ts,
-        at=instants,
-        size=manifest.samples,
-        values=np.array(rows, dtype=np.float64).reshape(len(rows), len(names)),
-    )
-    if found.sha256 != facts.values_sha256:
+    values = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
+    imported = ImportedData(facts=facts, Ts=manifest.Ts, at=instants, size=size, values=values)
+    if imported.sha256 != facts.values_sha256:
         raise DamageError("its values are not those of the import")
-    return found
-
-
-def _fits(at: Any, size: int) -> bool:
-    return bool((np.diff(at) > 0).all() and at[-1] < size)
+    return imported

@@ -13,30 +13,18 @@ from armrig_core.process.bounded import read_bounded
 from armrig.data.columns import MAX_SIZE, Vector
 from armrig.data.files.clock_table import ClockTable
 from armrig.data.files.clocks import on_one_clock
-from armrig.data.files.column_faults import treated
-from armrig.data.files.imported_file import (
-    GridTable,
-    Import,
-    ImportedColumn,
-    ImportedData,
-    ImportedSource,
-    history_of,
-)
+from armrig.data.files.imported_file import GridTable, Import, ImportedData, ImportedSource
 from armrig.data.files.kinds import table_of
-from armrig.data.files.loading import (
-    MOST_BYTES,
-    Reading,
-    grid_of_rows,
-    hold_inputs,
-    naming_file,
-    time_column,
-)
-from armrig.data.files.table import NoColumnError, Table, chosen, listed
-from armrig.numerics.quantities import plural
+from armrig.data.files.loading import MOST_BYTES, Reading, naming_file, place, time_column
+from armrig.data.files.table import Column, NoColumnError, Table, chosen, listed
+from armrig.data.step import codes_of
 
 _MAX_COLUMNS = 1000
-_OF_INPUTS, _OF_OUTPUTS = ("resample", "hold_input"), ("mask_rails", "unwrap")
-"""Reading options that need to know the inputs, or the outputs."""
+_USUAL = {
+    "input": ("u", "resample", "hold_input"),
+    "signal": ("y", "mask_rails", "unwrap"),
+}
+"""Usual name of the inputs and outputs, and the options of reading that need to know them."""
 
 
 def import_files(
@@ -66,21 +54,18 @@ def import_files(
     FileError
         A file cannot be read as data. The message names the problem and the remedy.
     """
+    tables, sources = list[tuple[str, Table]](), list[ImportedSource]()
     contents = [read_bounded(path, MOST_BYTES) for path in paths]
-    tables = []
     for path, content in zip(paths, contents, strict=True):
         with naming_file(path):
-            tables.append(
-                (path.name, table_of(content, path.suffix.lower(), how.decimal, how.topic))
-            )
-            if isinstance(tables[-1][1], GridTable):
+            table = table_of(content, path.suffix.lower(), how.decimal, how.topic)
+            if isinstance(table, GridTable):
                 raise FileError("was imported already")
-    sources = tuple(
-        ImportedSource(name=path.name, sha256=hashlib.sha256(content).hexdigest())
-        for path, content in zip(paths, contents, strict=True)
-    )
+        tables.append((path.name, table))
+        digest = hashlib.sha256(content).hexdigest()
+        sources.append(ImportedSource(name=path.name, sha256=digest))
     with naming_file(paths[0]):
-        return _on_grid(tables, sources, how, inputs, outputs)
+        return _on_grid(tables, tuple(sources), how, inputs, outputs)
 
 
 def _on_grid(
@@ -91,51 +76,27 @@ def _on_grid(
     outputs: Sequence[str],
 ) -> ImportedData:
     table = on_one_clock(tables, output=outputs[0] if outputs else None, time=how.time)
-    of_u = _roles(table, "input", inputs, "u", [name for name in _OF_INPUTS if getattr(how, name)])
-    of_y = _roles(
-        table, "signal", outputs, "y", [name for name in _OF_OUTPUTS if getattr(how, name)]
-    )
+    of_u, of_y = _roles(table, "input", inputs, how), _roles(table, "signal", outputs, how)
     at = time_column(table, {*of_u, *of_y}, how)
     times = {at, *(table.other_times if isinstance(table, ClockTable) else ())}
     columns, notes = _numbers(table, times, {*of_u, *of_y})
     if not columns:
         raise FileError(f"it has no column of numbers to import; {listed(table, 'signal')}")
-    sizes = {x.size for x in columns.values()}
-    if len(sizes) > 1:
-        raise FileError(
-            f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}; save columns of one "
-            "length"
-        )
-    grid = grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
     names = _names(table, [*columns])
-    history = [*table.notes, *grid.notes, *notes]
-    for i in of_y:
-        columns[i], steps = treated(
-            columns[i], names[i], mask_rails=how.mask_rails, unwrap=how.unwrap
-        )
-        history += steps
-    placed = {i: grid.placed(x, held=i in of_u) for i, x in columns.items()}
-    put_in = np.ones(grid.size, np.bool_)
-    put_in[grid.at if grid.times is None else slice(None)] = False
-    if of_u:  # refuses inputs that are written only where they change, unless they are held
-        u = np.column_stack([placed[i] for i in of_u])
-        history += hold_inputs(u, put_in, [names[i] for i in of_u], how)
-        if how.hold_input:
-            placed |= dict(zip(of_u, u.T, strict=True))
+    # Inputs that are written only where they change are refused, unless they are held.
+    grid, placed, put_in, history = place(table, columns, of_u, of_y, names, how, notes)
     rows = np.flatnonzero(~put_in)
     given = {k: str(v) for k, v in how._asdict().items() if v is not None and v is not False}
     return ImportedData(
         facts=Import(
             sources=sources,
             options=given,
-            columns=tuple(
-                ImportedColumn(name=names[i], unit=table.columns[i].unit) for i in placed
-            ),
+            columns=tuple(Column(name=names[i], unit=table.columns[i].unit) for i in placed),
             inputs=tuple(names[i] for i in of_u) if inputs else (),
             outputs=tuple(names[i] for i in of_y) if outputs else (),
             clock="" if at is None else table.columns[at].name or str(at + 1),
             breaks=tuple(map(int, grid.breaks)),
-            history=history_of(history),
+            history=tuple(zip(map(str, history), codes_of(history), strict=True)),
         ),
         Ts=grid.Ts,
         at=rows,
@@ -144,21 +105,21 @@ def _on_grid(
     )
 
 
-def _roles(
-    table: Table, what: str, wanted: Sequence[str], usual: str, options: Sequence[str]
-) -> list[int]:
+def _roles(table: Table, what: str, wanted: Sequence[str], how: Reading) -> list[int]:
     """Return the indices of the inputs or outputs: those wanted, or the column of the usual name.
 
     Without such a column, the options that need it are refused.
     """
+    usual, *options = _USUAL[what]
     try:
         return [chosen(table, name, what) for name in wanted or [usual]]
     except NoColumnError:
         if wanted:
             raise
-        if options:
-            flag = options[0].replace("_", "-")
-            raise FileError(f"--{flag} needs --{what} NAME; {listed(table, what)}") from None
+        for option in options:
+            if getattr(how, option):
+                flag = option.replace("_", "-")
+                raise FileError(f"--{flag} needs --{what} NAME; {listed(table, what)}") from None
         return []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from os import PathLike
@@ -244,30 +244,11 @@ def _samples(
     table = on_one_clock([(path.name, table)], output=output, time=how.time)
     of_u, of_y = _columns(table, {"input": inputs, "signal": outputs}, how)
     named_u, named_y = ([table.columns[i] for i in of] for of in (of_u, of_y))
-    given = [values_of(table, i, "input") for i in of_u]
-    measured = [values_of(table, i, "signal") for i in of_y]
-    sizes = {x.size for x in (*given, *measured)}
-    if len(sizes) > 1:
-        raise FileError(
-            f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}; all need the same "
-            "number"
-        )
-    grid = grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
-    history = [*table.notes, *grid.notes]
-    for x, column in zip(given, named_u, strict=True):
-        history += held(x, column.name or "u")
-    for k, column in enumerate(named_y):
-        y, name = measured[k], column.name or "y"
-        history += held(y, name) or stuck(y, name, np.column_stack(given))
-        measured[k], notes = treated(y, name, mask_rails=how.mask_rails, unwrap=how.unwrap)
-        history += notes
-    u, y = (
-        np.column_stack([grid.placed(x, held=held) for x in columns])
-        for columns, held in ((given, True), (measured, False))
-    )
-    put_in = np.ones(grid.size, np.bool_)
-    put_in[grid.at if grid.times is None else slice(None)] = False
-    history += hold_inputs(u, put_in, [column.name or "u" for column in named_u], how)
+    columns = {i: values_of(table, i, "input") for i in of_u}
+    columns |= {i: values_of(table, i, "signal") for i in of_y}
+    names = {i: table.columns[i].name or "u" * (i in of_u) or "y" for i in columns}
+    grid, columns, put_in, history = place(table, columns, of_u, of_y, names, how, are_signals=True)
+    u, y = (np.column_stack([columns[i] for i in of]) for of in (of_u, of_y))
     known = np.isfinite(u).all(axis=1)
     if not known.any():
         raise FileError("no row has a value of each input; leave an input out, or fill it in")
@@ -290,6 +271,49 @@ def _samples(
         "history": history,
     }
     return named_u, named_y, found
+
+
+def place(
+    table: Table,
+    columns: Mapping[int, Vector],
+    of_u: Sequence[int],
+    of_y: Sequence[int],
+    names: Mapping[int, str],
+    how: Reading,
+    notes: Sequence[str] = (),
+    *,
+    are_signals: bool = False,
+) -> tuple[Grid, dict[int, Vector], Mask, list[str]]:
+    """Return a grid, the columns at its instants, the instants without a row, and the history.
+
+    The columns are named by their index. The inputs `of_u` and the outputs `of_y` are
+    treated as the options say. If `are_signals` is True, the history also names values that stay.
+    """
+    sizes = {x.size for x in columns.values()}
+    if len(sizes) > 1:
+        remedy = "all need the same number" if are_signals else "save columns of one length"
+        text = f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}"
+        raise FileError(f"{text}; {remedy}")
+    columns, grid = dict(columns), _grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
+    history = [*table.notes, *grid.notes, *notes]
+    for i in of_u if are_signals else ():
+        history += held(columns[i], names[i])
+    for i in of_y:
+        if are_signals:
+            u = np.column_stack([columns[j] for j in of_u])
+            history += held(columns[i], names[i]) or stuck(columns[i], names[i], u)
+        columns[i], steps = treated(
+            columns[i], names[i], mask_rails=how.mask_rails, unwrap=how.unwrap
+        )
+        history += steps
+    placed = {i: grid.placed(x, held=i in of_u) for i, x in columns.items()}
+    put_in = np.ones(grid.size, np.bool_)
+    put_in[grid.at if grid.times is None else slice(None)] = False
+    if of_u:
+        u = np.column_stack([placed[i] for i in of_u])
+        history += _hold_inputs(u, put_in, [names[i] for i in of_u], how)
+        placed |= dict(zip(of_u, u.T, strict=True))
+    return grid, placed, put_in, history
 
 
 def _columns(
@@ -351,7 +375,7 @@ def _names(columns: Sequence[Column], letter: str, others: Sequence[Column]) -> 
     return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
 
 
-def hold_inputs(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[str]:
+def _hold_inputs(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> list[str]:
     """Hold missing inputs, everywhere or in short gaps of the file; return history steps."""
     unknown = np.isnan(u) & ~put_in[:, np.newaxis]
     for x, missing, name in zip(u.T, unknown.T, names, strict=True):
@@ -379,7 +403,7 @@ def _is_short(x: Vector, gap: slice, put_in: Mask) -> bool:
     return bool(same and put_in[gap].all() and gap.stop - gap.start <= _MAX_HELD)
 
 
-def grid_of_rows(table: Table, taken: Collection[int], N: int, how: Reading) -> Grid:
+def _grid_of_rows(table: Table, taken: Collection[int], N: int, how: Reading) -> Grid:
     """Return the grid of the rows, from a column of times, the Ts of the file, or the given Ts."""
     Ts = how.Ts
     if Ts is not None and not _MIN_TS <= Ts <= 1 / _MIN_TS:

@@ -116,6 +116,20 @@ def _listed(data: bytes) -> str:
     )
 
 
+def mcap_records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the opcodes and the contents of all records of an MCAP file, also of those in chunks.
+
+    Raises DamageError, or an exception of `UNREADABLE`, at a damage.
+    """
+    budget, source = Budget(len(data)), ByteSource(BytesIO(data), len(data))
+    spend = partial(budget.spend, WORK)
+    source.skip(len(MAGIC))
+    records = file_records(source, Wanted(attachment=0), spend)
+    for opcode, body in chain.from_iterable(map(Unpacker(budget).parts, records)):
+        spend(1)
+        yield opcode, body
+
+
 def _messages(
     data: bytes, wanted: Collection[str] | None, notes: list[str]
 ) -> Iterator[tuple[str, int, Callable[[], dict[str, float]]]]:
@@ -123,14 +137,8 @@ def _messages(
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     decoders: _Decoders = {}
-    budget = Budget(len(data))
-    chunks, spend = Unpacker(budget), partial(budget.spend, WORK)
-    source = ByteSource(BytesIO(data), len(data))
-    source.skip(len(MAGIC))
-    records = file_records(source, Wanted(attachment=0), spend)
     try:
-        for opcode, body in chain.from_iterable(map(chunks.parts, records)):
-            spend(1)
+        for opcode, body in mcap_records(data):
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(ReadDataStream(BytesIO(body)))
                 schemas[schema.id] = schema
