@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -15,12 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from armrig_core.errors import InputError
 from armrig_core.process.options import argument, chosen, group
 
-from armrig.cli.next_step import say_next
+from armrig.cli.next_step import free_recording_name, say_next
 from armrig.cli.options import Json, Verbose
 from armrig.cli.printing import print_json, print_table, some, spinner
 from armrig.cli.recorded_data import names
-from armrig.cli.results import check_output
+from armrig.cli.results import check_output, whole_file
 from armrig.cli.runs import check_name_is_free, experiment_name
+from armrig.data.files import IMPORTED
 from armrig.data.finding import few_samples
 from armrig.data.step import DOUBT
 from armrig.numerics.quantities import plural
@@ -92,37 +92,61 @@ def import_(
     command then reads the recording, @NAME, without a question. With several files, the rows have
     the times of the output.
     """
-    from armrig.data.files.imported_file import write_imported
     from armrig.data.files.importing import import_files
     from armrig.data.files.loading import Reading
+    from armrig.recordings.files.recording_names import recording_folder
 
     inputs, outputs = (
         names(f"--{role}", ",".join(reading.pop(role) or ())) for role in ("input", "signal")
     )
     if name is None:
-        name = _free_name(files[0])
+        name = _name_like(files[0])
     else:
-        experiment_name("imported", name)
+        experiment_name(IMPORTED, name)
         check_name_is_free(name)
     with spinner("reading"):
         data = import_files(files, Reading(**reading), inputs=inputs, outputs=outputs)
-    now = datetime.now(UTC).astimezone()
-    run_id, content = write_imported(
-        data, name=name, started=now.isoformat(timespec="milliseconds"), armrig=version("armrig")
-    )
-    if out is None:
-        out = _folder() / f"imported-{name}-{now.strftime(_STAMP)}-{run_id}.mcap"
-    else:
-        check_output(out, files, "-o", "a recording", ".mcap")
-    _write(out, content)
-    called = f"@{name}" if out.parent == _folder() else str(out)
+    run_id, file = _write(data, name, out, files)
+    called = f"@{name}" if file.parent == recording_folder() else str(file)
     if json:
-        print_json(import_facts(data) | {"recording": out, "name": name, "run_id": run_id})
+        print_json(import_facts(data) | {"recording": file, "name": name, "run_id": run_id})
         return
-    print_table(*import_rows(data, called, out, verbose=verbose), verdict=True)
+    print_table(*import_rows(data, called, file, verbose=verbose), verdict=True)
     known = {column.name for column in data.facts.columns}
     ready = (data.facts.inputs or "u" in known) and (data.facts.outputs or "y" in known)
     say_next("hints" if ready else "plot", file=quote(called), given="")
+
+
+def _name_like(file: Path) -> str:
+    """Return a free name of a recording like the name of a file."""
+    name = re.sub(r"[^a-z0-9]+", "-", file.stem.lower())[:_MAX_NAME].strip("-") or "data"
+    is_reserved = name in ("last", "validation") or name.startswith("validation-")
+    return free_recording_name(f"data-{name}" if is_reserved else name)
+
+
+def _write(
+    data: ImportedData, name: str, out: Path | None, files: Sequence[Path]
+) -> tuple[str, Path]:
+    """Write a new file, by default in the folder of the recordings; return the run's id, and it."""
+    from armrig.data.files.imported_file import write_imported
+    from armrig.recordings.files.recording_names import recording_folder
+
+    now = datetime.now(UTC).astimezone()
+    started = now.isoformat(timespec="milliseconds")
+    run_id, content = write_imported(data, name=name, started=started, armrig=version("armrig"))
+    if out is None:
+        out = recording_folder() / f"{IMPORTED}-{name}-{now.strftime(_STAMP)}-{run_id}.mcap"
+    else:
+        check_output(out, files, "-o", "a recording", ".mcap")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with out.open("xb") as file, whole_file(out):  # a file that exists stays
+            file.write(content)
+    except PermissionError as err:
+        raise InputError(
+            f"{out.parent}: this user may not write there; give a file of your own, -o data.mcap"
+        ) from err
+    return run_id, out
 
 
 def import_facts(data: ImportedData) -> dict[str, object]:
@@ -172,42 +196,3 @@ def import_rows(
     if verbose:
         for source in facts.sources:
             yield "sha256", f"{source.sha256} {source.name}"
-
-
-def _free_name(file: Path) -> str:
-    """Return a free name like that of the file."""
-    from armrig.cli.next_step import own_recordings
-
-    stem = re.sub(r"[^a-z0-9]+", "-", file.stem.lower())[:_MAX_NAME].strip("-") or "data"
-    stem = (
-        f"data-{stem}" if stem in ("last", "validation") or stem.startswith("validation-") else stem
-    )
-    used = {x for s in own_recordings() for x in s.names(validation=False)}
-    return next(
-        name
-        for k in range(1, len(used) + 2)
-        if (name := f"{stem}-{k}" if k > 1 else stem) not in used
-    )
-
-
-def _folder() -> Path:
-    from armrig.recordings.files.recording_names import recording_folder
-
-    return recording_folder()
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a new file; a file that exists stays."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("xb") as file:
-            try:
-                file.write(content)
-            except BaseException:
-                with suppress(OSError):
-                    path.unlink()
-                raise
-    except PermissionError as err:
-        raise InputError(
-            f"{path.parent}: this user may not write there; give a file of your own, -o data.mcap"
-        ) from err

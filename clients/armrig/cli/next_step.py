@@ -149,6 +149,13 @@ def own_recordings() -> list[RecordingSummary]:
     return []
 
 
+def free_recording_name(name: str) -> str:
+    """Return the first of NAME, NAME-2, NAME-3 … that no complete recording has."""
+    used = {x for s in own_recordings() for x in s.names(validation=False)}
+    names = chain([name], (f"{name}-{n}" for n in count(2)))
+    return next(name for name in names if name not in used)
+
+
 def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[tuple[RecordingSummary, ...]]:
     """Return estimation and validation recordings of one Ts and origin, newest first."""
     from armrig.recordings.files.origin import Origin

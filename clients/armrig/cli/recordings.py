@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -33,7 +32,16 @@ from armrig.cli.printing import (
     warned,
 )
 from armrig.cli.recorded_data import File, Part, named
-from armrig.cli.results import Draw, Plot, Shown, check_output, check_plot, name_runs, write_plot
+from armrig.cli.results import (
+    Draw,
+    Plot,
+    Shown,
+    check_output,
+    check_plot,
+    name_runs,
+    whole_file,
+    write_plot,
+)
 from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
@@ -398,7 +406,7 @@ def export(
     if (data := imported_data(file)) is not None:
         if transforms or raw or signal or calibration or (start, stop) != (None, None):
             raise InputError("imported data are exported whole: leave the options out")
-        with spinner("writing"), _whole(out):
+        with spinner("writing"), whole_file(out):
             write_imported_columns(data, out)
         rows, missing = len(data.at), data.size - len(data.at)
         print_result(
@@ -413,25 +421,11 @@ def export(
         has = ", ".join(recording.channels)
         raise typer.BadParameter(f"--signal {signal}: the recording has {has}")
     warned(recording)
-    with spinner("writing"), _whole(out):
+    with spinner("writing"), whole_file(out):
         write(recording, out)
     facts = {"file": out, "samples": recording.N, "recording": recording.sha256}
     text = f"{out}: {plural(recording.N, 'sample')}, {recording.missing} of them missing"
     print_result(facts, text, json=json)
-
-
-@contextmanager
-def _whole(out: Path) -> Iterator[None]:
-    """Delete the output file if an error interrupts its writing."""
-    try:
-        yield
-    except BaseException as err:
-        if out.is_file():
-            with suppress(OSError):
-                out.unlink()
-        if isinstance(err, OSError) and not err.filename:  # the error of a write names no file
-            raise OSError(err.errno, err.strerror or str(err), str(out)) from err
-        raise
 
 
 def recover(where: Where = None, json: Json = False) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from math import ceil, lcm
@@ -219,6 +219,20 @@ def check_output(
         else:
             msg = f"{name}: there is no directory {path.parent}; create it first"
         raise InputError(msg)
+
+
+@contextmanager
+def whole_file(out: Path) -> Iterator[None]:
+    """Delete the output file if an error interrupts its writing."""
+    try:
+        yield
+    except BaseException as err:
+        if out.is_file():
+            with suppress(OSError):
+                out.unlink()
+        if isinstance(err, OSError) and not err.filename:  # the error of a write names no file
+            raise OSError(err.errno, err.strerror or str(err), str(out)) from err
+        raise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -22,7 +21,7 @@ from armrig_core.process.signal_pipe import SignalPipe, until_signal
 from msgspec import structs
 
 import armrig
-from armrig.cli.next_step import OF_KIND, naming, own_recordings, say_next, step_again, typed
+from armrig.cli.next_step import OF_KIND, free_recording_name, naming, say_next, step_again, typed
 from armrig.cli.options import Connect, From, Json, RigId, SamplingTime, To
 from armrig.cli.printing import fields_of, inform, print_result, tell, tell_error
 from armrig.cli.recorded_data import File
@@ -441,8 +440,7 @@ def experiment_name(experiment: str, name: str) -> str:
 
 def check_name_is_free(name: str) -> None:
     """Refuse the name of a complete recording; otherwise the name would become ambiguous."""
-    if name and name in (used := {x for s in own_recordings() for x in s.names(validation=False)}):
-        free = next(free for n in count(2) if (free := f"{name}-{n}") not in used)
+    if name and (free := free_recording_name(name)) != name:
         msg = f"--name {name}: @{name} is already a complete recording; give another name, "
         raise InputError(f"{msg}such as --name {free}")
 
