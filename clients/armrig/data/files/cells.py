@@ -17,6 +17,7 @@ REWRITTEN = "\x1f"
 """Separator of the cells in a row that armrig composed; no cell contains it."""
 SWITCH = {"true": "1", "false": "0", "on": "1", "off": "0"}
 """Numbers of the words of a switch."""
+_NOT_WORDS = frozenset({"inf", "infinity", *SWITCH})
 
 _QUANTITY = re.compile(
     r"(?P<number>[+-]?\s*(?!0[xX])(?:\d[\d.,'\u2019]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*"
@@ -75,6 +76,8 @@ def kind(cell: str) -> Kind:
     text = cell.strip()
     if is_missing(text):
         return Kind.MISSING
+    if text.isalpha() and text.casefold() not in _NOT_WORDS:
+        return Kind.WORD  # first, because a line may have thousands of words
     if number(text, "") is not None or _PLAIN_NUMBER.fullmatch(text):
         return Kind.NUMBER
     if text.casefold() in SWITCH:

@@ -44,6 +44,7 @@ _RECEIPT = re.compile(r"\s*\d{1,2}:\d\d:\d\d(?:[.,]\d+)?\s*->")
 _SWITCH_KINDS = {Kind.SWITCH, Kind.MISSING}
 _TWO_NUMBERS = re.compile(r"\s*\d+ +[+-]?\d+\s*")
 _BLOCK_CELLS = 1 << 20  # that are kept of adjacent columns, so that wide files are split once
+_MAX_CELLS = 1 << 16  # of a line; the kind of each is looked at several times
 _MAX_ROWS_WITHOUT_VALUE = 1000  # at the beginning of a column whose values have units
 
 
@@ -189,6 +190,7 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
             for k, line in enumerate(text.splitlines(), start=1)
             if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
         ]
+        _require_few_cells(lines[:PROBED_LINES])
         receipts, lines = _without_receipts(lines)
         head = without_names(lines)
         if head is None:
@@ -223,6 +225,16 @@ def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_
         notes = [*notes, note]
         table = replace(table, columns=columns, rows=rows, separator=REWRITTEN, notes=notes)
     return _with_plain_cells(table, _first_cells(table))
+
+
+def _require_few_cells(lines: Lines) -> None:
+    """Refuse lines of so many cells that they are no samples of as many signals."""
+    for k, line in lines:
+        if any(len(line.split(mark or None, _MAX_CELLS)) > _MAX_CELLS for mark in SEPARATORS):
+            raise FileError(
+                f"line {k} has more than {_MAX_CELLS} cells; write a line for each sample, with a "
+                "cell for each signal"
+            )
 
 
 def _without_receipts(lines: Lines) -> tuple[dict[int, str], Lines]:

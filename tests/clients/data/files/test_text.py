@@ -11,7 +11,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig import FileError, load_data
-from armrig.data.files import kinds, loading, text
+from armrig.data.files import instrument_headers, kinds, loading, text
 from armrig.data.step import DOUBT, codes_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -415,6 +415,20 @@ def test_wide_and_doubtful_columns_are_split_and_decided_once(
 
     assert [read.numbers(i)[-1] for i in range(4000)][:2] == [1.0, 1.001]
     assert (calls["split"], calls["proved_marks"]) == (3, 4000)
+
+
+@pytest.mark.parametrize("separator", [" ", ",", ";", "\t"])
+def test_a_line_of_too_many_words_is_refused_before_they_are_looked_at(
+    separator: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A megabyte of words took 15 s."""
+    calls = Counter[str]()
+    monkeypatch.setattr(instrument_headers, "kind", counted(instrument_headers.kind, calls))
+
+    with pytest.raises(FileError, match="line 1 has more than 65536 cells"):
+        text.read_text(separator.join(["word"] * 70_000) + "\n1 2\n")
+
+    assert calls["kind"] == 0
 
 
 def test_a_unit_in_the_header_has_precedence_over_one_below(tmp_path: Path) -> None:
