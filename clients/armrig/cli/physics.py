@@ -209,8 +209,8 @@ def greybox(
     else:
         fixed = parameters(given)
         [recording] = recordings = part.recordings(file)
-        model, rig = _rig(recording, cast("Rig | None", model))
         recorded_data.require_arm(recording)
+        model, rig = _rig(recording, cast("Rig | None", model))
         outputs = recorded_data.recorded_outputs(recording, part.outputs)
         shown = THETA_1 if THETA_1 in outputs else outputs[0]
         data = recording.dataset(shown)
@@ -232,14 +232,16 @@ def greybox(
                 f"{name} to {x['fit_percent']:.2f} % (rms {error(x['rms_error'], x['unit'])})"
                 for name, x in validation.items()
             ]
-            say(f"Simulated on {validate}, it fits {listed(fits)}.")
+            record = recorded_data.short_name(cast("Path", validate))
+            say(f"Simulated on {record}, it fits {listed(fits)}.")
         say(repr(fit) if out.verbose else repr(fit).partition("\n")[0])
         for text in emulation(recordings):
             say(text, dim=True)
 
     out.show(
         facts=lambda: (
-            {"recording": data.source, "model": model}
+            recorded_data.source_facts(data)
+            | {"model": model}
             | _grey_facts(fit)
             | ({"validation": validation} if validation else {})
         ),

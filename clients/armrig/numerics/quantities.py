@@ -118,7 +118,7 @@ def error(x: float, unit: str) -> str:
     """Return the text of an error and its unit; an angle below 0.1 rad is given in mrad."""
     if unit == "rad" and abs(x) < 0.1:
         return f"{number(1e3 * x)}{NBSP}mrad"
-    return f"{number(x)}{NBSP}{unit}"
+    return f"{number(x)}{NBSP * bool(unit)}{unit}"
 
 
 def p_relation(p: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from hashlib import sha256
 from pathlib import Path
 
 import armrig
@@ -88,6 +89,43 @@ def test_a_model_of_imported_data_is_validated_on_other_imported_data(
     assert main(shlex.split("validate @again --model m.json")) == 0
 
     assert "Its residuals pass" in capsys.readouterr().out
+
+
+EQUATIONS = """
+import armrig
+model = armrig.Ode(
+    lambda t, x, u, p: [(p.K * u[0] - x[0]) / p.T],
+    output=lambda t, x, u, p: x[0] + p.T_0,
+    states=["rise"],
+    parameters={name: armrig.Parameter(value) for name, value in (("K", 1), ("T", 3), ("T_0", 18))},
+)
+"""
+
+
+def test_own_equations_are_estimated_from_imported_data(
+    lamp: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The truth is K = 2 and T = 0.5 s / -ln 0.9 = 4.746 s."""
+    Path("heater.py").write_text(EQUATIONS)
+    options = "--model heater.py --validate @again"
+
+    assert main(["greybox", "@lamp", *options.split()]) == 0
+    assert "Simulated on @again, it fits temp to 98" in capsys.readouterr().out
+    assert main(["greybox", "@lamp", *options.split(), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    for name, truth in (("K", 2.0), ("T", 4.746)):
+        estimate = facts["parameters"][name]
+        assert abs(estimate["value"] - truth) < 4 * estimate["std"]
+    assert facts["data"] == sha256(lamp.read_bytes()).hexdigest()
+
+
+def test_the_arm_s_model_is_refused_for_imported_data(
+    lamp: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["greybox", "@lamp", "--model", "arm"]) == 1
+
+    assert "`armrig greybox F --model FILE.py`" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
