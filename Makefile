@@ -51,7 +51,7 @@ check: .venv/dev
 
 # Every branch of the core and of the device's state machine, without tests that add nothing to it.
 coverage: .venv/dev
-	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
+	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon tests/core/control --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
 	  decisions/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
 
 # Write the stored results of what the programs print, draw and compute again; read the difference.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from struct import pack
 from typing import Any
 
+from armrig_core.control.evaluation import Program
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (
     Emit,
@@ -27,8 +30,37 @@ from tests.daemon.virtual_bench import LEASE, Bench, codes
 ARM = Arm(order=71, owner="a student", lease=LEASE, ts_us=0)
 SET = Set(order=72, lease=LEASE, n=50, code=1000)
 RUN = Run(order=73, lease=LEASE, n=50, run_id="r", codes=codes(1.0, 2.0))
+LAW = Program(
+    law_sha256="5" * 64,
+    Ts_us=10_000,
+    rows=((0.5, 0.2, 0.1, -0.4),),
+    v_row=(1.0, 0.3),
+    u0=1.5,
+    x0=(0.0,),
+    predictions=((0.1,),),
+    channels=(1,),
+    y0=(0.0,),
+    turning=(False,),
+    lo_code=0,
+    hi_code=65_535,
+    slew=0,
+    input_delay=0,
+    most_blind=20,
+    most_limited=0,
+    tracked=None,
+    most_error=0.0,
+    most_astray=0,
+)
+"""Law of one state on the second output."""
 OURS = 4711
 """seq of the awaited request, if any."""
+
+
+def control_run(law: Program = LAW, r: Iterable[float] = (1.0, 2.0)) -> Run:
+    """Return the order of a run by a law, with its reference."""
+    values = [*r]
+    reference = pack(f"<{len(values)}d", *values)
+    return changed(RUN, codes=b"", law=law, reference=reference)
 
 
 def rested() -> Bench:

@@ -20,13 +20,14 @@ from armrig_daemon.decisions.state import ActiveRun, Control, Emit, Phase, State
 def observe(state: State, sample: Sample) -> Step:
     """Advance the law of the run by a sample, and by the missing samples before it.
 
-    A sample that belongs to no tick of the run changes nothing.
+    A sample whose code the law has not decided changes nothing: a sample before the run, or one at
+    a tick after a stop that the device has not received.
     """
     run = state.run
     if run is None or not run.control or run.k_first < 0:
         return state, []
     control, i = run.control, sample.k - run.k_first
-    if not control.state.k <= i < run.samples:
+    if not control.state.k <= i < run.due:
         return state, []
     values = sample.value_0, sample.value_1
     after = evaluation.observe(control.law, control.state, i, values, control.values, control.latch)

@@ -241,7 +241,10 @@ def _refuse_law(state: State, order: pipe.Run, law: Program) -> list[Action]:
         low, high, least, most = (f"{volts_of(code):.4g}" for code in codes)
         text = f"the law has {low} … {high} V; allowed are {least} … {most} V, with {rules.rest}"
         return refuse(order, text)
-    return [] if order.reference else refuse(order, "the reference is empty")
+    if not order.reference or len(order.reference) % 8:
+        n = len(order.reference or b"")
+        return refuse(order, f"the reference has {n} bytes; 8 for each sample are needed")
+    return []
 
 
 def _cannot_pace(state: State, order: pipe.Run) -> list[Action]:

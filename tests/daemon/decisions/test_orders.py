@@ -27,12 +27,14 @@ from armrig_protocol.messages import State as DeviceState
 
 from tests.daemon.decision_states import (
     ARM,
+    LAW,
     RUN,
     SET,
     Decided,
     armed,
     awaiting,
     changed,
+    control_run,
     driven,
     ordered,
     rested,
@@ -66,6 +68,16 @@ NOT_AT_REST = "the rig is not at rest yet: try again"
 RUNNING, FILLING = (ActiveRun("r", codes(1.0), -1, scheduled=s) for s in (False, True))
 SCHEDULED = changed(RUN, scheduled=True)
 NO_LEASE = "not the lease in force"
+CONTROL = control_run()
+LIMITS = Config(limits=Limits(u_min_v=1.0, u_max_v=4.0)).rules()
+WITHIN = {"lo_code": code_of(1.0), "hi_code": code_of(4.0)}
+NARROW = {"rules": changed(LIMITS, rest_code=code_of(2.0))}
+ALLOWED = "1 … 4 V, with rest"
+
+
+def _law(**fields: int) -> Order:
+    return control_run(changed(LAW, **fields))
+
 
 REFUSALS: dict[str, tuple[Callable[[], Bench], dict[str, object], Order, str]] = {
     "an order of another release": (rested, {}, Order(order=5), "not an order"),
@@ -88,6 +100,14 @@ REFUSALS: dict[str, tuple[Callable[[], Bench], dict[str, object], Order, str]] =
     "RUN while driven by hand": (driven, {}, RUN, "driven by hand"),
     "RUN while a queue fills": (armed, {"run": FILLING}, RUN, "r is about to start"),
     "RUN of no sample": (armed, {}, changed(RUN, codes=b""), "empty"),
+    "law in scheduled mode": (armed, {}, changed(CONTROL, scheduled=True), "request exchange mode"),
+    "law of another Ts": (armed, {}, _law(Ts_us=5000), "Ts=0.005 s, and the rig 0.01 s"),
+    "law below the limits": (armed, NARROW, _law(**WITHIN | {"lo_code": 13_106}), ALLOWED),
+    "law above the limits": (armed, NARROW, _law(**WITHIN | {"hi_code": 52_429}), ALLOWED),
+    "law above rest": (armed, NARROW, _law(**WITHIN | {"lo_code": 26_215}), ALLOWED),
+    "law below rest": (armed, NARROW, _law(**WITHIN | {"hi_code": 26_213}), ALLOWED),
+    "law without a reference": (armed, {}, control_run(r=()), "the reference has 0 bytes"),
+    "law with half a sample": (armed, {}, changed(CONTROL, reference=b"1234"), "has 4 bytes"),
     "scheduled RUN without a device": (armed, {"device": None}, SCHEDULED, "no scheduled mode"),
 }
 
@@ -98,6 +118,14 @@ def test_an_order_is_refused_and_changes_nothing(rule: str) -> None:
     bench = make()
 
     assert text in _refusal(bench, order, changed(bench.loop.state, **change))
+
+
+def test_a_law_with_the_limits_of_the_rig_is_accepted() -> None:
+    bench = armed()
+    decided = ordered(bench, _law(**WITHIN), changed(bench.loop.state, **NARROW))
+
+    assert not decided.told(Answer)
+    assert decided.state.asked.want is RequestKind.START
 
 
 @pytest.mark.parametrize(

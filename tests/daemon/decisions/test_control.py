@@ -1,0 +1,226 @@
+"""A control law in the core: what its code depends on, and how its run ends (S5)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from math import nan
+from struct import pack
+from typing import Any
+
+import pytest
+from armrig_core.commands.codes import OutcomeCode
+from armrig_core.control.evaluation import Program
+from armrig_core.rig.volts import applied_code, code_of, volts_of
+from armrig_core.telemetry.telemetry import Sample
+from armrig_daemon import pipe
+from armrig_daemon.config import Config
+from armrig_daemon.decisions import control, trace
+from armrig_daemon.decisions import step as core_step
+from armrig_daemon.decisions.faults import Id
+from armrig_daemon.decisions.outcomes import Halt
+from armrig_daemon.decisions.state import Phase, RequestKind, Send, State, Tick
+from armrig_daemon.pipe import Answer, RunEnded, Stop, Trace
+from armrig_protocol import messages as wire
+from armrig_protocol.decoder import feed
+from msgspec.structs import replace
+
+from tests.daemon.decision_states import LAW, Decided, awaiting, changed, control_run
+from tests.daemon.virtual_bench import MS, Bench
+
+TS_MS = LAW.Ts_us / 1000
+RAIL, MIDDLE = 65_472, 32_768
+LONG = [1.0] * 400
+
+
+def _begun(law: Program = LAW, r: Iterable[float] = LONG, alpha: int = MIDDLE) -> Bench:
+    """Return a bench whose law has begun; α reads `alpha` counts."""
+    bench = Bench(Config())
+    _read(bench, alpha)
+    bench.run_for(50)
+    assert not bench.arm().error
+    bench.order(control_run(law, r))
+    bench.run_for(TS_MS)
+    assert not bench.of(Answer)[-1].error
+    return bench
+
+
+def _read(bench: Bench, alpha: int) -> None:
+    board: Any = bench.ports.device.board
+    board.reading = lambda channel, _: alpha if channel else MIDDLE
+
+
+def _without(*kinds: type, first: int = 1 << 30) -> Callable[[bytes], bytes]:
+    """Return a line that loses the first frames of these kinds."""
+    lost = 0
+
+    def carry(data: bytes) -> bytes:
+        nonlocal lost
+        if lost < first and any(isinstance(m, kinds) for m in feed(b"", data)[1]):
+            lost += 1
+            return b""
+        return data
+
+    return carry
+
+
+def _outcome(bench: Bench) -> OutcomeCode:
+    (ended,) = bench.of(RunEnded)
+    assert bench.volts == 0.0
+    return OutcomeCode(ended.outcome_code)
+
+
+# -- a run ---------------------------------------------------------------------------------------
+
+
+def test_each_code_is_computed_from_the_sample_before_it_or_its_prediction() -> None:
+    bench = _begun(r=[0.5] * 20 + [2.0] * 20, alpha=MIDDLE + 3000)
+    bench.ports.from_device = _without(wire.Sample, first=1)
+    bench.run_for(50 * TS_MS)
+
+    records, samples = bench.of(pipe.Control), {s.k: s for s in bench.samples}
+    assert [c.r for c in records] == [0.5] * 20 + [2.0] * 20
+    assert [c.k for c in records] == [*range(records[0].k, records[0].k + 40)]
+    x = 0.0
+    for c in records:
+        code = round(c.v * 13_107)
+        assert c.v == 0.0 + x + 0.3 * c.r + 1.5
+        assert c.u_v == volts_of(code)
+        y = samples[c.k].value_1 if c.k in samples else 0.1 * x
+        applied = volts_of(applied_code(code, 10))
+        x = 0.0 + 0.5 * x + 0.2 * c.r + 0.1 * (applied - 1.5) + -0.4 * y
+        assert c.k not in samples or samples[c.k].u_cmd_v == c.u_v
+    assert sum(c.k not in samples for c in records) == sum(c.predicted for c in records) == 1
+    assert not any(c.is_low or c.is_high or c.is_slewed for c in records)
+    assert _outcome(bench) is OutcomeCode.COMPLETE
+
+
+def test_a_sample_after_a_lost_stop_does_not_advance_the_law() -> None:
+    """The device still answers each EXCHANGE, whose code is rest and not of the law."""
+    bench = _begun()
+    bench.ports.to_device = _without(wire.Stop, first=3)
+    bench.order(Stop(order=9))
+    bench.run_for(TS_MS)
+    before = bench.loop.state.run.control.state
+    n = len(bench.samples)
+    bench.run_for(3 * TS_MS)
+
+    assert len(bench.samples) > n
+    assert bench.loop.state.run.control.state.k <= before.k + 1
+    bench.run_for(200)
+    assert _outcome(bench) is OutcomeCode.STOPPED
+
+
+def test_a_run_in_control_is_decided_again_from_its_trace() -> None:
+    bench = _begun(replace(LAW, turning=(True,), channels=(0,)))
+    bench.ports.from_device = _without(wire.Sample, first=2)
+    bench.run_for(500 * TS_MS)
+
+    chunks = bench.of(Trace)
+    state = trace.restored(chunks[0].state, pack(f"<{len(LONG)}d", *LONG))
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
+    assert state.run is None
+
+
+# -- the ends of a run ---------------------------------------------------------------------------
+
+TRACKED = {"tracked": (0.0, 1.0, 0.0), "most_error": 0.5, "most_astray": 4}
+
+
+@pytest.mark.parametrize(
+    ("law", "alpha", "end"),
+    [
+        (replace(LAW, most_blind=4), RAIL, OutcomeCode.BLIND),
+        (replace(LAW, **TRACKED), MIDDLE, OutcomeCode.TRACKING),
+        (replace(LAW, u0=6.0, most_limited=5), MIDDLE, OutcomeCode.AT_LIMIT),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_bound_of_the_law_ends_its_run_without_a_fault(
+    law: Program, alpha: int, end: OutcomeCode
+) -> None:
+    bench = _begun(law, alpha=alpha)
+    bench.run_for(40 * TS_MS)
+
+    assert _outcome(bench) is end
+    assert bench.phase is Phase.SAFE
+    assert len(bench.of(pipe.Control)) == 4  # the fifth code at a limit is not sent
+
+
+def test_a_law_that_is_late_by_more_than_its_most_blind_samples_ends() -> None:
+    bench = _begun(replace(LAW, most_blind=2))
+    bench.lateness_ns = 25 * MS
+    bench.run_for(3 * TS_MS)
+    predicted = [c.predicted for c in bench.of(pipe.Control)]
+    bench.lateness_ns = 35 * MS
+    bench.run_for(20 * TS_MS)
+
+    assert _outcome(bench) is OutcomeCode.BLIND
+    assert [c.predicted for c in bench.of(pipe.Control)] == predicted
+    assert max(predicted) == 2
+
+
+@pytest.mark.parametrize(
+    ("law", "cause"),
+    [
+        (replace(LAW, v_row=(1.0, 1e308), u0=1e308), "the law computed u[0] = inf"),
+        (
+            replace(LAW, rows=((1e200, 1e200, 0.0, 0.0),), v_row=(0.0, 0.0)),
+            "not finite at sample 2",
+        ),
+    ],
+)
+def test_numbers_that_are_not_finite_trip(law: Program, cause: str) -> None:
+    bench = _begun(law)
+    bench.run_for(20 * TS_MS)
+
+    assert bench.phase is Phase.FAULT
+    assert bench.loop.state.fault.id is Id.CONTROL
+    assert cause in bench.loop.state.reason
+    assert _outcome(bench) is OutcomeCode.FAULT
+
+
+def test_a_code_outside_the_limits_trips_and_is_not_sent() -> None:
+    """No accepted law gives this code: the core checks it, whatever has computed it (S1)."""
+    bench = _begun(replace(LAW, u0=4.0))
+    state = bench.loop.state
+    state = changed(state, rules=replace(state.rules, code_max=code_of(3.0)))
+    decided = Decided(state, bench.ports.now, Tick(state.k + 1, bench.ports.now))
+
+    assert decided.state.fault.id is Id.LIMITS
+    assert [m.u for m in decided.sent if isinstance(m, wire.Exchange)] == [0]
+
+
+def _newest(bench: Bench, **fields: float) -> tuple[State, Sample]:
+    """Return a state before a sample of its run, and the sample."""
+    state = bench.loop.state
+    return state, bench.samples[-1]._replace(k=state.run.k_first + state.run.due - 1, **fields)
+
+
+def test_a_sample_advances_only_a_run_in_control_that_has_begun() -> None:
+    state, sample = _newest(_begun())
+    run = state.run
+    unused = (
+        changed(state, run=None),
+        changed(state, run=replace(run, control=None)),
+        changed(state, run=replace(run, k_first=-1)),
+        changed(state, run=replace(run, due=run.due - 1)),
+        changed(state, run=replace(run, k_first=sample.k + 1)),
+    )
+
+    assert all(control.observe(other, sample) == (other, []) for other in unused)
+
+
+def test_a_law_that_is_being_stopped_does_not_end_again() -> None:
+    state, sample = _newest(_begun(replace(LAW, most_blind=1)), value_1=nan)
+    k = state.run.control.state.k
+    stopping = awaiting(state, RequestKind.STOP)
+    latched = changed(state, phase=Phase.SAFE)
+
+    after, (halt,) = control.observe(state, sample)
+    assert isinstance(halt, Halt)
+    assert after.run.control.state.k == sample.k - state.run.k_first + 1 > k
+    for other in (stopping, latched):
+        observed, outcomes = control.observe(other, sample)
+        assert (observed.run.control.state, outcomes) == (after.run.control.state, [])
