@@ -37,6 +37,7 @@ MAX_TRIES = 10
 CLIENT = """
 import sys, time
 from armrig.rig.client import Rig
+from armrig_core.control.control_law import ControlLaw, LawOutput, Reference
 with Rig(connect=sys.argv[1]) as rig:
     rig.arm("benchmark", Ts=0.005)
     mode = sys.argv[2]
@@ -44,6 +45,13 @@ with Rig(connect=sys.argv[1]) as rig:
         for volts in (1.0, 4.0):
             rig.set(volts)
             time.sleep(0.02)
+    if mode == "control":
+        law = ControlLaw(
+            Ts_us=5_000, outputs=(LawOutput(name="alpha", unit="rad"),),
+            reference=Reference(name="u", unit="V", low=0, high=5),
+            A=(), B=(), C=(), D=1.0, x0=(), F=((),),
+        )
+        rig.control(law, [1.0, 4.0] * 2000)
     pacing = "exchange" if mode == "exchange" else "scheduled"
     rig.run([1.0, 4.0] * 2000, pacing=pacing, dead_man=1.0 if mode == "dead-man" else None)
 """
@@ -79,7 +87,7 @@ class Event(NamedTuple):
     bound_ms: float
     act: Callable[[Setup], object]
     mode: str = "scheduled"
-    """Pacing of the run, a run with a dead-man, or a voltage held by hand."""
+    """Pacing of the run, a run with a dead-man or in control, or a voltage held by hand."""
     has_line: bool = False
     """A line that can fail connects daemon and device."""
 
@@ -118,6 +126,11 @@ EVENTS = {
     "freeze client by hand": Event(210, send(FREEZE, "client"), "hand"),
     "kill client with dead-man": Event(1005, send(KILL, "client"), "dead-man"),
     "freeze client with dead-man": Event(1005, send(FREEZE, "client"), "dead-man"),
+    "armrig stop, control": Event(5, lambda setup: setup.rig.stop(), "control"),
+    "kill service, control": Event(10, send(KILL, "service"), "control"),
+    "kill loop, control": Event(110, send(KILL, "loop"), "control"),
+    "kill both, control": Event(110, send(KILL, "loop", "service"), "control"),
+    "kill client, control": Event(1005, send(KILL, "client"), "control"),
     "disk full": Event(math.inf, fill_disk),
     "recordings removed": Event(math.inf, lambda setup: shutil.rmtree(setup.bench.recordings)),
     "unplug": on_line("unplug"),
