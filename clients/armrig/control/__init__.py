@@ -1,0 +1,1 @@
+"""Control laws: conversion, design, and check of their margins."""

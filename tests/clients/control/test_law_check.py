@@ -1,0 +1,190 @@
+"""The verdict on a law: draws, corners, steps, and models that are refused or doubted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import armrig
+import control
+import numpy as np
+import pytest
+from armrig.control.loop import LawMatrices, margins
+from armrig.control.plant import design_model
+from armrig_core.errors import InputError
+from armrig_core.rig.description import shipped
+
+from tests.clients.control import plants
+
+LAG = plants.model([0, 0.1], [1, -0.9])
+
+
+def _estimated(*, N: int = 600, noise: float = 0.05, seed: int = 3) -> armrig.Fit:
+    u = armrig.prbs(N, clock=4, low=0.0, high=4.0, seed=seed)
+    y = LAG.simulate(u) + noise * np.random.default_rng(seed).standard_normal(N)
+    return armrig.oe(armrig.Dataset(u=u, y=y, Ts=0.05, input_unit="V"), nb=1, nf=1)
+
+
+@pytest.mark.exhaustive
+def test_bands_over_draws_hold_the_margins_of_the_true_plant() -> None:
+    """Of 60 estimates, each with its own law, the true Ms and phase margin are in 95 % bands."""
+    inside = np.zeros(2)
+    true = design_model(LAG)
+
+    for seed in range(60):
+        fit = _estimated(seed=seed)
+        law = armrig.pid(fit, time_constant=0.2)
+        check = armrig.check_law(law, fit, draws=200)
+        m = margins(LawMatrices.of(law, ["y"]), true.plant, 0.05)
+        for i, name in enumerate(("Ms", "phase_deg")):
+            low, high = check.band(name)
+            inside[i] += low <= getattr(m, name) <= high
+
+    assert (inside >= 52).all()  # below 52 of 60 with probability 0.006
+    assert not (inside == 60).all()
+
+
+def test_the_first_number_is_the_worst_of_draws_and_corners() -> None:
+    fit = _estimated()
+    check = armrig.check_law(armrig.pid(fit, ms=1.4), fit)
+
+    quantile = np.quantile(check.draws["Ms"], 0.975)
+    corners = [m.Ms for m in check.corners.values()]
+    assert check.worst_Ms == pytest.approx(max(quantile, *corners), rel=1e-3)
+    assert max(corners) > quantile
+    assert f"Ms at most {check.worst_Ms:.2f}" in check.verdict
+    assert "0 % of 500 draws unstable" in check.verdict
+
+
+def test_corners_are_the_margins_of_changed_plants() -> None:
+    check = armrig.check_law(law := armrig.pid(LAG), LAG)
+    changed = plants.model([0, 0.08], [1, -0.9]), plants.model([0, 0, 0.1], [1, -0.9])
+
+    for name, model in zip(("gain -20 %", "one more sample of delay"), changed, strict=True):
+        m = margins(LawMatrices.of(law, ["y"]), design_model(model).plant, 0.05)
+        assert check.corners[name].Ms == pytest.approx(m.Ms, rel=1e-9)
+
+
+def test_a_share_of_unstable_draws_is_reported() -> None:
+    fit = _estimated(N=100, noise=1.0)
+    check = armrig.check_law(armrig.pid(fit, ms=9.0), fit)
+
+    assert 0 < check.unstable_share < 1
+    assert f"{100 * check.unstable_share:.2g} % of 500 draws unstable" in check.verdict
+    assert "ask for a slower loop" in check.verdict
+
+
+def test_steps_have_the_overshoot_and_settling_of_a_direct_simulation() -> None:
+    law = armrig.pid(LAG, ms=1.9, weight=1.0)
+    check = armrig.check_law(law, LAG, height=1.0)
+    y, _ = plants.simulate(law, LAG, np.ones(check.steps.t.size))
+
+    outside = np.flatnonzero(np.abs(y[:, 0] - 1) > 0.05)
+    assert check.steps.overshoot()[0] == pytest.approx(100 * (y.max() - 1))
+    assert check.steps.overshoot()[0] > 3
+    assert check.steps.settling()[0] == pytest.approx((outside[-1] + 1) * 0.05)
+
+
+@pytest.mark.parametrize(
+    ("design", "text"),
+    [
+        (lambda: armrig.pid(LAG, time_constant=0.05), "at least 0.1 s can be met"),
+        (lambda: armrig.pid(LAG, ms=1.05), "at least 1.1 can be met"),
+        (lambda: armrig.place(LAG, [-30]), "at most 10 rad/s can be met"),
+        (lambda: armrig.place(LAG, [-3, -4]), "the model needs 1"),
+        (lambda: armrig.place(LAG, [3]), "below 0"),
+        (lambda: armrig.lqg(LAG, effort=0.0), "must be above 0"),
+        (lambda: armrig.pid(plants.model([0, 0.1], [1, -1.1])), "unstable"),
+        (lambda: armrig.pid(plants.model([0.1], [1, -0.9])), "nk=0"),
+        (lambda: armrig.pid(plants.model([0, 0.1], [1, -1.0])), "integrator=True"),
+        (lambda: armrig.pid(plants.model([0, 0.1], [1, -0.9], Ts=2.0)), "0.005 to 1 s"),
+        (lambda: armrig.pid(LAG, Ts=0.1), "the model has 0.05 s"),
+        (lambda: armrig.pid(LAG, rig=shipped("heater")), "a model of another rig"),
+        (lambda: armrig.pid(LAG, output="z"), "the model has y"),
+        (lambda: armrig.pid(LAG, rate=True), "does not integrate"),
+        (
+            lambda: armrig.pid(armrig.Fit.of_channel(B=[0, 1], nk=1, Ts=1.0, input_unit="%")),
+            "rig='",
+        ),
+        (lambda: armrig.pid(control.tf([1.0], [1, 1])), "give Ts="),
+        (lambda: armrig.pid(3.0), "give a Fit"),
+        (
+            lambda: armrig.lqg(plants.model([0, 0.1], [1, -1.0], integrator=True, output="level")),
+            "give reference=",
+        ),
+        (
+            lambda: armrig.check_law(armrig.pid(LAG), plants.model([0, 0.1], [1, -0.9], Ts=0.1)),
+            "Ts",
+        ),
+        (
+            lambda: armrig.check_law(armrig.pid(LAG), plants.model([0, 1], [1, -0.9], output="z")),
+            "the law uses y",
+        ),
+    ],
+)
+def test_a_design_that_no_law_meets_is_refused_with_what_would_be_met(
+    design: Any, text: str
+) -> None:
+    with pytest.raises(armrig.ArmrigError) as refusal:
+        design()
+
+    assert text in str(refusal.value)
+
+
+def test_with_a_dead_time_poles_that_cannot_dominate_are_refused() -> None:
+    """A fast pole would be there with hardly any gain, behind the slow pole of the plant."""
+    late = plants.model([0] * 16 + [0.1], [1, -0.9])
+
+    with pytest.raises(InputError, match="rad/s can be met") as refusal:
+        armrig.place(late, [-5])
+
+    most = float(str(refusal.value).split("at most ")[1].split()[0])
+    assert armrig.place(late, [-0.95 * most]).input_delay == 15
+
+
+def test_doubts_stand_in_the_first_line() -> None:
+    fit, other = _estimated(), _estimated(seed=9)
+    u = armrig.prbs(400, clock=4, low=0.0, high=4.0, seed=8)
+    rng = np.random.default_rng(1)
+    good = armrig.Dataset(
+        u=u, y=LAG.simulate(u) + 0.05 * rng.standard_normal(400), Ts=0.05, input_unit="V"
+    )
+    bad = armrig.Dataset(
+        u=u, y=2 * LAG.simulate(u) + 0.05 * rng.standard_normal(400), Ts=0.05, input_unit="V"
+    )
+    law = armrig.pid(fit)
+
+    first = [
+        armrig.check_law(law, model, validation=data, draws=20).verdict.splitlines()[0]
+        for model, data in ((LAG, None), (fit, None), (fit, bad), (other, good))
+    ]
+
+    for line, text in zip(
+        first,
+        ("no covariance", "not validated", "reject the model", "designed on another model"),
+        strict=True,
+    ):
+        assert line.startswith("In doubt: ")
+        assert text in line
+    verdict = armrig.check_law(law, fit, validation=good, draws=20).verdict
+    assert verdict.startswith("Ms at most")
+    assert len(verdict.splitlines()) == 2
+
+
+def test_a_model_in_percent_commands_volts_at_the_pin_of_its_rig() -> None:
+    """20 % are 1 V on the heater: the law's gains are those of the model in V, and so is u0."""
+    heater, more = shipped("heater"), {"output": "T1", "unit": "degC", "Ts": 1.0, "input": "power"}
+    percent = armrig.Fit.of_channel(B=[0, 0.01], F=[1, -0.98], nk=1, input_unit="%", **more)
+
+    law = armrig.pid(percent, time_constant=20.0, rig=heater, u0=1.0, y0=33.0)
+    check = armrig.check_law(law, percent, rig=heater)
+
+    in_volts = armrig.Fit.of_channel(B=[0, 0.2], F=[1, -0.98], nk=1, input_unit="V", **more)
+    same = armrig.pid(replace(in_volts, inputs=("u",)), time_constant=20.0, u0=1.0, y0=33.0)
+    np.testing.assert_allclose(law.A, same.A)
+    np.testing.assert_allclose(law.B, same.B)
+    assert law.u0 == pytest.approx(1.0 - 33.0 / 10.0)  # 10 degC for 1 V
+    assert law.reference.low == pytest.approx(23.0)  # at 0 V
+    assert law.reference.high == 70.0
+    assert check.nominal.Ms == pytest.approx(law.design["margins"]["Ms"])
+    law.check_rig(heater, 1_000_000, 0.0, 5.0)
