@@ -21,7 +21,7 @@ from armrig.data.files.column_faults import rows_of_each_value
 from armrig.data.finding import Finding, warning
 from armrig.data.treatment import hampel, integrating, known_to_integrate
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.quantities import digits, percent, plural
+from armrig.numerics.quantities import digits, listed, percent, plural
 from armrig.numerics.regressors import unique_whitening, whitening
 from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
 
@@ -46,6 +46,7 @@ _FEW_OUTLIERS, _INSTRUMENT_VALUES = 5, 3  # outliers, or values of outliers, tha
 _BEYOND = 0.5  # least distance of the values of an instrument from the others, in their range
 _CLUSTERED, _FAR = 4.0, 1_000_000  # excess of outliers near others, in σ; distance beyond all data
 _SINGLE_ORDER, _SINGLE_REST, _USUAL = 10, 0.1, 2.0  # largest rest: of the residuals, of the noise
+_MAX_TRIED, _MIN_SINGLE_SHARE = 50, 0.5  # outliers that are examined, and their share that is wrong
 _STATE_LEVEL = 0.01  # of the tests whether outliers depend on the state
 _MIN_RESIDUALS = 50  # least number of residuals for the check of outliers
 _MAX_LISTED = 5
@@ -53,6 +54,7 @@ _COLOUR_LAGS = 10  # lags of the test of whiteness
 _MAX_OFFSET_ORDER = 12  # order of the model that estimates an offset
 _MAX_OFFSET_SAMPLES = 10_000  # enough samples to detect an offset that matters
 _MAX_SHOWN_SIGMAS = 1000.0
+_NEAR = 0.25  # share of the range beyond which a value is an extrapolation
 _MIN_LEVEL_SIGMAS = 4.0  # if there is no offset, 6 of 100 000 estimates exceed this limit
 
 
@@ -162,10 +164,16 @@ def looking_wrong(data: Signals, *, instrument: bool = False) -> tuple[int, str]
     if wrong.size and not _are_of_an_instrument(data, wrong):
         if instrument:
             return 0, ""
+        alone = _distances(wrong) > _COLOUR_LAGS
         if wrong.size < _FEW_OUTLIERS:
-            wrong = wrong[_are_single(data, wrong)]
+            wrong = wrong[alone & _are_single(data, wrong, wrong)]
         elif _depend_on_the_state(data, wrong):
             return 0, ""
+        elif alone.any():
+            tried = wrong[alone][:: alone.sum() // _MAX_TRIED + 1]
+            # After each step of a disturbance, such as another input, y moves for some time.
+            if np.mean(_are_single(data, wrong, tried)) < _MIN_SINGLE_SHARE:
+                return 0, ""
     where = ", ".join([*map(str, wrong[:_MAX_LISTED]), *["…"] * (wrong.size > _MAX_LISTED)])
     return wrong.size, f"{plural(wrong.size, 'sample')} of {data.outputs[0]} look wrong ({where})"
 
@@ -202,8 +210,10 @@ def _depend_on_the_state(data: Signals, wrong: NDArray[np.intp]) -> bool:
     return any(ks_2samp(x[wrong], x[rest]).pvalue < level for x in states)
 
 
-def _are_single(data: Signals, wrong: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return whether each outlier is an error of its own sample, and no motion of the rig.
+def _are_single(
+    data: Signals, wrong: NDArray[np.intp], tried: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Return whether each tried outlier is an error of its own sample, and no motion of the rig.
 
     An error b of y(t) makes b a_k of the residual k samples later. A motion makes other residuals.
     """
@@ -214,8 +224,8 @@ def _are_single(data: Signals, wrong: NDArray[np.intp]) -> NDArray[np.bool_]:
     model = whitening([(data.u, right)], n)
     all_errors = model.residuals(data.u, right)
     usual = (_MAD_TO_STD * float(np.nanmedian(np.abs(all_errors)))) ** 2
-    single = np.zeros(wrong.size, np.bool_)
-    for i, t in enumerate(wrong.tolist()):
+    single = np.zeros(tried.size, np.bool_)
+    for i, t in enumerate(tried.tolist()):
         right[t] = y[t]
         e = model.residuals(data.u, right)[t : t + n + 1]
         right[t] = np.nan
@@ -224,7 +234,7 @@ def _are_single(data: Signals, wrong: NDArray[np.intp]) -> NDArray[np.bool_]:
         whole = float(e @ e)
         rest = whole - float(a @ e) ** 2 / max(float(a @ a), 1e-300)
         single[i] = rest < max(_SINGLE_REST * whole, _USUAL * e.size * usual)
-    return single & (_distances(wrong) > _COLOUR_LAGS)
+    return single
 
 
 def _distances(wrong: NDArray[np.intp]) -> NDArray[np.int_]:
@@ -247,6 +257,7 @@ def level_without_input(
 ) -> Finding | None:
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
+    The text states the level only if u and y come near it: otherwise it is an extrapolation.
     At u = 0 the level of one output in A(q) y(t) = B(q) u(t) + c + e(t) is c / A(1). The result is
     None if an input is constant from lag n on, because c and its gain then have the same effect.
     """
@@ -262,16 +273,26 @@ def level_without_input(
     least = max(least, _MIN_LEVEL_SIGMAS) if model.exact else least
     if not (std > 0 and gain > 0 and not model.ambiguous and abs(model.c) > least * std):
         return None
-    unit = f" {data.units[0]}" if data.units[0] else ""
+    output, level = data.outputs[0], model.c / gain
     sigmas = min(abs(model.c) / std, _MAX_SHOWN_SIGMAS)
+    more = f"{sigmas:.0f} standard deviations {'or more ' * (sigmas == _MAX_SHOWN_SIGMAS)}from 0"
+    unit = f" {data.units[0]}" if data.units[0] else ""
+    text = f"{output} is about {digits(level, 3)}{unit} at {' = '.join(data.inputs)} = 0 ({more})"
+    if not (_is_near(level, data.y[data.valid]) and all(_is_near(0.0, u) for u in data.u.T)):
+        text = f"a linear model from {listed(data.inputs)} to {output} needs a level ({more})"
     return warning(
         "level",
-        f"{data.outputs[0]} is about {digits(model.c / gain, 3)}{unit} at u = 0 ({sigmas:.0f} "
-        f"standard deviations {'or more ' if sigmas == _MAX_SHOWN_SIGMAS else ''}from 0)",
+        text,
         "level",
         level=model.c / gain,
         sigmas=sigmas,
     )
+
+
+def _is_near(value: float, x: Vector) -> bool:
+    """Return whether a value is in the range of x, or at most a quarter of the range beyond it."""
+    low, high = float(np.min(x)), float(np.max(x))
+    return abs(value - (low + high) / 2) <= (0.5 + _NEAR) * (high - low)
 
 
 def require_informative(data: Signals) -> None:

@@ -53,6 +53,13 @@ def _with_a_load(rng: Generator) -> Record:
     return u, y + lfilter([0, 0.2], [1, -0.9], load)
 
 
+def _with_another_input(rng: Generator) -> Record:
+    """Return an output that a second input moves, too, which the data do not contain."""
+    u, other = (2.0 * (np.cumsum(rng.random(1500) < p) % 2) - 1 for p in (0.2, 0.06))
+    y = lfilter([0, 0.1], [1, -0.5], u) + lfilter([0, 0.3], [1, -0.8], other)
+    return u, y + 0.03 * rng.standard_normal(1500)
+
+
 def _with_a_stiff_spring(rng: Generator) -> Record:
     """Return a resonance whose spring is stiffer at large deflections."""
     b, a = butter(2, 0.2)
@@ -83,7 +90,10 @@ def test_errors_of_an_instrument_are_named(
     assert sum(named >= count for named in found) >= 9
 
 
-@pytest.mark.parametrize("record", [_linear, _with_backlash, _with_a_load, _with_a_stiff_spring])
+@pytest.mark.parametrize(
+    "record",
+    [_linear, _with_backlash, _with_a_load, _with_another_input, _with_a_stiff_spring],
+)
 def test_motions_of_a_rig_are_not_named(record: Callable[[Generator], Record]) -> None:
     found = [_named(record, seed) for seed in range(10)]
 
