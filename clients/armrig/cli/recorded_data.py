@@ -23,7 +23,7 @@ from armrig.cli.printing import inform, say, spinner, tell, tell_findings, warne
 from armrig.cli.results import name_runs
 from armrig.data.files import OTHER_DATA, RECORDING
 from armrig.data.finding import few_samples
-from armrig.data.step import DOUBT, MEAN, codes_of
+from armrig.data.step import DOUBT, MEAN, OTHER_INPUTS, codes_of
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
@@ -191,7 +191,8 @@ def modelled_outputs(recording: armrig.Recording, model: Fit, chosen: Sequence[s
     if (model.ny, model.nu) == (1, 1) and model.output in UNNAMED:
         return recorded_outputs(recording, chosen)
     input = recording.description.input.name
-    if not set(model.outputs) <= {*recording.outputs} or model.inputs not in (("u",), (input,)):
+    # A rig has one input, so the name of a single input, such as a column's, need not be its name.
+    if not set(model.outputs) <= {*recording.outputs} or model.nu != 1:
         raise InputError(
             f"the model's inputs are {', '.join(model.inputs)} and its outputs "
             f"{', '.join(model.outputs)}, but a recording has the input {input} and the outputs "
@@ -418,6 +419,9 @@ class SignalChoice(DataOptions):
         if self.assume is not None:
             return decided.integrates, [f"{taken}, as --assume says"]
         line = f"{taken}; --assume {kinds[not decided.integrates]} changes this"
+        if decided.integrates:  # another input may move y as an integrator does
+            others = zip(data.history, codes_of(data.history), strict=True)
+            line += "".join(f"; {text}" for text, code in others if code == OTHER_INPUTS)
         return decided.integrates, [line] if decided.reason or not from_arm(data) else []
 
     def of(self, file: Path, model: Fit | None = None) -> Dataset | Signals:

@@ -12,6 +12,8 @@ LINE = "line"
 """Code of a step that removed a straight line."""
 DOUBT = "doubt"
 """Code of a step that may be a misreading of a file, or that names a fault of its data."""
+OTHER_INPUTS = "inputs"
+"""Code of a step that names columns that switch like an input, and are not in the data."""
 
 _PART = "part"
 """First word of the code of a step that selected a part; the part's start and end in s follow."""

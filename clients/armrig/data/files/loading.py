@@ -36,7 +36,7 @@ from armrig.data.files.table import (
     listed,
     shown,
 )
-from armrig.data.step import DOUBT, Step
+from armrig.data.step import DOUBT, OTHER_INPUTS, Step
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask, stretches
 
@@ -48,6 +48,7 @@ SOURCE = "data"
 """Prefix of the hash in `source` if the file is not a recording."""
 _MIN_KNOWN_INPUTS = 0.5  # share of the rows
 _MAX_HELD = 3  # rows that a file leaves out in which u is held, if it is the same on both sides
+_MAX_JUMPS, _MIN_JUMP = 1 / 3, 0.1  # of an input: share of the rows, and of the column's range
 _MIN_TS = 1e-12  # in s
 
 
@@ -105,7 +106,7 @@ def load_data(
     Returns
     -------
     Dataset
-        Data with the name of y and the units from the file's header; `source` contains the hash of
+        Data with the names and units from the file's header; `source` contains the hash of
         the file.
 
     Raises
@@ -132,9 +133,8 @@ def load_data(
                 "load_data reads one of each: use armrig.load_signals(path, inputs=…, outputs=…)"
             )
         of_u, of_y = inputs[0], outputs[0]
-        names = _names([of_u], "u", [of_y]) if of_y.name == "u" else None  # of swapped columns
         return Signals(
-            inputs=names,
+            inputs=_names([of_u], "u", [of_y]) if of_u.name else None,
             outputs=of_y.name or "y",
             units=of_y.unit,
             input_units=of_u.unit,
@@ -248,6 +248,9 @@ def _samples(
     columns |= {i: values_of(table, i, "signal") for i in of_y}
     names = {i: table.columns[i].name or "u" * (i in of_u) or "y" for i in columns}
     grid, columns, put_in, history = place(table, columns, of_u, of_y, names, how, are_signals=True)
+    if others := _switching(table, {*of_u, *of_y}):
+        text = f"not in the data, but switching like an input: {', '.join(others)}"
+        history.append(Step(text, OTHER_INPUTS))
     u, y = (np.column_stack([columns[i] for i in of]) for of in (of_u, of_y))
     known = np.isfinite(u).all(axis=1)
     if not known.any():
@@ -314,6 +317,19 @@ def place(
         history += _hold_inputs(u, put_in, [names[i] for i in of_u], how)
         placed |= dict(zip(of_u, u.T, strict=True))
     return grid, placed, put_in, history
+
+
+def _switching(table: Table, taken: Collection[int]) -> list[str]:
+    """Return the names of other columns that hold their values and jump, as an input does."""
+    names = []
+    for i in sorted(set(range(len(table.columns))) - {*taken, *time_columns(table)}):
+        x = table.numbers(i)
+        x = x[np.isfinite(x)]
+        jumps = np.abs(np.diff(x))
+        jumps = jumps[jumps > 0]
+        if 0 < jumps.size <= _MAX_JUMPS * x.size and np.median(jumps) >= _MIN_JUMP * np.ptp(x):
+            names.append(table.columns[i].name or str(i + 1))
+    return names
 
 
 def _columns(
