@@ -97,6 +97,12 @@ class _Search:
     fixed: model_structures.Given = field(default_factory=dict)
     """Fixed arguments of the search; the search chooses all other arguments."""
 
+    def typed(self, given: model_structures.Given) -> str:
+        """Return the options of the search, as typed."""
+        named = [*model_structures.typed_options(given), "--search"]
+        named += [] if self.most is None else [f"--max-order {self.most}"]
+        return " ".join([*named, *["--open-loop"] * self.open_loop])
+
 
 def sampling(
     file: DataFile,
@@ -187,6 +193,8 @@ def hints(
     data = signals.of(file)
     with spinner("estimating without a structure"):
         found = by_channel(partial(armrig.structure_hints, integrator=signals.integrator), data)
+        tests = by_channel(armrig.linearity, data)
+    linear = {n: f"not known: {t}" if isinstance(t, str) else t.line for n, t in tests.items()}
     require_result(found.values())
     known = {name: one for name, one in found.items() if not isinstance(one, str)}
     spectra = {"spectra": partial(data.plot, "spectrum")} if () in known else {}
@@ -194,7 +202,8 @@ def hints(
     def say_hints() -> None:
         for channel, one in found.items():
             say_channel(channel)
-            say_answer(f"not known: {one}" if isinstance(one, str) else repr(one))
+            hint = f"not known: {one}" if isinstance(one, str) else repr(one)
+            say_answer(f"{hint}\n  linearity: {linear[channel]}")
         if () not in found and len(known) == len(found):
             of_set = {(output, input): one for (input, output), one in known.items()}
             say_answer(f"all channels: {call_of_all(of_set)}")
@@ -211,7 +220,9 @@ def hints(
         say_next("identify", file=typed(file), **values)
 
     out.show(
-        facts=lambda: facts_by_channel(data, found, _hint_facts),
+        facts=lambda: facts_by_channel(
+            data, {n: (one, linear[n]) for n, one in found.items()}, _hint_facts
+        ),
         say=say_hints,
         taken=signals.choice(data, known[()].integrator)[1] if () in known else (),
         figures=lambda: results.figures_by_channel(
@@ -239,10 +250,11 @@ def _options(found: Sequence[StructureHints], *, level: bool) -> str:
     return options + (" --integrator" if integrates else offset)
 
 
-def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
-    """Return the hints about a channel, or the reason for missing hints."""
+def _hint_facts(hint: tuple[StructureHints | str, str]) -> dict[str, Any]:
+    """Return the hints about a channel, or the reason for missing hints, and its linearity."""
+    found, linear = hint
     if isinstance(found, str):
-        return {"structure": None, "reasons": [found], "doubts": []}
+        return {"structure": None, "reasons": [found], "doubts": [], "linearity": linear}
     of = "integrator integrator_shown low_slope high_slope relative_degree "
     of += "resonances antiresonances nk_interval excess"
     return {
@@ -254,6 +266,7 @@ def _hint_facts(found: StructureHints | str) -> dict[str, Any]:
         **fields_of(found, of),
         "reasons": [*found.reasons],
         "doubts": [f.text for f in found.findings if f.level != "good"],
+        "linearity": linear,
     }
 
 
@@ -318,6 +331,7 @@ def identify(
         validate=validate,
         save=save,
         signals=signals,
+        search_options=searching.typed(given) if searching.search else "",
     )
     out.show(
         facts=found.facts,
@@ -382,6 +396,8 @@ class Found:
     save: Path | None
     """File of the model."""
     signals: SignalChoice
+    search_options: str
+    """Options of the search, as typed; "" without a search."""
 
     def say(self, *, verbose: bool) -> None:
         """Print the answer, and the model."""

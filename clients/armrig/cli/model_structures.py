@@ -127,6 +127,11 @@ def searched_for(given: Given, ny: int = 1, nu: int = 1) -> dict[str, Any]:
     return asked
 
 
+def typed_options(given: Given) -> list[str]:
+    """Return the options that the user gave, as typed."""
+    return [_typed(name, value) for name, value in _asked(given).items()]
+
+
 def _asked(given: Given) -> Given:
     return {name: x for name, x in given.items() if x is not None and x is not False}
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from armrig_core.errors import ArmrigError
 from armrig_core.process.printable import printable
@@ -320,7 +320,7 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         say_next("import", file=_original(found.file), given=roles)
     elif options == CHECK:
         say_next("check", **values)
-    elif found.save is None or options != options_of(found.request):
+    elif found.save is None or options != (found.search_options or options_of(found.request)):
         say_next("identify", **values)
     elif found.validate is not None and found.validation is not None and known:
         tests = found.validation.tests
@@ -328,8 +328,8 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     elif validation:
         # `armrig validate` has no option --assume.
         say_next("validate", **values | {"given": replace(signals, assume=None).options()})
-    else:
-        say_next("collect blackbox" if signals.read else "check", signals.origin, **values)
+    elif signals.read:  # other data end here: `check` would lead to hints, and to this model again
+        say_next("collect blackbox", signals.origin, **values)
 
 
 def _original(file: Path) -> str:
@@ -358,6 +358,8 @@ def after_validate(
         channel = signals.of_channel(*tests.poorest_pair, data)
         of_arm = from_arm(data) and not INTEGRATING_OUTPUTS.isdisjoint(fit.outputs)
         name = "simulate" if of_arm else "check"
+    if name == "check" and not recorded:
+        return  # `check` of other data leads to hints, and so to this model again
     part = SignalChoice(calibration=signals.calibration, start=signals.start, stop=signals.stop)
     values = {"file": typed(file), "estimation": estimation, "model": quote(str(model))}
     say_next(name, **values, given=channel.options(data), part=part.options())
@@ -382,6 +384,14 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
         return _of_several(found, {f.about for f in findings})
     kind = STRUCTURES[fit.structure]
     remedies = {f.remedy for f in findings}
+    checked = {f.about for f in findings if f.remedy == "check"}
+    # A noise model prevents the bias by feedback.
+    must_check = bool(checked - {"feedback"} or (checked and not kind.closed_loop))
+    if found.search is not None:  # it compared levels, orders and delays on data held out
+        outliers = "outliers" in remedies
+        return (
+            CHECK if must_check and not outliers else found.search_options + " --hampel" * outliers
+        )
     if "structure" in remedies:
         oe = request.of_structure("oe", {"nb": fit.orders["nb"], "nf": fit.orders[kind.poles]})
         return options_of(structs.replace(oe, integrator=True, offset=False))
@@ -395,18 +405,17 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     seen = level and not detrend and offset == fit.offset
     form = f"{request.form}I" if request.form and asked else request.form
     after = structs.replace(request, integrator=integrator, offset=offset, form=form)
+    if lags := [int(f.numbers["nk"]) for f in findings if f.remedy == "nk"]:
+        after = structs.replace(after, **_later(after, lags[0]))
     if request.orders and ("order" in remedies or seen):
         many = max((int(f.numbers.get("poles", 1)) for f in findings), default=1)
         after = structs.replace(after, orders=_lower(fit, many, integrator=integrator))
     options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in remedies)
     if options != options_of(request):
         return options
-    checked = {f.about for f in findings if f.remedy == "check"}
-    # A noise model prevents the bias by feedback.
-    if checked - {"feedback"} or (checked and not kind.closed_loop):
+    if must_check:
         return CHECK
-    # If a search chose the model, another search would not improve its residuals.
-    if "search" in remedies and found.search is None and fit.structure != "pem":
+    if "search" in remedies and fit.structure != "pem":
         # The noise of a process model has no parameters: its colour is no reason for a pole more.
         if form and not _misses_dynamics(found):
             return options
@@ -422,7 +431,7 @@ def _of_several(found: Found, about: Set[str]) -> str:
     request, data = found.request, found.data
     rejected = found.validation is not None and found.validation.tests.rejects
     if found.search is not None or not (rejected or about & _REJECTED):
-        return options_of(request)
+        return found.search_options or options_of(request)
     if not from_arm(data):
         may_offset = "offset" in STRUCTURES[request.structure].takes
         if has_level(data) and not request.offset:  # with the level the orders may fit
@@ -431,6 +440,13 @@ def _of_several(found: Found, about: Set[str]) -> str:
     elif not INTEGRATING_OUTPUTS.isdisjoint(data.signals().outputs) and not request.integrator:
         return "--structure oe --integrator"
     return CHECK if "feedback" in about else "--search"
+
+
+def _later(request: Request, nk: int) -> dict[str, Any]:
+    """Return the changes of a request with which the model begins at lag nk."""
+    if request.form:
+        return {"form": request.form if "D" in request.form else f"{request.form}D"}
+    return {"delay": "estimate"} if STRUCTURES[request.structure].continuous else {"nk": nk}
 
 
 def _misses_dynamics(found: Found) -> bool:
