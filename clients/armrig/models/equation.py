@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from armrig.models.uncertainty import Draws
 
 _MAX_DECIMALS = 9
+_MIN_FIT_PERCENT = 5.0  # a lower fit explains less than a tenth of the variance
 
 
 def described(fit: Fit) -> str:
@@ -156,10 +157,16 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
+def explains_nothing(fit: Fit) -> bool:
+    """Return whether the model fits each output of its estimation data to less than 5 %."""
+    return all(q.fit_percent < _MIN_FIT_PERCENT for q in fit.quality)
+
+
 def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -> str:
     """Return a text with the results of the whiteness tests and the standard deviation to trust.
 
-    The text of several outputs names those with coloured residuals.
+    The text of several outputs names those with coloured residuals. If the model explains hardly
+    anything, the residuals are nearly y itself, and the text says so instead.
     """
     whites = [q.white for q in fit.quality]
     coloured = [name for name, q in zip(fit.outputs, fit.quality, strict=True) if q.white.coloured]
@@ -171,6 +178,8 @@ def whiteness_sentence(fit: Fit, std: str = "std", robust: str = "std_robust") -
         said = f"the residuals{of} are {'coloured' if coloured else 'white'}"
     if all(isnan(white.p_value) for white in whites):
         return said
+    if explains_nothing(fit):
+        return f"{said}, but the model explains hardly anything of {listed(fit.outputs)}"
     if not fit.trusts_coefficients:
         return f"{said}: trust neither {std} nor {robust}"
     return f"{said}: trust {f'{robust}, not {std}' if fit.trusts_robust else std}"

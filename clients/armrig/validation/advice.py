@@ -13,7 +13,7 @@ from armrig.data.columns import constancy
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.data.finding import Finding, few_samples, good, lines_of, warning
-from armrig.data.step import LINE, codes_of
+from armrig.data.step import LINE, MEAN, codes_of
 from armrig.data.treatment import drift, hampel, known_to_integrate
 from armrig.data.treatment.integrating import Integration, integration, may_be_one
 from armrig.estimation.data_faults import (
@@ -26,7 +26,7 @@ from armrig.estimation.data_faults import (
 )
 from armrig.excitation.input_description import excitation_order
 from armrig.models.characteristics import overlapping
-from armrig.models.equation import whiteness_sentence
+from armrig.models.equation import explains_nothing, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import CHANNEL, DESCRIBED, RegisteredStructure
 from armrig.models.transfer_function import TransferFunction
@@ -135,7 +135,7 @@ def _advice_on_data(data: Dataset, whole: Signals | None = None) -> Advice:
         return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=found)
     known = tested(data, None, whole)
     each = in_open_loop(data, known.loop)
-    tests = [(good if t.linear else warning)("linearity", t.line) for t in each]
+    tests = [(warning if t.sure else good)("linearity", t.line) for t in each]
     findings = (*few_samples(data.N), *examine_experiment(data, known, whole), *tests)
     return Advice(of=f"{plural(data.N, 'sample')} of {data.output}", findings=findings)
 
@@ -176,7 +176,7 @@ def _advised(
     if fit.trusts_robust:
         yield warning("residuals", f"{text}; {COLOURED}", "search")
     else:
-        yield good("residuals", text)
+        yield (warning if explains_nothing(fit) else good)("residuals", text)
     apart = [p for p in superfluous if not _at_one(p)]
     if pairs and not superfluous:
         yield good("order", "each pole is needed in a channel")
@@ -208,10 +208,15 @@ def _about_overlap(pairs: list[_Pair], kind: RegisteredStructure) -> Finding:
 
 def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
     """Yield the finding about a pole and a zero near 1: a constant level, or too high an order."""
+    without = fit.offset or MEAN in codes_of(fit.history)
     for pole, zero, _ in pairs[:1]:
+        if without:
+            text = f"pole {_z(pole)} and zero {_z(zero)} cancel, although the level was removed or "
+            yield warning("order", f"{text}estimated: lower the order", "order", poles=1)
+            return
         text = f"pole {_z(pole)} and zero {_z(zero)} cancel: they model a constant of "
         text += f"{fit.output} that u does not explain; remove the means (detrend), or estimate "
-        text += "an offset (option offset). If you did one of these, lower the order"
+        text += "an offset (option offset)"
         yield warning("level", text, "level")
 
 
@@ -248,7 +253,7 @@ def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:
             "delay, or only "
         )
         text += "noise; a test decides (armrig.delay, `armrig check`)"
-        yield warning("delay", text, "check")
+        yield warning("delay", text)
 
 
 def _z(z: complex) -> str:
@@ -372,7 +377,7 @@ def examine_fit_of(
     elif not (free or late.interval[0] <= fit.nk <= late.interval[1]):
         way_out = 'estimate the delay (delay "estimate")' if in_s else f"use nk={late.nk}"
         text = f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: {way_out}"
-        yield warning("delay", text, "check")
+        yield warning("delay", text, "nk", nk=late.nk)
 
 
 def _about_input(data: Dataset) -> Finding:
@@ -426,7 +431,7 @@ def without_others(others: tuple[str, ...]) -> str:
 def _about_outliers(data: Signals) -> Finding:
     try:
         count, text = looking_wrong(data)
-        if count and not all(t.linear for t in in_open_loop(hampel(data))):
+        if count and any(t.sure for t in in_open_loop(hampel(data))):
             # A nonlinear rig differs from a linear model in right samples, too.
             count, text = looking_wrong(data, instrument=True)
     except ValueError as err:
@@ -457,7 +462,10 @@ def about_feedback(known: Tested) -> list[Finding]:
     if not loop.feedback:
         return [good("feedback", f"none is found ({p})")]
     able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
-    text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use {able} "
+    what = f"u depends on {loop.output}"
+    if loop.may_be_direct_term:
+        what += f", or {loop.output} on u of the same sample"
+    text = f"{what} ({p}): with feedback, OE, spectra and correlations are biased; use {able} "
     text = "; ".join([f"{text}with nk >= 1, or record in open loop", *loop.remarks])
     if loop.p_value >= CHANCE_LEVEL:
         chance = f"one open-loop recording in {1 / loop.level:.0f} has p < {loop.level:g}"
@@ -468,5 +476,5 @@ def about_feedback(known: Tested) -> list[Finding]:
 def _about_delay(known: Tested) -> Finding:
     late = known.late
     if isinstance(late, str):
-        return warning("delay", f"not found: {late}", "check")
+        return warning("delay", f"not found: {late}")
     return good("delay", late.answer if late.told else f"{late.answer}; take nk = {late.nk}")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _DATA_FIRST = "correct the data first, see below"
 OF_DATA = frozenset({"outliers", "level"})
 """Names of the findings about the data; the estimation and the advice use the same names."""
+_CORRECTABLE = OF_DATA | {"drift", "missing", "rails", "trend"}
 LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _MORE_TESTS = f"{LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
 _ON_OWN_DATA = " on its estimation data"
@@ -37,10 +38,10 @@ def answer(
 ) -> str:
     """Return lines on the fit and the residuals of a model.
 
-    If `doubts` or the findings of the fit make the data doubtful, the text advises the user to
-    correct the data before the orders. If there are few samples, it advises to record more.
+    If `doubts` or the findings of the fit name a fault that the data can lose, the text advises the
+    user to correct the data before the orders. If there are few samples, it advises to record more.
     """
-    doubted = bool(doubts) or any(f.about in OF_DATA for f in fit.findings)
+    doubted = any(f.about in _CORRECTABLE for f in (*doubts, *fit.findings))
     fits = [
         f"{name} to {q.fit_percent:.2f} %" for name, q in zip(fit.outputs, fit.quality, strict=True)
     ]

@@ -45,7 +45,13 @@ from armrig.validation.feedback_and_delay.held_input import may_follow_output
 from armrig.validation.feedback_and_delay.open_loop import EXACT
 from armrig.validation.recommended_structures import MAX_TIME_CONSTANTS, process_forms
 from armrig.validation.residuals import residuals
-from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
+from armrig.validation.search_result import (
+    MAX_ERROR_RATIO,
+    Candidate,
+    Scored,
+    SearchResult,
+    free_parameters,
+)
 
 _MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _SURE_LEVEL_SIGMAS = 4.0  # the same for several signals: models without a level are left out
@@ -97,7 +103,8 @@ def search(
     A candidate of order n has n poles and n numerator coefficients; "bj" has nc = nd = 1 or 2, too.
     The best candidate has the least mean squared error on the validation data. Two conditions make
     a candidate as good. Its mean of e² - e²_best is at most the standard error of this mean, and
-    its rms error is larger by at most 2 % of the standard deviation of y. Successive errors are
+    its rms error is at most 1.2 times the least, and larger by at most 2 % of the standard
+    deviation of y. Successive errors are
     correlated, so the first is the largest standard error of 30, 15 and 7 batch means. A simulation
     does not distinguish drift from wrong dynamics, so only candidates that also predict one step
     ahead as well as the best remain. Of these, the one with the fewest parameters is chosen.
@@ -479,6 +486,25 @@ def _score(
     )
 
 
+def held_out_errors(data: Dataset, requests: Sequence[Request]) -> Vector:
+    """Return the rms errors of simulations of each half by the model of the other half.
+
+    The error is NaN for a request without a usable model, or if u rests in a half.
+    """
+    first, second = _estimation_and_validation(data)
+    rms = np.full(len(requests), np.nan)
+    if first is not data:
+        folds = [(first, second), (second, first)]
+        each = (Candidate(name="", order=0, request=request) for request in requests)
+        scored = {
+            k: s for k, c in enumerate(each) if isinstance(s := _score(c, folds, None), Scored)
+        }
+        if scored:
+            loss, *_ = _compared([s.error for s in scored.values()], data)
+            rms[list(scored)] = np.sqrt(loss)
+    return rms
+
+
 def _fault(fit: Fit, error: Vector, data: _Data) -> str:
     """Return the reason why the model is not usable, or ""."""
     # If the error grows to the end of the data, the standard error of its mean square is as large
@@ -496,6 +522,8 @@ def _ranked(scored: list[Scored], judged: _Data) -> _Ranking:
     order = np.argsort(excess, kind="stable")
     ranked, rms = [scored[i] for i in order], np.sqrt(loss)
     as_good = (excess <= excess_std) & (rms - rms.min() <= _allowed(judged))
+    # Below a ratio, since batches that differ much have a large standard error.
+    as_good &= (rms <= MAX_ERROR_RATIO * rms.min()) | (excess == 0)
     columns = {"rms": rms, "excess": excess, "excess_std": excess_std, "as_good": as_good}
     within = np.flatnonzero(as_good[order])
     _, ahead, ahead_std = _compared([ranked[i].ahead for i in within], judged)

@@ -165,11 +165,10 @@ def process_forms(poles: NDArray[Any], *, nk: int, integrator: bool) -> dict[int
 
 def recommended(
     data: Dataset, lags: Iterable[int], *, integrates: bool, decide: bool
-) -> tuple[list[Fitted], bool, dict[int, float]]:
+) -> tuple[list[Fitted], bool, list[Fitted]]:
     """Return at most three models, best first, and whether the data decide on the integrator.
 
-    The third result is the excess of the description length over that of the first model, for each
-    number of poles.
+    The third result has the model with the shortest description for each number of poles.
 
     An autoregression 1/D describes the residuals of a first model, so that the noise of the
     filtered signals D u and D y is white. The output-error estimate then maximises the likelihood,
@@ -177,7 +176,7 @@ def recommended(
     lags, the likeliest first, and at the lags that ARX models prefer. If `decide` is True, the
     description length may decide against `integrates`, or for neither.
     """
-    data = _busiest(data)
+    data = busiest(data)
     nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_MAX_LAGS]
     # Each structure has an offset. Far from 0, y would lose digits in products with itself.
     parts = tuple((part.u, part.y - _level(part.y)) for part in data.experiments())
@@ -204,8 +203,8 @@ def recommended(
     if not shown:
         chosen[:2] = sorted(chosen[:2], key=lambda m: m.structure.integrator != integrates)
     same = [m for m in ranked if m.structure.integrator == chosen[0].structure.integrator]
-    excess = {m.structure.nf: m.bits - chosen[0].bits for m in reversed(same)}
-    return chosen, shown, dict(sorted(excess.items()))
+    shortest = {m.structure.nf: m for m in reversed(same)}
+    return chosen, shown, [shortest[nf] for nf in sorted(shortest)]
 
 
 def _level(y: Vector) -> float:
@@ -233,7 +232,7 @@ def _rank(model: Fitted) -> tuple[float, int, int, int]:
     return model.bits, s.nf, s.nb, s.nk
 
 
-def _busiest(data: Dataset) -> Dataset:
+def busiest(data: Dataset) -> Dataset:
     """Return the data; if the data are long, return only the part in which u changes most."""
     if data.N <= _MAX_SAMPLES:
         return data

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+MAX_ERROR_RATIO = 1.2
+"""Greatest ratio of the chosen model's rms error to the least."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Candidate:
     """A structure with its orders, and the request that estimates it."""
@@ -90,7 +94,8 @@ class SearchResult:
     """Standard error of `excess`, computed from the means of batches of samples, (n,)."""
     as_good: NDArray[np.bool_]
     """Mask of the candidates in `ranked` that are as good as the best, (n,): `excess` is at most
-    its standard error, and the fit at most 2 points lower."""
+    its standard error, the rms error at most 1.2 times the least, and the fit at most 2 points
+    lower."""
     chosen_index: int
     """Index of the chosen candidate."""
     failed: dict[Candidate, str]
@@ -220,9 +225,13 @@ def _reasons(found: SearchResult) -> Iterator[str]:
         k, simpler = fewer[0], found.ranked[fewer[0]]
         sigmas = found.excess[k] / max(found.excess_std[k], 1e-300)
         text = f"fewer parameters are not enough: {simpler.candidate.name} has {simpler.parameters}"
-        text += f", rms error {found.rms[k]:.4g}, and a "
-        square = f"mean squared error {sigmas:.1f} standard errors above the least"
-        yield text + (square if sigmas > 1 else "fit more than 2 points lower")
+        text += f", rms error {found.rms[k]:.4g}, and "
+        square = f"a mean squared error {sigmas:.1f} standard errors above the least"
+        ratio = found.rms[k] / found.rms[0]
+        larger = "a fit more than 2 points lower"
+        if ratio > MAX_ERROR_RATIO:
+            larger = f"an rms error of {digits(ratio, 3)} times the least"
+        yield text + (square if sigmas > 1 else larger)
     order = chosen.candidate.order
     if order == max(c.order for c in (*(j.candidate for j in found.ranked), *found.failed)):
         text = f"order {order} is the highest that was tried, so a higher order may be better: "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -17,6 +17,7 @@ from armrig.estimation.data_faults import require_moving_output, require_no_copi
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectra import explained
 from armrig.estimation.nonparametric.spectral import spa
+from armrig.estimation.request import Request
 from armrig.excitation.input_description import excitation_order
 from armrig.models.spectral_estimate import (
     SpectralEstimate,
@@ -31,14 +32,18 @@ from armrig.validation.advice import about_feedback, poor_input, tested, without
 from armrig.validation.feedback_and_delay.by_channel import Name, each_channel
 from armrig.validation.feedback_and_delay.delay_result import Delay, first_lag
 from armrig.validation.feedback_and_delay.open_loop import EXACT
+from armrig.validation.model_search import held_out_errors
 from armrig.validation.recommended_structures import (
     BARE,
+    RECOMMENDED,
     Fitted,
     Recommended,
+    busiest,
     process_forms,
     recommended,
 )
 
+MAX_RATIO = 1.05  # of the rms error of the first structure on data held out to the least
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 LAGS = (100, 200, 400)  # numbers of lags of the impulse response, tried until one is large enough
 AGREED_SLOPE = 3.0  # largest difference from the slope of the first structure, in dB a decade
@@ -79,8 +84,8 @@ class StructureHints:
     nk_interval: tuple[int, int] | None
     """Least and greatest nk that `armrig.delay` allows; None if it failed, or excludes `nk`."""
     excess: Mapping[int, float]
-    """Description length above that of the first structure, by the number of poles; a difference
-    of less than 2 hardly counts."""
+    """Description length above the shortest, by the number of poles; a difference of less than 2
+    hardly counts."""
     excitation: int
     """Order of persistence of excitation of u; at least nb + nf if u determines the parameters."""
     trusted: float
@@ -160,10 +165,12 @@ def structure_hints(
     """Recommend at most three structures, with the reasons for them.
 
     The structures are the output-error structures with the shortest description lengths, after a
-    filter has whitened the noise (`recommended`). With feedback, Box-Jenkins structures with the
-    same orders take their place. If the data show whether y integrates, one of the
-    structures has nb = nf, like a plant under a zero-order hold. The fields of `StructureHints` are
-    the reasons; slopes of nonparametric estimates are reported if the first structure agrees.
+    filter has whitened the noise (`recommended`). The first has the fewest poles with which the
+    error of a simulation of data held out is at most 1.05 times the least of those tried. With
+    feedback, Box-Jenkins structures with the same orders take their place. If the data show whether
+    y integrates, one of the structures has nb = nf, like a plant under a zero-order hold. The
+    fields of `StructureHints` are the reasons; slopes of nonparametric estimates are reported if
+    the first structure agrees.
 
     The output theta_1 is taken as integrating. For any other output the test of `delay` and
     `search` decides (`armrig.data.treatment.integrating`). If the test does not distinguish an
@@ -217,7 +224,9 @@ def structure_hints(
     rate = spa(data, "log", integrator=True).rate()
     slope, low = low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
-    models, shown, excess = recommended(data, lags, integrates=integrates, decide=decided.undecided)
+    models, shown, tried = recommended(data, lags, integrates=integrates, decide=decided.undecided)
+    if not known.together:  # feedback biases a simulation
+        models = _smallest_first(data, models, tried)
     best, first = models[0], models[0].structure
     integrates, nk = first.integrator, first.nk
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
@@ -240,7 +249,7 @@ def structure_hints(
         resonances=peaks,
         antiresonances=dips,
         nk_interval=late.interval if late is not None and seen else None,
-        excess=excess,
+        excess=_excess(tried),
         excitation=excitation_order(data),
         trusted=float(np.max(spectrum.omega[believed], initial=0.0)),
         spectrum=spectrum,
@@ -248,6 +257,43 @@ def structure_hints(
         unstable=decided.unstable,
         others=decided.others,
     )
+
+
+def _smallest_first(
+    data: Dataset, models: Sequence[Fitted], tried: Sequence[Fitted]
+) -> list[Fitted]:
+    """Return the models, with the smallest first that is nearly the best on data held out."""
+    first = models[0].structure
+    known = {
+        m.structure: m for m in (*tried, *models) if m.structure.integrator == first.integrator
+    }
+    orders = [{"nb": s.nb, "nf": s.nf} for s in known]
+    requests = [
+        Request(
+            structure="oe",
+            orders=counts,
+            nk=s.nk,
+            integrator=s.integrator,
+            offset=not s.integrator,
+            stable=True,
+            starts="few",
+        )
+        for s, counts in zip(known, orders, strict=True)
+    ]
+    rms = held_out_errors(busiest(data), requests)
+    if np.isnan(rms).all():
+        return [*models]
+    nf = min(s.nf for s, e in zip(known, rms, strict=True) if e <= MAX_RATIO * np.nanmin(rms))
+    if nf == first.nf:  # the description length decides on the other orders
+        return [*models]
+    smallest = min((m for m in known.values() if m.structure.nf == nf), key=lambda m: m.bits)
+    return [*dict.fromkeys([smallest, *models])][:RECOMMENDED]
+
+
+def _excess(tried: Sequence[Fitted]) -> dict[int, float]:
+    """Return the description length of each number of poles above the shortest."""
+    least = min(m.bits for m in tried)
+    return {m.structure.nf: m.bits - least for m in tried}
 
 
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
@@ -340,9 +386,14 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
         peaks = _extremes_told(h.resonances, "resonance", "poles")
         dips = _extremes_told(h.antiresonances, "antiresonance", "zeros")
         yield good(f"shape of {'the rate' if h.integrator else 'y'}", f"{peaks}, {dips}")
-    near = [f"nf = {n} by {d:.1f}" for n, d in h.excess.items() if abs(n - h.nf) == 1]
+    least = min(h.excess, key=h.excess.__getitem__)
+    near = [f"nf = {n} by {d:.1f}" for n, d in h.excess.items() if abs(n - least) == 1]
     more = f"; it is longer with {listed(near)} (below {BARE:g} hardly counts)" if near else ""
-    yield good("order", f"nf = {h.nf} has the shortest description (MDL){more}")
+    text = f"nf = {least} has the shortest description (MDL){more}"
+    if h.nf != least:
+        text += f"; nf = {h.nf} is the smallest whose error on data held out is within "
+        text += f"{MAX_RATIO:g} of the least"
+    yield good("order", text)
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
         text = f"{minus(f'{h.high_slope:.0f}')} dB a decade from {digits(h.high_band[0], 3)} to "
@@ -353,13 +404,13 @@ def _findings(h: StructureHints) -> Iterator[Finding]:
 
 
 def _about_integrator(h: StructureHints) -> Finding:
-    verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
+    verdict = "y integrates: fix a pole at 1" if h.integrator else "none is seen"
     if not h.integrator_shown:
         verdict = "not shown, because a slow pole looks the same: try both"
     others = without_others(h.others)
     if h.low_slope is None:
         return good("integrator", f"{verdict}{others}")
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
-        verdict = f"a slow pole, and {verdict}, since a pole at 1 fits worse"
+        verdict = "a slow pole, since a pole at 1 fits worse"
     text = f"|G| has a slope of {minus(digits(h.low_slope, 3))} dB a decade at low frequency "
     return good("integrator", f"{text}(0 without one, −20 with one): {verdict}{others}")

@@ -55,7 +55,8 @@ class OpenLoop(OfDataset):
         """Answer in a few words."""
         if self.feedback is None:
             return "no decision on feedback"
-        return "FEEDBACK" if self.feedback else "open loop: no feedback found"
+        direct = ", or a direct term" * self.may_be_direct_term
+        return f"FEEDBACK{direct}" if self.feedback else "open loop: no feedback found"
 
     @property
     def may_be_direct_term(self) -> bool:
@@ -97,8 +98,8 @@ class OpenLoop(OfDataset):
     def _so(self) -> list[str]:
         """Return the consequences of feedback."""
         lines = [
-            f"So there is feedback, at a level of {100 * self.level:g} %. A model that assumes an "
-            "input free of the noise (OE, spectral analysis, correlation) is then biased. "
+            f"So the data look like feedback, at a level of {100 * self.level:g} %. A model of an "
+            "input free of the noise (OE, spectral analysis, correlation) would be biased. "
             "Estimate with a noise model (ARMAX, BJ), by armrig.two_stage if the set point was "
             "recorded, or record with the controller off."
         ]
