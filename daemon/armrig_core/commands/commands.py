@@ -32,6 +32,8 @@ Fact = str | int | float | bool | list[str | int | float | bool] | None
 
 MOST_SAMPLES = 4_000_000
 """Longest run, in samples: more than an hour at 1 kHz."""
+MOST_REFERENCES = 1_000_000
+"""Longest run in control, in samples: 2.7 hours at 100 Hz."""
 LONGEST_TS, LONGEST_SAMPLE_S = 60.0, 1.0
 """Longest sampling time, and longest time between two samples of a device, in s."""
 EVERY = "every"
@@ -167,7 +169,7 @@ class Control(ControlOptions, frozen=True, kw_only=True):
     The reply may take long, as that of `run`, because the closed loop is rehearsed.
     """
 
-    reference: Annotated[list[float], Meta(min_length=1, max_length=MOST_SAMPLES)]
+    reference: Annotated[list[float], Meta(min_length=1, max_length=MOST_REFERENCES)]
     """Reference at each sample, in the unit of the law."""
 
 

@@ -35,6 +35,8 @@ MAX_DELAY = 200
 """Largest dead time of the input in a law, in samples."""
 LIMIT_BYTES = 1 << 18
 """Largest size of a law's file, in B."""
+MAX_DESIGN_BYTES = 1 << 16
+"""Largest size of the `design` of a law, in B."""
 MIN_TS_US, MAX_TS_US = 5_000, 1_000_000
 """Shortest and longest sampling time of a law, in µs."""
 _ROUNDING_CODES = 1e-6
@@ -184,6 +186,13 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                     f"{key} of the law has the number {wrong[0]}; all numbers must be finite: "
                     "repeat the design, and look at its model"
                 )
+        texts = [self.input, r.name, r.unit]
+        texts += [text for output in self.outputs for text in (output.name, output.unit)]
+        if wrong_texts := [text for text in texts if not text.isprintable()]:
+            text = printable(wrong_texts[0])
+            raise InputError(f"'{text}': a name or a unit of the law must be printable")
+        if (size := len(msgspec.json.encode(self.design))) > MAX_DESIGN_BYTES:
+            raise InputError(f"design has {size} B; at most {MAX_DESIGN_BYTES} B are allowed")
         if not self.lo < self.hi:
             raise InputError(f"lo = {self.lo:g} V must be below hi = {self.hi:g} V")
         if not r.low <= r.high:

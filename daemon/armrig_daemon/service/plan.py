@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from armrig_core.commands.codes import RefusalCode
 from armrig_core.commands.commands import (
+    MOST_REFERENCES,
     MOST_SAMPLES,
     ControlOptions,
     Refused,
@@ -75,7 +76,7 @@ def decode_run(payload: bytes | bytearray) -> tuple[RunOptions, NDArray[np.float
     """
     request = decode(RunOptions.name, payload, _Request)
     check_details(request.details)
-    return options_of(request), _vector("run", "u", request.u, _VOLTAGES)
+    return options_of(request), _vector("run", "u", request.u, _VOLTAGES, MOST_SAMPLES)
 
 
 def decode_control(
@@ -87,17 +88,18 @@ def decode_control(
     """
     request = decode(ControlOptions.name, payload, _ControlRequest)
     check_details(request.details)
-    return request, _vector("control", "reference", request.reference, _NUMBERS)
+    r = _vector("control", "reference", request.reference, _NUMBERS, MOST_REFERENCES)
+    return request, r
 
 
 def _vector(
-    command: str, key: str, text: msgspec.Raw, kind: msgspec.json.Decoder[list[float]]
+    command: str, key: str, text: msgspec.Raw, kind: msgspec.json.Decoder[list[float]], most: int
 ) -> NDArray[np.float64]:
-    """Return the numbers of a command's array (N,)."""
+    """Return the numbers of a command's array (N,), N at most `most`."""
     blocks = [*_blocks_of(command, key, memoryview(text), kind)]
     values = np.concatenate([np.zeros(0), *blocks])
-    if not 1 <= values.size <= MOST_SAMPLES:
-        limit = f"<= {MOST_SAMPLES}" if values.size else ">= 1"
+    if not 1 <= values.size <= most:
+        limit = f"<= {most}" if values.size else ">= 1"
         raise InputError(f"{command}: Expected `array` of length {limit} - at `$.{key}`")
     return values
 

@@ -57,6 +57,14 @@ BAD_LAWS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "limits": ({"lo": 3.0, "hi": 3.0}, "lo = 3 V must be below hi = 3 V"),
     "limit": ({"lo": nan}, "lo = nan V must be below hi = 5 V"),
+    "escape sequence": (
+        {"reference": Reference(name="\x1b[31m", unit="V", low=0.0, high=1.0)},
+        "a name or a unit of the law must be printable",
+    ),
+    "long design": (
+        {"design": {"method": "x" * 70_000}},
+        "design has 70013 B; at most 65536 B are allowed",
+    ),
     "range": (
         {"reference": Reference(**REFERENCE, low=2.0, high=1.0)},
         "reference.low = 2 must be at most high = 1",

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
+from armrig_core.process.printable import printable
 from armrig_core.recording_file.manifest import CONTROLLER
 from numpy.typing import NDArray
 
@@ -19,6 +20,7 @@ from armrig.recordings.files.container import streamed
 from armrig.recordings.files.loading import beginning, files_of
 from armrig.recordings.recording import Recording
 
+_MAX_METHOD = 40  # characters
 _NUMBERS = ("k", "r", "v", "u_v", "is_low", "is_high", "is_slewed", "predicted")
 
 
@@ -49,7 +51,7 @@ class ControlRun:
         count, is_limited = max(self.k.size, 1), self.is_low | self.is_high
         return {
             "law_sha256": self.law.sha256,
-            "method": self.law.design.get("method", ""),
+            "method": printable(str(self.law.design.get("method", ""))[:_MAX_METHOD]),
             "reference": [float(self.r.min()), float(self.r.max())] if self.k.size else [],
             "decisions": int(self.k.size),
             "limited_share": float(is_limited.sum() / count),
