@@ -8,6 +8,7 @@ from armrig_core.rig.equations import Parameter as Parameter
 from armrig_core.rig.equations import friction as friction
 from armrig_core.rig.equations import saturation as saturation
 
+from armrig.control.conversion import control_law as control_law
 from armrig.control.law_check import check_law as check_law
 from armrig.control.pid import pid as pid
 from armrig.control.state_feedback import lqg as lqg

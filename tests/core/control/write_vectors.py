@@ -173,7 +173,10 @@ def vectors() -> list[dict[str, Any]]:
         "a dead time with gaps": ({"input_delay": 2, "u0": 2.5}, {"rest_code": 30000}),
         "slew with gaps": ({"slew": 5000}, {"slew": 4000, "rest_code": 20000}),
         "the slew of the rig": ({}, {"slew": 7000}),
-        "saturation": ({"lo_code": 13107, "hi_code": 39321, "u0": 0.9}, {"code_max": 30000}),
+        "saturation": (
+            {"lo_code": 13107, "hi_code": 39321, "u0": 0.9},
+            {"code_min": 16000, "code_max": 30000},
+        ),
         "a PWM of 8 bits": ({"input_delay": 1}, {"pwm_bits": 8}),
         "tracking with gaps": ({"tracked": tracked, "most_error": 0.4}, {}),
         "channels in the other order": ({"channels": [1, 0]}, {}),
