@@ -285,14 +285,14 @@ def check(
     *,
     file: recorded_data.DataFile,
     signals: Annotated[recorded_data.SignalChoice, recorded_data.data_group()],
-    level: float = chosen(0.05, "Significance level of the test for feedback."),
+    level: float = chosen(0.05, "Significance level of the tests for feedback and linearity."),
     out: results.Shown,
 ) -> None:
-    """Test the data for feedback and a delay (handout 3.7, 3.8).
+    """Test the data for feedback, a delay (handout 3.7, 3.8) and a nonlinearity.
 
     With several signals, each pair of an input and an output is tested.
     """
-    from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL, require_level
+    from armrig.validation.feedback_and_delay.open_loop import require_level
 
     require_level(level)
     data = signals.of(file)
@@ -305,12 +305,7 @@ def check(
             partial(armrig.delay, integrator=integrator, progress=progress), data
         )
     recorded_data.require_result([*loops.values(), *delays.values()])
-    linears = {
-        name: "u depends on y" if getattr(one, "closed", False) else one
-        for name, one in recorded_data.by_channel(
-            partial(armrig.linearity, level=CHANCE_LEVEL), data
-        ).items()
-    }
+    linears = recorded_data.by_channel(partial(armrig.linearity, level=level), data)
     tests = {name: (loop, delays[name], linears[name]) for name, loop in loops.items()}
 
     def say_tests() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import armrig
@@ -27,7 +28,6 @@ def test_linear_rigs_are_rejected_at_the_nominal_level() -> None:
     [
         ("dead zone", "to", 1.2, 0.15),
         ("saturation", "at", 3.1, 0.0),
-        ("gain by level", "gain_2", 0.25, 0.05),
         ("friction", "", 0.0, 0.0),
     ],
 )
@@ -41,12 +41,42 @@ def test_the_kind_and_its_numbers_are_found(
     assert all(f.remedy in f.explain() for f in found)
 
 
+def test_the_gains_at_both_ends_of_a_root_are_right() -> None:
+    """The slope of a cubic was 1.5 to 2 times too large at the low end."""
+    for seed in range(3):
+        found: Any = armrig.linearity(nonlinear_rig("gain by level", seed))
+
+        assert (found.kind, found.gain_of) == ("gain by level", "u")
+        assert np.allclose(found.gains * np.sqrt(found.levels), 0.5, rtol=0.2)
+        assert found.numbers["gain_1"] > 2 * found.numbers["gain_2"]
+
+
+def test_an_effect_outside_of_nearly_all_samples_is_no_dead_zone() -> None:
+    """Of u, 0.9 % are inside the least of the zones that fit these data."""
+    rng = np.random.default_rng(9)
+    u = np.repeat(np.append(rng.uniform(1, 5, 198), [0.0, 0.05]), 8)
+    y = filtered([0, 0.2], [1, -0.8], np.maximum(u, 0.9)) + 0.002 * rng.standard_normal(u.size)
+    found: Any = armrig.linearity(armrig.Dataset(u=u, y=y, Ts=1.0))
+
+    assert not found.linear
+    assert found.kind != "dead zone"
+
+
+def test_a_nonlinearity_between_two_levels_of_p_is_not_sure() -> None:
+    found: Any = armrig.linearity(nonlinear_rig("dead zone", 1))
+    doubtful = replace(found, p=0.02)
+
+    assert found.line.startswith("NONLINEAR: a dead zone of u from")
+    assert doubtful.line.startswith("perhaps nonlinear: a dead zone of u from")
+    assert "(p = 0.020, level 5 %); one linear rig in 20 has such a p by chance" in doubtful.line
+
+
 def test_an_output_that_integrates_has_no_static_gain() -> None:
     rig = nonlinear_rig("gain by level", 1)
     found: Any = armrig.linearity(armrig.Dataset(u=rig.u, y=np.cumsum(rig.y), Ts=1.0))
 
     assert (found.kind, found.numbers, found.gains.size) == ("gain by level", {}, 0)
-    assert found.reason == "y integrates, with a response that changes with u"
+    assert found.reason == "a response that changes with u"
 
 
 def test_two_levels_cannot_show_a_static_nonlinearity_of_the_input() -> None:
