@@ -269,8 +269,8 @@ def spinner(
 
     console = console or Console(stderr=True)
     if not console.is_terminal:
-        with _progress_lines(what) as count:
-            yield count
+        with _progress_lines(what) as tell_count:
+            yield tell_count
         return
     waiting = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
     shown = Progress(*waiting, console=console, transient=True)

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Remedy = Literal[
-    "", "check", "integrator", "level", "order", "outliers", "rails", "search", "structure"
+    "", "check", "integrator", "level", "nk", "order", "outliers", "rails", "search", "structure"
 ]
 """Change of the next estimation; "" if no change is known.
 
 - check: test the data before a model is estimated
 - integrator: fix a pole at 1
 - level: estimate the constant level of y, or remove it from the data
+- nk: begin at the lag of which the data show an effect
 - order: lower the orders
 - outliers, rails: mark these samples missing
 - search: search other orders and noise models

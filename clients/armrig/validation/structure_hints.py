@@ -267,18 +267,17 @@ def _smallest_first(
     known = {
         m.structure: m for m in (*tried, *models) if m.structure.integrator == first.integrator
     }
-    orders = [{"nb": s.nb, "nf": s.nf} for s in known]
     requests = [
         Request(
             structure="oe",
-            orders=counts,
+            orders={"nb": s.nb, "nf": s.nf},
             nk=s.nk,
             integrator=s.integrator,
             offset=not s.integrator,
             stable=True,
             starts="few",
         )
-        for s, counts in zip(known, orders, strict=True)
+        for s in known
     ]
     rms = held_out_errors(busiest(data), requests)
     if np.isnan(rms).all():

@@ -55,6 +55,23 @@ def facts(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[s
     return dict(json.loads(out))
 
 
+def test_a_model_of_a_file_has_the_names_of_its_columns_and_another_input_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng, N = np.random.default_rng(2), 500
+    power, fan = (np.repeat(rng.choice([20.0, 60.0], N), hold)[:N] for hold in (15, 70))
+    temp = lfilter([0, 0.005], [1, -0.9995], power) + lfilter([0, -0.03], [1, -0.99], fan)
+    rows = np.column_stack([np.arange(N), power, fan, temp + 0.02 * rng.standard_normal(N)])
+    names = "t [s],power [%],fan [%],temp [degC]"
+    np.savetxt(tmp_path / "heater.csv", rows, delimiter=",", header=names, comments="")
+
+    columns = "heater.csv --input power --signal temp"
+    _, said, err = run(f"identify {columns} --structure oe --nb 1 --nf 1", tmp_path, capsys)
+
+    assert "power [%] to temp [°C]" in said
+    assert "not in the data, but switching like an input: fan" in err
+
+
 def test_feedback_is_reported_though_a_narrow_input_shows_no_delay(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

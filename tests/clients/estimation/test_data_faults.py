@@ -169,6 +169,16 @@ def test_the_level_without_input_has_its_sign_its_unit_and_its_deviations(
     assert not level_without_input(data, least=1.1 * sigmas)
 
 
+def test_a_level_far_from_the_data_is_not_stated_as_a_value() -> None:
+    u = 0.3 + 0.02 * np.random.default_rng(9).choice([-1.0, 1.0], 500)
+    y = 90 + filtered([0, -3.0], [1, -0.9], u) + 0.01 * np.random.default_rng(8).normal(size=500)
+
+    found = level_without_input(Dataset(u=u, y=y, Ts=1.0, input="flow", output="T"))
+
+    assert found is not None
+    assert found.text.startswith("a linear model from flow to T needs a level (")
+
+
 def test_data_without_a_level_have_no_finding() -> None:
     u = np.random.default_rng(9).standard_normal(200)
     data = Dataset(u=u, y=filtered([0, 1.0], [1, -0.5], u), Ts=1.0)

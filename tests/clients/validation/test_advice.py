@@ -15,6 +15,7 @@ from armrig.data.treatment.integrating import integration
 from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.polynomial import filtered
 from armrig.validation.advice import Advice, _about_negative_poles, _about_pole_at_1, examine_fit_of
+from armrig.validation.answer import answer
 
 from tests.clients.validation.plants import (
     oe_of_two_outputs,
@@ -119,6 +120,18 @@ def test_an_output_without_a_response_is_reported() -> None:
 
     assert told(found) == {"delay"}
     assert "shows no response to u" in repr(found)
+
+
+def test_white_residuals_of_a_fit_that_explains_nothing_are_no_praise() -> None:
+    u, y = np.random.default_rng(4).standard_normal((2, 500))
+    data = armrig.Dataset(u=u, y=y + 0.05 * u, Ts=1.0)
+
+    fit = armrig.arx(data, na=1, nb=1)
+
+    said = answer(fit, None, None, ())
+    assert "explains hardly anything of y" in said
+    assert "trust" not in said
+    assert "residuals" in told(armrig.advice(fit))
 
 
 def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:

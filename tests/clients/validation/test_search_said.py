@@ -15,7 +15,7 @@ from armrig.numerics.criteria import batch_means
 from armrig.numerics.whiteness import Whiteness
 from armrig.validation import model_search
 from armrig.validation.model_search import _ranked
-from armrig.validation.recommended_structures import Fitted, Recommended, _busiest
+from armrig.validation.recommended_structures import Fitted, Recommended, busiest
 from armrig.validation.search_result import Candidate, Scored, SearchResult, free_parameters
 from armrig.validation.structure_hints import _agreed, _extremes
 
@@ -63,6 +63,18 @@ def result(**fields: Any) -> SearchResult:
         "unit": "rad/s",
     }
     return SearchResult(**(values | fields))
+
+
+def test_a_model_with_a_much_larger_error_is_not_as_good() -> None:
+    """A burst of errors makes the standard error as large as the excess."""
+    e, y = np.random.default_rng(0).standard_normal((2, 300))
+    burst = np.where(np.arange(300) < 10, 10 * e, 0.95 * e)
+    candidates = [replace(scored("oe", n), error=x, ahead=x) for n, x in ((3, e), (1, burst))]
+
+    _, columns, chosen = _ranked(candidates, Dataset(u=e, y=100 * y, Ts=1.0))
+
+    assert columns["excess"][1] <= columns["excess_std"][1]
+    assert (columns["as_good"].tolist(), chosen) == ([True, False], 0)
 
 
 @pytest.mark.parametrize("asked", [None, False, True])
@@ -204,11 +216,11 @@ def test_long_data_are_shortened_to_the_part_with_input_changes() -> None:
     u[5000:7500] = np.where(np.arange(2500) % 10 < 5, 1.0, -1.0)
     data = Dataset(u=u, y=np.arange(N, dtype=float), Ts=1.0)
 
-    cut = _busiest(data)
+    cut = busiest(data)
 
     assert cut.N == 3000
     assert cut.y[0] == 5142  # the sixth of eight begins from 0 to 6000
-    assert _busiest(data[:3000]).N == 3000
+    assert busiest(data[:3000]).N == 3000
 
 
 @pytest.mark.parametrize(("direct", "free"), [(False, 3 * (2 + 6)), (True, 3 * (2 + 6) + 6)])

@@ -221,12 +221,13 @@ def test_experiments_that_are_too_short_are_refused() -> None:
 
 @pytest.mark.exhaustive
 def test_many_short_experiments_show_the_true_structure() -> None:
-    models, _, excess = recommended(
+    models, _, tried = recommended(
         short_experiments(10, 60), [0, 1, 2], integrates=False, decide=False
     )
 
     first = models[0].structure
     assert (first.nb, first.nf, first.nk) == (2, 2, 1)
+    excess = {model.structure.nf: model.bits - models[0].bits for model in tried}
     assert excess[2] == 0.0
     assert min(excess[1], excess[3]) > BARE
 
