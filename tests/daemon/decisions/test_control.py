@@ -13,7 +13,7 @@ from armrig_core.control.evaluation import Program
 from armrig_core.rig.volts import applied_code, code_of, volts_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
-from armrig_daemon.config import Config
+from armrig_daemon.config import Config, Limits
 from armrig_daemon.decisions import control, trace
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions.faults import Id
@@ -32,9 +32,11 @@ RAIL, MIDDLE = 65_472, 32_768
 LONG = [1.0] * 400
 
 
-def _begun(law: Program = LAW, r: Iterable[float] = LONG, alpha: int = MIDDLE) -> Bench:
+def _begun(
+    law: Program = LAW, r: Iterable[float] = LONG, alpha: int = MIDDLE, slew_v: float = 0.0
+) -> Bench:
     """Return a bench whose law has begun; α reads `alpha` counts."""
-    bench = Bench(Config())
+    bench = Bench(Config(limits=Limits(slew_v=slew_v)))
     _read(bench, alpha)
     bench.run_for(50)
     assert not bench.arm().error
@@ -91,6 +93,17 @@ def test_each_code_is_computed_from_the_sample_before_it_or_its_prediction() -> 
         assert c.k not in samples or samples[c.k].u_cmd_v == c.u_v
     assert sum(c.k not in samples for c in records) == sum(c.predicted for c in records) == 1
     assert not any(c.is_low or c.is_high or c.is_slewed for c in records)
+    assert _outcome(bench) is OutcomeCode.COMPLETE
+
+
+def test_each_code_follows_the_newest_one_within_the_slew_of_the_rig() -> None:
+    """The law remembers the codes of its dead time, from which the slew does not count."""
+    law = replace(LAW, v_row=(0.0, 1.0), u0=0.0, input_delay=3)
+    bench = _begun(law, r=[4.0] * 9, slew_v=1.0)
+    bench.run_for(20 * TS_MS)
+
+    sent = [min(13_108 * i, 52_428) for i in range(1, 10)]
+    assert [c.u_v for c in bench.of(pipe.Control)] == [volts_of(code) for code in sent]
     assert _outcome(bench) is OutcomeCode.COMPLETE
 
 
