@@ -112,9 +112,7 @@ def import_(
         print_json(import_facts(data) | {"recording": file, "name": name, "run_id": run_id})
         return
     print_table(*import_rows(data, called, file, verbose=verbose), verdict=True)
-    known = {column.name for column in data.facts.columns}
-    ready = (data.facts.inputs or "u" in known) and (data.facts.outputs or "y" in known)
-    say_next("hints" if ready else "plot", file=quote(called), given="")
+    say_next("hints" if all(data.facts.roles()) else "plot", file=quote(called), given="")
 
 
 def _name_like(file: Path) -> str:

@@ -12,14 +12,14 @@ from armrig_core.process.calls import checked_call
 from armrig_core.rig.description import Input
 
 from armrig.data.columns import interval
-from armrig.data.files.text import TextTable, WaysOut
+from armrig.data.files.text import TextTable
 from armrig.data.files.text import read_text as read_table
 from armrig.excitation.levels import HIGHEST_V, LOWEST_V, Vector, require_levels
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.quantities import plural
 
 # An input file has no missing value, and no option for its decimal mark.
-_WAYS_OUT = WaysOut(not_a_number="", doubtful_mark="Write 0.5 for a half")
+_WAYS_OUT = ("", "Write 0.5 for a half")
 MOST_BYTES = 1 << 26
 """Largest size of a file, in bytes. A million rows of two numbers need half of this size."""
 _U = Input()

@@ -71,16 +71,16 @@ class Recording:
     """Manifest of the run."""
     outcome: Outcome | None
     """Outcome of the run; None if the file contains no outcome."""
-    recovered: Recovered | None
+    recovered: Recovered | None = None
     """Record of the file's recovery after its recorder died; None if no recovery was needed."""
-    calibration: Calibration | None
+    calibration: Calibration | None = None
     """Conversion of counts to angles and of codes to volts; None if missing.
 
     The angles and voltages are computed with this calibration from counts and codes. Without a
     calibration, the angles and voltages are the daemon's values. The field `made` contains the
     origin of the calibration.
     """
-    k_first: int
+    k_first: int = 0
     """Index k of the first row; in older files, the index of the first sample that arrived."""
     t: Vector
     """Time at which each sample was due, in s from the first sample of the run, (N,)."""
@@ -106,21 +106,21 @@ class Recording:
     data, rows at which a new experiment begins."""
     samples: NDArray[np.void]
     """Structured array of the samples that arrived, with raw counts and all times."""
-    gaps: tuple[Gap, ...]
+    gaps: tuple[Gap, ...] = ()
     """Missing samples, as the daemon recorded them."""
-    events: tuple[Event, ...]
+    events: tuple[Event, ...] = ()
     """Log messages of the daemon."""
-    notes: tuple[Note, ...]
+    notes: tuple[Note, ...] = ()
     """Notes that people wrote during the run."""
-    timing: tuple[Timing, ...]
+    timing: tuple[Timing, ...] = ()
     """Reports of the timing, one per second."""
-    clock: tuple[DeviceClock, ...]
+    clock: tuple[DeviceClock, ...] = ()
     """Comparisons of the device's clock with the host's clock, one per second."""
-    truncated: bool
+    truncated: bool = False
     """True if the file is incomplete or damaged: see `damage`."""
-    cut_off: bool
+    cut_off: bool = False
     """True if reading ended because the file is truncated, not because of another error."""
-    damage: str
+    damage: str = ""
     """Damage of the file, and the amount of data that could be read; "" for a complete file."""
     part: tuple[float, float] | None = None
     """Start and end of the loaded range, in s as in `t`; None if all samples were loaded."""

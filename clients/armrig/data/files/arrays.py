@@ -29,7 +29,6 @@ _LABELS, _VALUES, _UNITS = ("Name", "name", "label"), ("Data", "data", "values")
 _PICKLED = "contains pickled Python objects, which can run code and are not loaded; save numbers"
 _NUMBERS = ("int", "uint", "float", "double", "halffloat", "decimal", "bool")  # of Parquet
 _TIMES = ("timestamp", "duration")
-_PER_SECOND = {"s": 1, "ms": 1_000, "us": 1_000_000, "ns": 1_000_000_000}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +96,7 @@ def _elapsed(times: Any) -> Vector:
     if np.datetime_data(times.dtype)[0] in "YM":  # no fixed number of seconds
         times = times.astype("M8[D]")
     known = times[~np.isnat(times)]
-    elapsed = times - (known.min() if known.size else times[0])  # exact
+    elapsed = times - (known.min() if known.size else times[:1])  # exact
     return np.asarray(elapsed / np.timedelta64(1, "s"), np.float64)
 
 
@@ -291,12 +290,9 @@ def read_parquet(data: bytes) -> Table:
 
 def _numbers(column: Any) -> Vector:
     """Return the values of a column of Parquet; NaN where a value is missing."""
-    kind, per_second = str(column.type), 1
-    if kind == "bool":
-        column = column.cast("int8")
-    elif kind.startswith(_TIMES):
-        compute = imported("pyarrow.compute", "parquet")
-        ticks, per_second = column.cast("int64"), _PER_SECOND[column.type.unit]
-        column = compute.subtract(ticks, compute.min(ticks))  # exact
-    values: Vector = column.cast("float64", safe=False).to_numpy()
-    return values / per_second
+    kind = str(column.type)
+    if kind.startswith(_TIMES):
+        return _elapsed(column.to_numpy())
+    column = column.cast("int8") if kind == "bool" else column
+    numbers: Vector = column.cast("float64", safe=False).to_numpy()
+    return numbers

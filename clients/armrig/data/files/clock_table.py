@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -45,8 +45,6 @@ class ClockTable(Table):
     """Beginning of the name of a place; the table of the clock, and its rows."""
     faults: Mapping[int, str] = field(default_factory=dict)
     """Reasons why columns have no value at the instants, by index."""
-    other_times: Collection[int] = ()
-    """Indices of columns of times that are not those of the rows."""
 
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, counted from 0; NaN where a value is missing."""
@@ -80,7 +78,7 @@ def rows_of(table: Table, rows: Rows, *notes: str) -> ClockTable:
             for i, size in enumerate(sizes_of(table))
         ],
         clock=("", table, rows),
-        other_times=getattr(table, "other_times", ()),
+        other_times=table.other_times,
     )
 
 

@@ -69,6 +69,11 @@ class Import(msgspec.Struct, frozen=True, kw_only=True):
     values_sha256: str = ""
     """Hash of the instants and values, in hexadecimal digits."""
 
+    def roles(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the inputs and the outputs that the user named, or else u and y, if they exist."""
+        names = {column.name for column in self.columns}
+        return self.inputs or (*{"u"} & names,), self.outputs or (*{"y"} & names,)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GridTable(Table):

@@ -11,7 +11,6 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 
 from armrig.data.columns import MAX_SIZE, Vector
-from armrig.data.files.clock_table import ClockTable
 from armrig.data.files.clocks import on_one_clock
 from armrig.data.files.imported_file import GridTable, Import, ImportedData, ImportedSource
 from armrig.data.files.kinds import table_of
@@ -78,8 +77,7 @@ def _on_grid(
     table = on_one_clock(tables, output=outputs[0] if outputs else None, time=how.time)
     of_u, of_y = _roles(table, "input", inputs, how), _roles(table, "signal", outputs, how)
     at = time_column(table, {*of_u, *of_y}, how)
-    times = {at, *(table.other_times if isinstance(table, ClockTable) else ())}
-    columns, notes = _numbers(table, times, {*of_u, *of_y})
+    columns, notes = _numbers(table, {at, *table.other_times}, {*of_u, *of_y})
     if not columns:
         raise FileError(f"it has no column of numbers to import; {listed(table, 'signal')}")
     names = _names(table, [*columns])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -63,6 +63,8 @@ class Table:
     """Sampling time in s, if the file states it outside the columns."""
     notes: Sequence[str] = ()
     """Notes on how the columns were read."""
+    other_times: Collection[int] = ()
+    """Indices of columns of times that are not those of the rows."""
 
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, counted from 0; NaN where a value is missing."""

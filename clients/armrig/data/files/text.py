@@ -48,17 +48,11 @@ _MAX_CELLS = 1 << 16  # of a line; the kind of each is looked at several times
 _MAX_ROWS_WITHOUT_VALUE = 1000  # at the beginning of a column whose values have units
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WaysOut:
-    """Remedies that the errors of a text name."""
-
-    not_a_number: str = "; leave a missing value empty, or write NaN; begin a remark's line with #"
-    """Follows "is not a number"."""
-    doubtful_mark: str = "Give --decimal , or --decimal ."
-    """For a number whose comma or point may be either mark."""
-
-
-_OF_DATA = WaysOut()
+WAYS_OUT = (
+    "; leave a missing value empty, or write NaN; begin a remark's line with #",
+    "Give --decimal , or --decimal .",
+)
+"""Remedies for a cell without a number, and for a number whose mark may be either decimal mark."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +73,8 @@ class TextTable(Table):
     """Unit that each value of a column is followed by, by the index of the column."""
     switches: Collection[int] = ()
     """Indices of the columns of a switch: True and on are 1, False and off are 0."""
-    ways_out: WaysOut = _OF_DATA
-    """Remedies that errors name."""
+    ways_out: tuple[str, str] = WAYS_OUT
+    """Remedies that errors name, as `WAYS_OUT`."""
     _block: dict[int, list[str]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -145,7 +139,7 @@ class TextTable(Table):
         if mark is None:
             k, readings = doubtful_cell(cells)
             said = f"may be {readings}: a decimal mark, or a mark between thousands? "
-            fault = self._fault(i, k, cells[k], said, self.ways_out.doubtful_mark)
+            fault = self._fault(i, k, cells[k], said, self.ways_out[1])
             raise ReadingError(str(fault), "--decimal ,")
         return mark
 
@@ -163,14 +157,16 @@ class TextTable(Table):
         if k and not has_values(split(self.rows[k], self.separator)):
             text = "is not a number; the line is like a second line of names: cut the file there"
             return self._fault(i, k, cell, text)
-        return self._fault(i, k, cell, "is not a number", self.ways_out.not_a_number)
+        return self._fault(i, k, cell, "is not a number", self.ways_out[0])
 
     def _fault(self, i: int, k: int, cell: str, *said: str) -> FileError:
         name = shown(self.columns[i].name) or str(i + 1)
         return FileError(f"{self.place(k)}, column {name}: '{shown(cell.strip())}' {''.join(said)}")
 
 
-def read_text(text: str, decimal: str | None = None, *, ways_out: WaysOut = _OF_DATA) -> TextTable:
+def read_text(
+    text: str, decimal: str | None = None, *, ways_out: tuple[str, str] = WAYS_OUT
+) -> TextTable:
     """Return the table that a text contains; `ways_out` are the remedies that its errors name.
 
     Lines that are empty, or begin with # or %, are remarks. A first line such as `sep=;` names the

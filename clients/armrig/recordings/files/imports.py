@@ -58,9 +58,8 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
     Raises FileError if the import does not know one input and one or two outputs.
     """
     columns = data.on_grid()
-    known = {c.name: c.unit for c in data.facts.columns}
-    inputs = data.facts.inputs or tuple(x for x in ("u",) if x in known)
-    outputs = data.facts.outputs or tuple(x for x in ("y",) if x in known)
+    units = {c.name: c.unit for c in data.facts.columns}
+    inputs, outputs = data.facts.roles()
     if len(inputs) != 1 or not 1 <= len(outputs) <= MAX_CHANNELS:
         raise FileError(
             f"{path}: has {plural(len(inputs), 'input')} and {plural(len(outputs), 'output')}, but "
@@ -69,43 +68,30 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
         )
     description = Description(
         rig=RigTable(name=IMPORTED, title=", ".join(s.name for s in data.facts.sources)[:60]),
-        input=Input(name=_name(inputs[0], "input"), unit=known[inputs[0]]),
-        outputs={_name(x, "output"): Output(unit=known[x], per_count=_NO_STEP) for x in outputs},
+        input=Input(name=_name(inputs[0], "input"), unit=units[inputs[0]]),
+        outputs={_name(x, "output"): Output(unit=units[x], per_count=_NO_STEP) for x in outputs},
         model=None,
         text=b"",
     )
     metadata = read_metadata(path)
     present = np.zeros(data.size, np.bool_)
     present[data.at] = True
-    values = {_name(x, "output"): columns[x] for x in outputs}
-    channels = {x: Channel(y, np.isfinite(y)) for x, y in values.items()}
+    channels = {_name(x, "output"): Channel(columns[x], np.isfinite(columns[x])) for x in outputs}
     names = sample_names(description.channels)
     kinds = [(x, SAMPLE_DTYPE[i]) for i, x in enumerate(names)]
-    breaks = tuple(map(int, data.facts.breaks))
     return Recording(
         path=path,
         name=name,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         manifest=Manifest.of(metadata[RUN]),
         outcome=Outcome.of(metadata[OUTCOME]),
-        recovered=None,
-        calibration=None,
-        k_first=0,
         t=data.Ts * np.arange(data.size, dtype=np.float64),
         u=columns[inputs[0]],
         channels=channels,
         description=description,
         present=present,
-        turns_unknown=breaks,
+        turns_unknown=data.facts.breaks,
         samples=np.zeros(len(data.at), kinds),
-        gaps=(),
-        events=(),
-        notes=(),
-        timing=(),
-        clock=(),
-        truncated=False,
-        cut_off=False,
-        damage="",
     )
 
 
