@@ -210,12 +210,12 @@ def hints(
 
     def say_after() -> None:
         given = signals.options()
-        if len(known) > 1 and any(one.doubts for one in known.values()):
-            say_next("check", file=typed(file), given=given)
-            return
         validation = paired(file, "validation") if from_recording(data) else ""
         validate = f" --validate {validation}" if validation else ""
-        options = f"{_options([*known.values()], level=has_level(data))}{given}"
+        options = _options([*known.values()], level=has_level(data))
+        if len(known) > 1 and any(one.doubts for one in known.values()):
+            options = "--search"  # with feedback, OE would be biased
+        options += given
         values = {"options": options, "validate": validate, "model": "model.json"}
         say_next("identify", file=typed(file), **values)
 

@@ -462,7 +462,7 @@ def about_feedback(known: Tested) -> list[Finding]:
     if not loop.feedback:
         return [good("feedback", f"none is found ({p})")]
     able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
-    what = f"u depends on {loop.output}"
+    what = f"the data look as if u depends on {loop.output}"
     if loop.may_be_direct_term:
         what += f", or {loop.output} on u of the same sample"
     text = f"{what} ({p}): with feedback, OE, spectra and correlations are biased; use {able} "

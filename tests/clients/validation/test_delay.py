@@ -286,7 +286,7 @@ def test_feedback_is_not_a_direct_term() -> None:
 
     assert (found.nk, found.interval) == (1, (1, 1))
     assert [*found.p_values] == [1]
-    assert "there is feedback" in repr(found)
+    assert "as under feedback" in repr(found)
     assert "lag 1: its coefficient" in found.explain()
     assert "lags 0" not in found.explain()
 

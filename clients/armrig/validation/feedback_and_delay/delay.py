@@ -234,8 +234,8 @@ def _lag_zero(data: Dataset) -> _LagZero:
         return _LagZero(
             rig=False,
             controller=True,
-            remark=f"there is feedback: u(t) depends on {data.output}(t), which looks like a "
-            "direct term, so the lags from 1 on were tested",
+            remark=f"the data look as if u(t) depends on {data.output}(t), as under feedback, "
+            "which looks like a direct term, so the lags from 1 on were tested",
         )
     return _LagZero(
         rig=True,
