@@ -14,6 +14,7 @@ from time import perf_counter, process_time
 
 from tests.firmware.uno_host import harness
 from tests.simulator.checks import COMMANDER_GONE, LINK_GONE
+from tests.simulator.law_judge import BOUNDS
 from tests.simulator.options import END_NS, KINDS, MS, draw
 from tests.simulator.rig import Outcome, simulate
 from tests.simulator.watched import build
@@ -36,6 +37,7 @@ TRIPS = (
     "the device stopped by itself: SLEW",
     "the device has received frame",
     "the service is frozen",
+    "the law",
     "y = ",
     "z = ",
     "y has had no valid sample",
@@ -43,10 +45,18 @@ TRIPS = (
 )
 """Beginnings of the causes of trips that a campaign must contain.
 
-"The device applied code" is not among them, because no fault here makes a device apply another
-code. Only old samples, which are now refused, caused that trip;
-tests/daemon/decisions/test_sampling.py tests it.
+"The device applied code" is not among them, because it is rare: an old frame must arrive just
+before the daemon's own frame with the same seq and k. tests/daemon/decisions/test_sampling.py tests
+this cause.
 """
+LAWS = {
+    "law: schedules": 300,
+    "law: codes at a limit": 1_000,
+    "law: codes within the slew": 1_000,
+    "law: codes without the newest sample": 100,
+    **{f"law: ended, {code}": 10 for code in BOUNDS},
+}
+"""Least counts of control runs in a thousand schedules or more."""
 LEAST_TRIPS = 5
 """Least trips of each cause in a thousand schedules or more."""
 DEFAULT = "watchdog 100 ms, Ts 5 ms: "
@@ -113,6 +123,11 @@ class Campaign:
             n = sum(v for k, v in self.seen.items() if k.startswith(f"trip: {cause}"))
             if n < least:
                 said.append(f'"{cause} ..." tripped {n} times: {least} needed')
+        said += [
+            f"{kind}: {self.seen[kind]}, {int(n * part)} needed"
+            for kind, n in LAWS.items()
+            if self.seen[kind] < int(n * part)
+        ]
         said += [f"{kind}: never" for kind in BOUNDS_NS if least and kind not in self.worst]
         return said
 

@@ -12,7 +12,9 @@ Only the age of the round trip (S4) is by the host's clock.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
+from armrig_core.commands.codes import OutcomeCode
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
 from armrig_daemon.decisions.gaps import MAX_MISSING_PIECES
@@ -29,6 +31,7 @@ from armrig_daemon.pipe import (
     Quit,
     Record,
     Reset,
+    RunEnded,
     RunStarted,
 )
 from armrig_daemon.pipe import State as StateRecord
@@ -48,7 +51,8 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import State as DeviceState
 
-from tests.simulator.frames import Frame, ask_the_same, may_exchange, may_fill
+from tests.simulator.frames import Frame, ask_the_same, exchange, may_exchange, may_fill
+from tests.simulator.law_judge import LawJudge
 from tests.simulator.options import MS, Options
 from tests.simulator.outputs import OutputJudge
 from tests.simulator.violation import Violation
@@ -73,6 +77,7 @@ class Checks:
         self.options = options
         self.seen: Counter[str] = Counter()
         """Trips by their cause, and how often each check had something to judge."""
+        self.seen["law: schedules"] = int("control" in options.modes)
         self.worst_ns: dict[str, int] = {}
         """Longest time to 0 V, by its cause."""
         bits = options.pwm_bits
@@ -95,6 +100,8 @@ class Checks:
         """An experiment that has not been answered; the device may have begun with it."""
         self.cut_off: pipe.Run | None = None
         """Run that was refused after its START, which may reach the device: until it is stopped."""
+        self.law: LawJudge | None = None
+        """Judge of the newest run, if it is in control."""
         self.k_first = -1
         self.command_ns = 0
         self.last_sample_ns = 0
@@ -129,6 +136,7 @@ class Checks:
         self._next_k: int | None = None
         self._latched_codes: dict[int, int] = {}
         self._given: dict[int, tuple[int, Order]] = {}
+        self.law = None
         self._end_grant()
 
     def _end_grant(self) -> None:
@@ -175,12 +183,19 @@ class Checks:
             self._state(now_ns, record)
         elif isinstance(record, RunStarted):
             self.k_first = record.k_first
+            if self.law is not None:
+                self.law.k_first = record.k_first
+        elif self.law is not None and isinstance(record, pipe.Control):
+            self.law.recorded(now_ns, record)
+        elif self.law is not None and isinstance(record, RunEnded):
+            self.law.ended(now_ns, record.outcome_code)
 
     def _answered(self, now_ns: int, answer: Answer) -> None:
         given = self._given.pop(answer.order, None)
         if given is not None and given[1] is self.offered:
             if not answer.error:
                 self.run, self.k_first = self.offered, -1
+                self.law = LawJudge(self.run, self.options, self.seen) if self.run.law else None
             elif answer.error.startswith(("link lost", "overtaken by STOP")):
                 self.cut_off = self.offered
             self.offered = None
@@ -200,6 +215,7 @@ class Checks:
             self._end_grant()
             self.grant += 1
             self.lease, self.run, self.offered, self.cut_off = order.lease, None, None, None
+            self.law = None
             self.command_ns = given_ns
         elif isinstance(order, Calibrate):
             self.seen["calibrated"] += 1
@@ -229,6 +245,8 @@ class Checks:
             if before != "fault":
                 self.seen[f"trip: {_cause(record.reason)}"] += 1
                 self.outputs.tripped(self.step_ns, record.reason)
+                if self.law is not None and record.reason.startswith("the law"):
+                    self.law.ends_by(now_ns, OutcomeCode.FAULT)
                 if record.reason.endswith("not within the limits"):  # each experiment is inside
                     self._wrongly(now_ns, f"tripped: {record.reason}")
             self.latched = True
@@ -238,9 +256,11 @@ class Checks:
         elif self.phase in ("init", "safe"):
             self._close(now_ns)
 
-    def begin_tick(self, now_ns: int, *, driving: bool, scheduled: bool) -> None:
-        """Judge the round trip before the core does (S4)."""
+    def begin_tick(self, now_ns: int, k: int, *, driving: bool, scheduled: bool) -> None:
+        """Judge the round trip before the core does (S4), and compute the code of a law (S5)."""
         self.step_ns = now_ns
+        if self.law is not None:
+            self.law.begin_tick(k)
         age_ns = self._limit if scheduled else self._age_ns
         self.must_stop = driving and now_ns - self.fresh_ns > age_ns
         self.stop_sent = False
@@ -259,6 +279,10 @@ class Checks:
         kind = text[1] if text[0] > 1 else 0
         if kind == STOP:
             self.stop_sent = self.outputs.stop_sent = True
+            if self.law is not None:
+                self.law.stopped()
+        elif self.law is not None and kind == EXCHANGE and (asked := exchange(text)):
+            self.law.sent(now_ns, asked.k, asked.u)
         self._frames[text] = Frame(
             kind,
             self._seq,
@@ -297,10 +321,14 @@ class Checks:
         """Note that the core has published a sample."""
         self.last_sample_ns = now_ns
         self.outputs.sampled(now_ns, sample)
+        if self.law is not None:
+            self.law.sampled(sample.k, (sample.value_0, sample.value_1))
 
     def end_step(self, now_ns: int, *, is_tick: bool = False) -> None:
-        """Judge the measured outputs after a step of the core."""
+        """Judge the measured outputs and the law after a step of the core."""
         self.outputs.end_step(now_ns, self.phase, is_tick=is_tick)
+        if self.law is not None:
+            self.law.end_step(now_ns)
 
     def bounded(self, now_ns: int, state: CoreState, waiting: int) -> None:
         """Judge the size of the loop's memory (R1)."""
@@ -501,16 +529,22 @@ class Checks:
             raise Violation("S4", t_ns, f"code {code}, sent on a stale round trip")
         wanted = frame.code
         if wanted < 0:
-            run, i = self.run, k - self.k_first
-            if run is None or self.k_first < 0 or not 0 <= i < len(run.codes) // 2:
+            i, codes = k - self.k_first, self._codes()
+            if self.k_first < 0 or not 0 <= i < len(codes):
                 raise Violation("S5", t_ns, f"code {code} at k={k}, which no experiment has")
-            wanted = run.codes[2 * i] | run.codes[2 * i + 1] << 8
+            wanted = codes[i]
             self.command_ns = frame.t_ns
         if code != wanted:
             raise Violation("S5", t_ns, f"code {code} at k={k}, where {wanted} was commanded")
         if frame.code >= 0 and self._is_over(t_ns, frame.command_ns):
             age_ms = (t_ns - frame.command_ns) / MS
             raise Violation("S5", t_ns, f"code {code} of a command {age_ms:.0f} ms ago")
+
+    def _codes(self) -> Sequence[int]:
+        """Return the codes of the newest run: those of its order, or those that its law gave."""
+        if self.law is not None:
+            return self.law.codes
+        return () if self.run is None else memoryview(self.run.codes).cast("H")
 
     def latch_done(self, t_ns: int, asked: int, k: int, got: int, *, scheduled: bool) -> None:
         """Judge the motor's voltage for a code, and remember it (S5)."""

@@ -20,7 +20,9 @@ from armrig_daemon.pipe import (
     Stop,
 )
 from armrig_daemon.pipe import State as StateRecord
+from msgspec import UNSET
 
+from tests.simulator.laws import draw_law
 from tests.simulator.options import Options
 
 _OTHER = Calibration(theta_1=Potentiometer(rad_per_count=-0.1), driver=Driver(gain=10.0))
@@ -85,7 +87,9 @@ class Commander:
             return self._set_voltage()
         self._n += 1
         self._playing = True
-        codes = self.codes()
+        is_control = self._mode() == "control"
+        codes = [] if is_control else self.codes()
+        law, reference = draw_law(self._rng, self._options) if is_control else (UNSET, UNSET)
         return self._await(
             Run(
                 order=self._next(),
@@ -94,6 +98,8 @@ class Commander:
                 run_id=f"r{self._number}",
                 codes=pack(f"<{len(codes)}H", *codes),
                 scheduled=self._mode() == "scheduled",
+                law=law,
+                reference=reference,
             )
         )
 

@@ -30,10 +30,16 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     """Time of sending, by the host's clock; `t_ns` and `command_ns` are given times."""
 
 
+def exchange(data: bytes) -> Exchange | None:
+    """Return the EXCHANGE in the bytes of a frame; None for another frame."""
+    m = decode(data[:-1])
+    return m if isinstance(m, Exchange) else None
+
+
 def ask_the_same(a: Frame, b: Frame) -> bool:
     """Return whether two frames are EXCHANGEs for the same sample."""
-    m, n = decode(a.data[:-1]), decode(b.data[:-1])
-    return isinstance(m, Exchange) and isinstance(n, Exchange) and m.k == n.k
+    m, n = exchange(a.data), exchange(b.data)
+    return m is not None and n is not None and m.k == n.k
 
 
 def may_exchange(frame: Frame, code: int, k: int, *, last_k: int, last_code: int, slew: int) -> str:
@@ -42,8 +48,8 @@ def may_exchange(frame: Frame, code: int, k: int, *, last_k: int, last_code: int
     PROTOCOL.md, section 7: in RUN it is, where its k is ahead, in range and within `slew`. Here its
     code must have been a command in its own time, too.
     """
-    m = decode(frame.data[:-1])
-    if not isinstance(m, Exchange) or (m.u, m.k) != (code, k):
+    m = exchange(frame.data)
+    if m is None or (m.u, m.k) != (code, k):
         return "it says something else"
     if not frame.grant or frame.stale:
         return "it was no command when it was sent"

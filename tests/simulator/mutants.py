@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite, nan
 from typing import Any
 from unittest.mock import patch
 
+from armrig_core.control import evaluation
 from armrig_core.rig.channels import Conversion
-from armrig_daemon.decisions import gaps, orders, output_limits, step, stopping, transitions
+from armrig_daemon.decisions import (
+    control,
+    gaps,
+    orders,
+    output_limits,
+    step,
+    stopping,
+    transitions,
+)
 from armrig_daemon.decisions.state import ActiveRun, Phase, Rules
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
@@ -48,6 +57,9 @@ _leased, _report_missing, _carry_out = orders._leased, gaps.report_missing, step
 _volts, _feed = board.volts, decoder.feed
 _config, _decide, _started = Rules.config, step._decide, transitions._started
 _observe, _watched, _reset = output_limits.observe, output_limits._watched, orders._reset
+_law_decide, _law_observe, _law_outputs = evaluation.decide, evaluation.observe, evaluation._outputs
+_begin_control, _control_decide = transitions._begin_control, control.decide
+_advanced = evaluation._advanced
 
 
 def _decode_anyway(stuffed: bytes) -> Any:
@@ -165,6 +177,98 @@ class _Unscheduled:
         return (state, []) if state.scheduled else _observe(state, limits, sample)
 
 
+def _no_law_limit(law: Any, *args: Any) -> Any:
+    return _law_decide(replace(law, lo_code=0, hi_code=65_535), *args)
+
+
+def _v_of_the_last_tick() -> Any:
+    last: dict[str, Any] = {}
+
+    def decide(law: Any, state: Any, *args: Any) -> Any:
+        after, command = _law_decide(law, state, *args)
+        late = last.get(law.law_sha256, command)
+        last[law.law_sha256] = command
+        return replace(after, codes=(*after.codes[:-1], late.code)), late
+
+    return decide
+
+
+def _no_turns(law: Any, state: Any, values: Any) -> Any:
+    y, zeros, is_blind = _law_outputs(law, state, values)
+    read = [values[c] if values else nan for c in law.channels]
+    turned = [a if zero is None else a - zero for a, zero in zip(read, zeros, strict=True)]
+    picked = zip(y, turned, law.turning, strict=True)
+    return tuple(t if turns and isfinite(t) else a for a, t, turns in picked), zeros, is_blind
+
+
+def _missing_as_0(law: Any, state: Any, values: Any) -> Any:
+    y, zeros, is_blind = _law_outputs(law, state, values)
+    return (0.0,) * len(y) if values is None else y, zeros, is_blind
+
+
+def _v_fed_back(law: Any, *args: Any) -> Any:
+    after, command = _law_decide(law, *args)
+    v = round(min(max(command.v, -5.0), 10.0) * 13_107)
+    return replace(after, codes=(*after.codes[:-1], v)), command
+
+
+def _twice(law: Any, state: Any, k: int, *args: Any) -> Any:
+    return _law_observe(law, replace(state, x=_law_observe(law, state, k, *args).x), k, *args)
+
+
+def _begin_at_rest_0(*args: Any) -> Any:
+    begun = _begin_control(*args)
+    return replace(begun, latch=replace(begun.latch, rest_code=0)) if begun else begun
+
+
+def _law_of_another_run() -> Any:
+    first: list[Any] = []
+
+    def begin(*args: Any) -> Any:
+        begun = _begin_control(*args)
+        if not begun:
+            return begun
+        first.append(begun.law)
+        return replace(begun, law=first[0], state=evaluation.begin(first[0]))
+
+    return begin
+
+
+def _no_delay(law: Any, *args: Any) -> Any:
+    return _advanced(replace(law, input_delay=0), *args)
+
+
+def _slew_of_the_newest(law: Any, state: Any, k: int, reference: Any, latch: Any) -> Any:
+    most = min(law.slew or latch.slew, latch.slew or law.slew)
+    free, rig = replace(law, slew=0), replace(latch, slew=0)
+    after, command = _law_decide(free, state, k, reference, rig)
+    if not most or not isfinite(command.v):
+        return after, command
+    *before, code = after.codes
+    newest = before[-1] if before else latch.rest_code
+    within = min(max(code, newest - most), newest + most)
+    command = command._replace(code=within, is_slewed=within != code)
+    return replace(after, codes=(*before, within)), command
+
+
+def _as_commanded(law: Any, state: Any, values: Any, r: float, latch: Any) -> Any:
+    return _advanced(law, state, values, r, replace(latch, pwm_bits=16))
+
+
+def _no_end(*_: Any) -> Any:
+    return []
+
+
+def _one_more(*args: Any) -> Any:
+    state, code, done = _control_decide(*args)
+    return state, code + 1, done
+
+
+def _law(name: str, *puts: tuple[Any, str, Any], also: str = "S5") -> Mutant:
+    """Return a bug of the evaluation of control laws."""
+    return Mutant(name=f"law: {name}", puts=puts, breaks=frozenset({"S5", also}))
+
+
 def _rule(name: str, *puts: tuple[Any, str, Any]) -> Mutant:
     """Return a bug of the limits on measured outputs."""
     return Mutant(name=name, puts=puts, breaks=frozenset({"O1", "O2"}))
@@ -177,6 +281,19 @@ def _rest(where: str, *puts: tuple[Any, str, Any]) -> Mutant:
 
 
 MUTANTS = (
+    _law("no limit", (evaluation, "decide", _no_law_limit)),
+    _law("v of the last tick", (evaluation, "decide", _v_of_the_last_tick())),
+    _law("a jump at the wrap", (evaluation, "_outputs", _no_turns)),
+    _law("missing as 0", (evaluation, "_outputs", _missing_as_0)),
+    _law("v fed back for u", (evaluation, "decide", _v_fed_back), also="crash"),
+    _law("x advanced twice", (evaluation, "observe", _twice)),
+    _law("rest forgotten", (transitions, "_begin_control", _begin_at_rest_0)),
+    _law("the law of another run", (transitions, "_begin_control", _law_of_another_run())),
+    _law("no dead time", (evaluation, "_advanced", _no_delay)),
+    _law("the slew of the newest code only", (evaluation, "decide", _slew_of_the_newest)),
+    _law("u as commanded, not as latched", (evaluation, "_advanced", _as_commanded)),
+    _law("no end by a bound", (control, "_consequences", _no_end)),
+    _law("a code that the record does not have", (control, "decide", _one_more)),
     _rule("a limit of the wrong channel", (output_limits, "observe", _wrong_channel)),
     _rule("a limit that is outside", (output_limits, "_watched", _strict)),
     _rule("a blind time restarted by an invalid sample", (output_limits, "_watched", _seen_anyway)),

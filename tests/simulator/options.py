@@ -71,6 +71,12 @@ _TS_US: Final = {2_000: 2, 5_000: 50, 10_000: 25, 20_000: 23}
 """Frequencies of the sampling times, in a hundred: a short time costs as many more ticks."""
 
 
+_LAWS: Final = 0.4
+"""Share of the schedules with control runs, if the limits of the rig permit a law."""
+_LAW_TS_US: Final = (5_000, 10_000, 10_000, 20_000)
+"""Sampling times of these schedules: a law costs a tick more, and has at least 5 ms."""
+
+
 _UNO: Final = {"boot_ms": 58.0, "queue": 256, "clock_ppm": 0.0, "clock_start_us": 0}
 """Properties of an Uno; its boot takes this time up to its report."""
 
@@ -168,8 +174,10 @@ def draw(
     uno : str
         The device is an Uno with this image; its own properties are not drawn.
     """
-    rng = Random(seed)
+    rng, of_law = Random(seed), Random(seed ^ 0x1A33)
     ts_us = rng.choices(list(_TS_US), list(_TS_US.values()))[0]
+    has_law = of_law.random() < _LAWS
+    ts_us = of_law.choice(_LAW_TS_US) if has_law else ts_us
     narrow = rng.random() < 0.3
     episodes = [_episode(rng, only) for _ in range(rng.randint(3, 8))]
     lines = [kind for kind in only if " " in kind]
@@ -208,10 +216,16 @@ def draw(
         c_core=c_core,
     )
     of_rest = Random(seed ^ 0x2E57)
-    if not uno:  # a shield has no enable line, so its rest is 0 V
+    if uno:  # a shield has no enable line, so its rest is 0 V
+        drawn = replace(drawn, uno=uno, pwm_bits=LAYOUTS[uno].pwm_bits, **_UNO)
+    elif of_rest.random() < 0.4:
         rests = (drawn.u_max // 2, drawn.u_max, max(drawn.u_min, 6_554))
-        return replace(drawn, rest=of_rest.choice(rests)) if of_rest.random() < 0.4 else drawn
-    return replace(drawn, uno=uno, pwm_bits=LAYOUTS[uno].pwm_bits, **_UNO)
+        drawn = replace(drawn, rest=of_rest.choice(rests))
+    # A law keeps rest within its limits, and its limits within those of the rig.
+    if has_law and drawn.u_min <= drawn.rest:
+        modes = ["control" if of_law.random() < 0.8 else mode for mode in drawn.modes]
+        drawn = replace(drawn, modes=tuple(modes))
+    return drawn
 
 
 def _stalls(rng: Random) -> tuple[Episode, ...]:

@@ -96,11 +96,12 @@ class WatchedLoop(Loop):
             super()._step(now_ns, [event])
             self._rig.checks.end_step(now_ns)
 
-    def _judged(self, now_ns: int, ticks: list[Event]) -> None:
+    def _judged(self, now_ns: int, ticks: list[Tick]) -> None:
         """Do a tick, with checks of the round trip before it and of the memory after it."""
         state, checks = self.state, self._rig.checks
         checks.begin_tick(
             now_ns,
+            ticks[0].k,
             driving=state.phase in _DRIVING and state.link is not None and state.device is not None,
             scheduled=state.scheduled and state.device_state == _RUN,
         )

@@ -58,7 +58,8 @@ def _said(thing: Any) -> str:
 
 def _short(thing: Any) -> str:
     if isinstance(thing, Run):
-        pace = "scheduled" if thing.scheduled else "exchange"
-        return f"Run(order={thing.order}, n={thing.n}, {len(thing.codes) // 2} samples, {pace})"
+        pace = "scheduled" if thing.scheduled else "by a law" if thing.law else "exchange"
+        n = len(thing.codes) // 2 + len(thing.reference or b"") // 8
+        return f"Run(order={thing.order}, n={thing.n}, {n} samples, {pace})"
     text = repr(thing)
     return text if len(text) < 160 else f"{text[:157]}..."

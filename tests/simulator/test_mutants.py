@@ -11,7 +11,7 @@ from tests.simulator.mutants import MUTANTS, Mutant, planted
 from tests.simulator.options import draw
 from tests.simulator.rig import simulate
 
-SEEDS = range(1000, 1040)
+SEEDS = range(1000, 1100)
 
 
 @pytest.fixture(autouse=True)
