@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +72,33 @@ def test_a_model_of_a_file_has_the_names_of_its_columns_and_another_input_is_nam
 
     assert "power [%] to temp [°C]" in said
     assert "not in the data, but switching like an input: fan" in err
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("feedback", [0.0, 1.2])
+def test_the_next_commands_come_to_an_end(
+    feedback: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    """A tank whose level settles slowly, and a loop: each command is named once."""
+    rng, (u, x, y) = np.random.default_rng(3), np.zeros((3, 500))
+    levels, v = np.repeat(rng.uniform(0.5, 5.0, 25), 20), 0.0
+    for t in range(1, 500):
+        x[t] = x[t - 1] + 0.1 * u[t - 1] - 0.13 * np.sqrt(max(x[t - 1], 0.0))
+        v = 0.8 * v + 0.02 * rng.standard_normal()
+        y[t] = x[t] + v
+        u[t] = levels[t] - feedback * y[t]
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "tank.csv", armrig.Dataset(u=u, y=y, Ts=TS))
+
+    line, lines = "hints tank.csv", list[str]()
+    while line:
+        assert line not in lines
+        lines.append(line)
+        assert main(shlex.split(line)) == 0
+        _, _, after = capsys.readouterr().err.partition("next: armrig ")
+        line = re.sub(" -o [^ ]+", "", after.partition("\n")[0])
+
+    assert len(lines) > 1
 
 
 def test_feedback_is_reported_though_a_narrow_input_shows_no_delay(
