@@ -13,7 +13,15 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.process.imports import imported
 
 from armrig.data.files.mat_variables import EMPTY, StructureArray, Unread, Value, variables
-from armrig.data.files.table import NO_NUMBERS, Column, Table, Vector, require_room, shown, titled
+from armrig.data.files.table import (
+    NO_NUMBERS,
+    Column,
+    Table,
+    Vector,
+    column_of,
+    require_room,
+    shorten,
+)
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
@@ -51,7 +59,7 @@ class _Contents:
             except InputError as err:
                 self.refused[name] = str(err)
                 continue
-            title, n = titled(name), len(vectors)
+            title, n = column_of(name), len(vectors)
             units = self.units.get(name, ())
             units = units if len(units) == n and any(units) else (title.unit,) * n
             if array.size > 1:
@@ -59,7 +67,7 @@ class _Contents:
                     is_time = vector.dtype.kind in "mM"
                     label = title.name if n == 1 else f"{title.name}:{k + 1}"
                     columns.append(Column(name=label, unit="s" if is_time else units[k]))
-                    values.append(_elapsed(vector) if is_time else vector)
+                    values.append(_seconds(vector) if is_time else vector)
             elif name.rpartition(".")[2].casefold() == "ts" and array.dtype.kind != "M":
                 is_time = array.dtype.kind == "m"
                 Ts.add(float((array / np.timedelta64(1, "s") if is_time else array).item()))
@@ -91,7 +99,7 @@ def _columns(array: Any) -> list[Any]:
     return list(array.T if array.shape[0] >= array.shape[1] else array)
 
 
-def _elapsed(times: Any) -> Vector:
+def _seconds(times: Any) -> Vector:
     """Return datetime64 or timedelta64 as seconds from the earliest time; NaN if missing."""
     if np.datetime_data(times.dtype)[0] in "YM":  # no fixed number of seconds
         times = times.astype("M8[D]")
@@ -156,21 +164,21 @@ def _only(value: Value) -> Value:
 
 def _texts(value: Value) -> list[str]:
     """Return the texts of a cell array, or one text; "" for other values."""
-    return [x if isinstance(x, str) else "" for x in _listed(_only(value))]
+    return [x if isinstance(x, str) else "" for x in _as_list(_only(value))]
 
 
-def _listed(value: Value) -> list[Value]:
+def _as_list(value: Value) -> list[Value]:
     return value if isinstance(value, list) else [value]
 
 
 def _fields(structure: dict[str, Value], contents: _Contents) -> Iterator[tuple[str, Value, Any]]:
     """Iterate over the names, values and units of the columns of a structure."""
     times, signals, X, Y = map(structure.get, ("time", "signals", "X", "Y"))
-    if times is not None and _are_channels(_listed(signals), named=False):
+    if times is not None and _are_channels(_as_list(signals), named=False):
         yield "time", times, ()
         yield from _channels(signals, "signals", "time")
-    elif _are_channels(_listed(X), named=False) and _are_channels(_listed(Y), named=False):
-        yield from _capture(_listed(X), _listed(Y))
+    elif _are_channels(_as_list(X), named=False) and _are_channels(_as_list(Y), named=False):
+        yield from _capture(_as_list(X), _as_list(Y))
     else:
         fields = _in_seconds(structure, contents.notes)
         if "OutputData" in fields:  # the other fields of an iddata are facts
@@ -196,7 +204,7 @@ def _first(structure: dict[str, Value], names: Sequence[str]) -> Value:
 def _channels(values: Value, field: str, *taken: str) -> Iterator[tuple[str, Value, Any]]:
     """Iterate over the names, values and units of the channels in a field."""
     names = list(taken)
-    for k, channel in enumerate(channels := _listed(values), 1):
+    for k, channel in enumerate(channels := _as_list(values), 1):
         label = _first(channel, _LABELS)
         name = label.strip(" <>") if isinstance(label, str) else ""  # Simulink inherits <label>
         if not name or name in names:
@@ -236,7 +244,7 @@ def _in_seconds(structure: dict[str, Value], notes: list[str]) -> dict[str, Valu
     ticks, seconds = _TICKS_PER_SECOND.get(unit, 1), _SECONDS.get(unit, 1)
     if unit not in (*_TICKS_PER_SECOND, *_SECONDS):
         raise FileError(
-            f"TimeUnit is '{shown(unit)}', allowed are nanoseconds to years; in MATLAB, set "
+            f"TimeUnit is '{shorten(unit)}', allowed are nanoseconds to years; in MATLAB, set "
             "TimeUnit and Ts of the data to seconds, and save them again"
         )
     for name, value in clock.items():
@@ -280,7 +288,7 @@ def read_parquet(data: bytes) -> Table:
     require_room(8 * file.metadata.num_rows * len(names), len(data))
     return Table(
         columns=[
-            Column(name=name, unit="s") if kinds[name].startswith(_TIMES) else titled(name)
+            Column(name=name, unit="s") if kinds[name].startswith(_TIMES) else column_of(name)
             for name in names
         ],
         values=[_numbers(column) for column in file.read(columns=names).columns],
@@ -292,7 +300,7 @@ def _numbers(column: Any) -> Vector:
     """Return the values of a column of Parquet; NaN where a value is missing."""
     kind = str(column.type)
     if kind.startswith(_TIMES):
-        return _elapsed(column.to_numpy())
+        return _seconds(column.to_numpy())
     column = column.cast("int8") if kind == "bool" else column
     numbers: Vector = column.cast("float64", safe=False).to_numpy()
     return numbers

@@ -9,7 +9,7 @@ from enum import Enum, auto
 
 from armrig_core.errors import FileError
 
-from armrig.data.files.table import shown
+from armrig.data.files.table import shorten
 
 SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma", "": "blanks"}
 """Separators of the cells in a file, and their names."""
@@ -62,7 +62,7 @@ def split(line: str, separator: str) -> list[str]:
         # Not strict=True, which refuses blanks after a quote.
         return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     except csv.Error as err:
-        raise FileError(f"'{shown(line)}' cannot be split into cells: {err}") from err
+        raise FileError(f"'{shorten(line)}' cannot be split into cells: {err}") from err
 
 
 def quantity(cell: str) -> tuple[str, str]:

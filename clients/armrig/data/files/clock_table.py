@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.files.cells import is_missing, number
 from armrig.data.files.stamps import Times
-from armrig.data.files.table import ReadingError, Table, Vector, chosen, listed, shown
+from armrig.data.files.table import ReadingError, Table, Vector, choose, remedy, shorten
 from armrig.data.files.text import TextTable
 from armrig.data.step import DOUBT, Step
 from armrig.numerics import quantities
@@ -104,7 +104,7 @@ def index_of(table: Table, wanted: str, what: str) -> int | None:
     """Return the index of a column, or of the first column of a matrix; None if there is none."""
     for name in (wanted, f"{wanted}:1"):
         with suppress(FileError):
-            return chosen(table, name, what)
+            return choose(table, name, what)
     return None
 
 
@@ -121,7 +121,7 @@ def rows_with_value(table: Table, i: int, *, words: bool = False) -> Mask | None
 
 def names_of(table: Table, columns: Sequence[int]) -> str:
     """Return the names of columns for a message."""
-    names = [shown(table.columns[i].name) or f"column {i + 1}" for i in columns]
+    names = [shorten(table.columns[i].name) or f"column {i + 1}" for i in columns]
     more = names[_MAX_LISTED - 1 :] if len(names) > _MAX_LISTED else []
     return quantities.listed([*names[: _MAX_LISTED - 1], f"{len(more)} more"] if more else names)
 
@@ -211,7 +211,7 @@ def on_master(
         groups = [names_of(table, clock.columns) for clock in clocks]
         raise ReadingError(
             f"it has several clocks, those of {quantities.listed(groups)}: "
-            f"{listed(table, 'signal')}, the output to whose times the other columns are held",
+            f"{remedy(table, 'signal')}, the output to whose times the other columns are held",
             "--signal NAME",
         )
     y = [of_y] if of_y is not None and of_y in master.columns else master.columns

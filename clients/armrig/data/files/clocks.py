@@ -35,7 +35,7 @@ from armrig.data.files.stamps import (
     time_columns,
     times_of,
 )
-from armrig.data.files.table import Column, ReadingError, Table, listed, shown
+from armrig.data.files.table import Column, ReadingError, Table, remedy, shorten
 from armrig.data.step import DOUBT, Step
 from armrig.numerics import quantities
 from armrig.numerics.quantities import plural
@@ -106,7 +106,7 @@ def _on_one_column(table: Table, of_y: int | None, of_time: int | None) -> tuple
     clocks = dict[int, Clock]()
     for at, label in labels.items() if len(labels) > 1 else ():
         heading = table.columns[at].name + f" ({label})" * (columns[at] != table.columns[at])
-        clock = _clock(plain, at, label, shown(heading) or f"column {at + 1}")
+        clock = _clock(plain, at, label, shorten(heading) or f"column {at + 1}")
         if clock is not None and (at == of_time or _is_clock(plain, clock)):
             clocks[at] = clock
     # Times without names are beside their signals, and no counter.
@@ -331,7 +331,7 @@ def _file_clock(at: int, file: str, table: Table, time: str | None) -> Clock:
     if not named and table.Ts is None:
         raise ReadingError(
             f"{file} has no column of times to compare with those of the other files; "
-            f"{listed(table, 'time')}",
+            f"{remedy(table, 'time')}",
             "--time NAME",
         )
     sizes, name = sizes_of(table), file
@@ -351,4 +351,4 @@ def _file_clock(at: int, file: str, table: Table, time: str | None) -> Clock:
         if size == times.t.size and i not in named and not is_time(table.columns[i])
     ]
     rows = np.arange(times.t.size)
-    return Clock(at=at, name=shown(name), label=file, rows=rows, times=times, columns=columns)
+    return Clock(at=at, name=shorten(name), label=file, rows=rows, times=times, columns=columns)

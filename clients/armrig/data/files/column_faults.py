@@ -37,7 +37,7 @@ _MAX_REST = 0.25  # largest step of a counter that wraps, as a share of its modu
 _MAX_USUAL_STEP = 0.125  # of the modulus, for nine of ten steps: noise has larger ones
 
 
-def treated(
+def treat_faults(
     y: Vector, name: str, *, mask_rails: bool, unwrap: float | None
 ) -> tuple[Vector, list[str]]:
     """Return a column without the faults that the options name, and notes on all its faults."""
@@ -80,7 +80,7 @@ def rows_of_each_value(x: Vector) -> int:
     return rows if 1 < rows <= _MAX_HELD and np.unique(x[at]).size > _MIN_HELD_VALUES else 1
 
 
-def held(x: Vector, name: str) -> list[str]:
+def held_notes(x: Vector, name: str) -> list[str]:
     """Return a note if every value stays for the same number of rows, or a multiple of it."""
     rows = rows_of_each_value(x)
     if rows == 1:
@@ -92,7 +92,7 @@ def held(x: Vector, name: str) -> list[str]:
     return [Step(f"{text}were written, keep one row of {rows}", DOUBT)]
 
 
-def stuck(y: Vector, name: str, u: NDArray[np.float64]) -> list[str]:
+def stuck_notes(y: Vector, name: str, u: NDArray[np.float64]) -> list[str]:
     """Return a note if y is the same in many rows in which the inputs u (N, nu) change."""
     at, lengths = _runs(y)
     k = int(np.argmax(lengths))

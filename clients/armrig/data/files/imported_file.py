@@ -112,7 +112,7 @@ class ImportedData(msgspec.Struct, frozen=True, kw_only=True):
         time = next(name for name in ("t", "time", "t_s", "time [s]") if name not in names)
         columns: dict[str, Vector] = {time: self.Ts * np.arange(self.size, dtype=np.float64)}
         return columns | {
-            name: grid.placed(x, held=False) for name, x in zip(names, self.values.T, strict=True)
+            name: grid.place(x, held=False) for name, x in zip(names, self.values.T, strict=True)
         }
 
     def table(self) -> GridTable:

@@ -15,7 +15,7 @@ from armrig.data.files.clocks import on_one_clock
 from armrig.data.files.imported_file import GridTable, Import, ImportedData, ImportedSource
 from armrig.data.files.kinds import table_of
 from armrig.data.files.loading import MOST_BYTES, Reading, naming_file, place, time_column
-from armrig.data.files.table import Column, NoColumnError, Table, chosen, listed
+from armrig.data.files.table import Column, NoColumnError, Table, choose, remedy
 from armrig.data.step import codes_of
 
 _MAX_COLUMNS = 1000
@@ -79,7 +79,7 @@ def _on_grid(
     at = time_column(table, {*of_u, *of_y}, how)
     columns, notes = _numbers(table, {at, *table.other_times}, {*of_u, *of_y})
     if not columns:
-        raise FileError(f"it has no column of numbers to import; {listed(table, 'signal')}")
+        raise FileError(f"it has no column of numbers to import; {remedy(table, 'signal')}")
     names = _names(table, [*columns])
     # Inputs that are written only where they change are refused, unless they are held.
     grid, placed, put_in, history = place(table, columns, of_u, of_y, names, how, notes)
@@ -110,14 +110,14 @@ def _roles(table: Table, what: str, wanted: Sequence[str], how: Reading) -> list
     """
     usual, *options = _USUAL[what]
     try:
-        return [chosen(table, name, what) for name in wanted or [usual]]
+        return [choose(table, name, what) for name in wanted or [usual]]
     except NoColumnError:
         if wanted:
             raise
         for option in options:
             if getattr(how, option):
                 flag = option.replace("_", "-")
-                raise FileError(f"--{flag} needs --{what} NAME; {listed(table, what)}") from None
+                raise FileError(f"--{flag} needs --{what} NAME; {remedy(table, what)}") from None
         return []
 
 

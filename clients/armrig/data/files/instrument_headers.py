@@ -10,7 +10,7 @@ from itertools import groupby, pairwise, takewhile
 from armrig_core.errors import FileError
 
 from armrig.data.files.cells import REWRITTEN, Kind, is_missing, kind, split
-from armrig.data.files.table import Column, shown, titled
+from armrig.data.files.table import Column, column_of, shorten
 
 Lines = Sequence[tuple[int, str]]
 """Lines with their numbers from 1, without empty lines and remarks."""
@@ -137,9 +137,9 @@ def _names_and_units(
 def _require_times(line: int, cells: Sequence[str], row: Sequence[str]) -> None:
     """Refuse names with a number, unless the first name is a name of times."""
     word = _word_above_value(cells, row)
-    if titled(word).name.casefold() not in {*TIMES, "x-axis"}:  # the latter is of Keysight
+    if column_of(word).name.casefold() not in {*TIMES, "x-axis"}:  # the latter is of Keysight
         raise FileError(
-            f"line {line}: '{shown(word)}' is above numbers, like a name, but next to a number; "
+            f"line {line}: '{shorten(word)}' is above numbers, like a name, but next to a number; "
             "name each column by a word, or begin the line with #"
         )
 
@@ -158,7 +158,7 @@ def are_units(units: Sequence[str], names: Sequence[str]) -> bool | None:
     words = [cell.strip().strip("[]()").casefold() for cell in units if not is_missing(cell)]
     are_known = 2 * sum(map(bool, map(_KNOWN_UNIT.fullmatch, words))) >= len(words) > 0
     has_times, lower_has_times = (
-        bool(TIMES & {titled(cell.strip()).name.casefold() for cell in cells})
+        bool(TIMES & {column_of(cell.strip()).name.casefold() for cell in cells})
         for cells in (names, units)
     )
     if len(units) > len(names) or (lower_has_times and not has_times):
@@ -174,7 +174,7 @@ def units_of(cells: Sequence[str]) -> list[str]:
 
 def columns_of(names: Sequence[str], units: Sequence[str] = ()) -> list[Column]:
     """Return columns of these names; a unit in a name has precedence over `units`."""
-    columns = zip(map(titled, names), [*units, *[""] * len(names)], strict=False)
+    columns = zip(map(column_of, names), [*units, *[""] * len(names)], strict=False)
     return [c if c.unit else replace(c, unit=unit) for c, unit in columns]
 
 
@@ -229,7 +229,7 @@ def _rigol(lines: SplitLines) -> Head:
     for _, row in rows:
         row[:] = f"{t0 + dt * float(row[0]):.12g}", *row[1:n], *filter(None, row[n:])
     note = f"{names[0]} is in s: {dt:g} s a sample from {t0:g} s on, by the header of Rigol"
-    return columns_of(names[:n], ["s", *units_of(second[1:n])]), [note], joined(rows)
+    return columns_of(names[:n], ["s", *units_of(second[1:n])]), [note], join_cells(rows)
 
 
 def _tektronix(lines: SplitLines) -> Head:
@@ -238,10 +238,10 @@ def _tektronix(lines: SplitLines) -> Head:
     units = units_of([facts.get("Horizontal Units", "s"), facts.get("Vertical Units", "")])
     rows = [(k, row if any(row[5:]) else row[3:5]) for k, row in lines]
     notes = ["read as a file of Tektronix"]
-    return columns_of(["time", facts["Source"]], units), notes, joined(rows)
+    return columns_of(["time", facts["Source"]], units), notes, join_cells(rows)
 
 
-def joined(rows: SplitLines) -> Lines:
+def join_cells(rows: SplitLines) -> Lines:
     """Return rows whose cells `REWRITTEN` separates."""
     return [(k, REWRITTEN.join(cell.replace(REWRITTEN, " ") for cell in row)) for k, row in rows]
 

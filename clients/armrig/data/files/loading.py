@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from armrig.data.columns import require_size
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.clocks import on_one_clock
-from armrig.data.files.column_faults import held, stuck, treated
+from armrig.data.files.column_faults import held_notes, stuck_notes, treat_faults
 from armrig.data.files.imported_file import GridTable
 from armrig.data.files.kinds import table_of
 from armrig.data.files.sampling_grid import Grid, grid_of, unit_grid
@@ -32,9 +32,9 @@ from armrig.data.files.table import (
     ReadingError,
     Table,
     Vector,
-    chosen,
-    listed,
-    shown,
+    choose,
+    remedy,
+    shorten,
 )
 from armrig.data.step import DOUBT, OTHER_INPUTS, Step
 from armrig.numerics.quantities import plural
@@ -294,22 +294,22 @@ def place(
     """
     sizes = {x.size for x in columns.values()}
     if len(sizes) > 1:
-        remedy = "all need the same number" if are_signals else "save columns of one length"
+        rule = "all need the same number" if are_signals else "save columns of one length"
         text = f"the columns have {min(sizes)} to {plural(max(sizes), 'sample')}"
-        raise FileError(f"{text}; {remedy}")
+        raise FileError(f"{text}; {rule}")
     columns, grid = dict(columns), _grid_of_rows(table, {*of_u, *of_y}, sizes.pop(), how)
     history = [*table.notes, *grid.notes, *notes]
     for i in of_u if are_signals else ():
-        history += held(columns[i], names[i])
+        history += held_notes(columns[i], names[i])
     for i in of_y:
         if are_signals:
             u = np.column_stack([columns[j] for j in of_u])
-            history += held(columns[i], names[i]) or stuck(columns[i], names[i], u)
-        columns[i], steps = treated(
+            history += held_notes(columns[i], names[i]) or stuck_notes(columns[i], names[i], u)
+        columns[i], steps = treat_faults(
             columns[i], names[i], mask_rails=how.mask_rails, unwrap=how.unwrap
         )
         history += steps
-    placed = {i: grid.placed(x, held=i in of_u) for i, x in columns.items()}
+    placed = {i: grid.place(x, held=i in of_u) for i, x in columns.items()}
     put_in = np.ones(grid.size, np.bool_)
     put_in[grid.at if grid.times is None else slice(None)] = False
     if of_u:
@@ -342,7 +342,7 @@ def _columns(
         for name in [wanted] if isinstance(wanted, str) else wanted:
             try:
                 of_matrix = [] if isinstance(wanted, str) else _matrix(table, name)
-                found[what] += of_matrix or [chosen(table, name, what)]
+                found[what] += of_matrix or [choose(table, name, what)]
             except NoColumnError as err:
                 missing.append((what, name, err))
     has_times = bool(
@@ -353,23 +353,23 @@ def _columns(
         or isinstance(table, GridTable)
     )
     if len(missing) + (not has_times) > 1:
-        said = " and ".join(f"{what} {shown(name)}" for what, name, _ in missing)
+        said = " and ".join(f"{what} {shorten(name)}" for what, name, _ in missing)
         said += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
         said += "" if has_times else ", and the sampling time is not known (or give --Ts, in s)"
         options = dict.fromkeys([*(what for what, *_ in missing), *([] if has_times else ["time"])])
-        raise FileError(f"{said}; {listed(table, ' and --'.join(options))}")
+        raise FileError(f"{said}; {remedy(table, ' and --'.join(options))}")
     if missing:
         raise missing[0][-1]
     owners: dict[int, list[str]] = {}
     for what, of in found.items():
         if not of:
-            raise FileError(f"give at least one {what}; {listed(table, what)}")
+            raise FileError(f"give at least one {what}; {remedy(table, what)}")
         for i in of:
             owners.setdefault(i, []).append(what)
     for i, whats in owners.items():
         if whats[1:]:
             raise FileError(
-                f"{' and '.join(whats)} are both column {i + 1}; {listed(table, whats[-1])}"
+                f"{' and '.join(whats)} are both column {i + 1}; {remedy(table, whats[-1])}"
             )
     return found["input"], found["signal"]
 
@@ -400,8 +400,8 @@ def _hold_inputs(u: Array, put_in: Mask, names: Sequence[str], how: Reading) -> 
         # Without most of the rows the data would be distorted.
         if not how.hold_input and known < _MIN_KNOWN_INPUTS * rows:
             raise ReadingError(
-                f"{shown(name)} has a value in {known} of {rows} rows; if it is written only where "
-                "it changes, give --hold-input",
+                f"{shorten(name)} has a value in {known} of {rows} rows; if it is written only "
+                "where it changes, give --hold-input",
                 "--hold-input",
             )
         for gap in stretches(np.isnan(x)):
@@ -445,14 +445,14 @@ def _grid_of_rows(table: Table, taken: Collection[int], N: int, how: Reading) ->
         return unit_grid(N, Ts)
     msg = "the sampling time is not known: give it in s (--Ts)"
     if len(table.columns) > len(taken):
-        msg += f", or the column of times: {listed(table, 'time')}"
+        msg += f", or the column of times: {remedy(table, 'time')}"
     raise ReadingError(msg, "--time NAME")
 
 
 def time_column(table: Table, taken: Collection[int], how: Reading) -> int | None:
     """Return the index of the column of times; None without a single such column."""
     if how.time is not None:
-        return chosen(table, how.time, "time")
+        return choose(table, how.time, "time")
     at = [i for i in time_columns(table) if i not in taken]
     return at[0] if len(at) == 1 else None
 
@@ -480,6 +480,6 @@ def values_of(table: Table, i: int, what: str) -> Vector:
         )
     if np.isnan(values).all():
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
-        raise FileError(msg + listed(table, what))
+        raise FileError(msg + remedy(table, what))
     require_size(what, values[~np.isnan(values)])
     return values

@@ -119,7 +119,7 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
         return name, _characters(parts, order)
     if int(flags[0]) & _COMPLEX:
         return name, Unread("is complex; save its real part if only that part was measured")
-    return name, _shaped(_numbers(parts, order), shape)
+    return name, _reshape(_numbers(parts, order), shape)
 
 
 def _structure(parts: Elements, shape: tuple[int, ...], order: str, depth: int) -> Value:
@@ -171,7 +171,7 @@ def _text(data: memoryview) -> str:
     return bytes(data).partition(b"\0")[0].decode("ascii", "replace")
 
 
-def _shaped(values: Any, shape: tuple[int, ...]) -> Any:
+def _reshape(values: Any, shape: tuple[int, ...]) -> Any:
     """Return values, stored column by column, as an array of the given shape."""
     if len(shape) < 2 or any(n < 0 for n in shape) or prod(shape) != values.size:
         raise DamageError(f"{plural(values.size, 'number')} in a shape of {shape}")
@@ -199,6 +199,6 @@ def _old_variables(data: memoryview) -> Iterator[tuple[str, Value]]:
         if what or imaginary:
             yield name, Unread("is not a full real matrix; save it as a full real matrix")
         else:
-            yield name, _shaped(np.frombuffer(body, dtype=type_), (rows, columns))
+            yield name, _reshape(np.frombuffer(body, dtype=type_), (rows, columns))
     if at == 0:
         raise DamageError("it has no header")

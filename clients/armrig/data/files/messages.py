@@ -31,7 +31,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from armrig.data.files.table import Column, ReadingError, Table, Vector, require_room, shown
+from armrig.data.files.table import Column, ReadingError, Table, Vector, require_room, shorten
 from armrig.data.step import DOUBT, Step
 
 _DECODERS = {"protobuf": "mcap_protobuf.decoder", "cdr": "mcap_ros2.decoder"}
@@ -62,19 +62,19 @@ def read_mcap(data: bytes, topic: str | None) -> Table:
             column.append(value)
         times.append(log_time)
         require_room(8 * len(columns) * len(times), len(data))
-    missing = [shown(name) for name, (times, _) in series.items() if not times]
+    missing = [shorten(name) for name, (times, _) in series.items() if not times]
     if missing or not names:
-        text = "".join(f"topic {n}: no such topic; " for n in missing) + _listed(data)
+        text = "".join(f"topic {n}: no such topic; " for n in missing) + _contents(data)
         raise ReadingError(text, "--topic NAME")
     if names[:-1]:
-        others = " and ".join(map(shown, names[:-1]))
-        notes.append(f"held the newest value of {others} at the times of {shown(names[-1])}")
-    found = _joined(series)
+        others = " and ".join(map(shorten, names[:-1]))
+        notes.append(f"held the newest value of {others} at the times of {shorten(names[-1])}")
+    found = _join(series)
     named = [Column(name=name, unit="s" if name == "time" else "") for name in found]
     return Table(columns=named, values=[*found.values()], notes=notes)
 
 
-def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
+def _join(series: Mapping[str, _Series]) -> dict[str, Vector]:
     """Return the times of the last topic, from 0 on, and the values of all topics at them."""
     *_, (last, _) = series.values()
     times_ns = np.sort(np.array(last, dtype=np.uint64))
@@ -93,7 +93,7 @@ def _joined(series: Mapping[str, _Series]) -> dict[str, Vector]:
     return found
 
 
-def _listed(data: bytes) -> str:
+def _contents(data: bytes) -> str:
     """Return a message with the topics and their numeric fields."""
     if RUN.encode() in data:
         return "is a recording and not a table; armrig.load(path).dataset() reads it"
@@ -102,14 +102,14 @@ def _listed(data: bytes) -> str:
     for topic, _, fields in _messages(data, None, notes):
         if topic not in topics and len(topics) < _MAX_LISTED:
             try:
-                names = [shown(name) for name in fields()]
+                names = [shorten(name) for name in fields()]
                 more = f", … {len(names)} fields" * (len(names) > _MAX_LISTED)
                 topics[topic] = ", ".join(names[:_MAX_LISTED]) + more or "no numeric field"
             except FileError as err:
                 topics[topic] = str(err)
     if not topics:
         return "; ".join(["another program wrote this MCAP file, and it has no messages", *notes])
-    listed = "; ".join(f"{shown(topic)} ({fields})" for topic, fields in topics.items())
+    listed = "; ".join(f"{shorten(topic)} ({fields})" for topic, fields in topics.items())
     return (
         f"another program wrote this MCAP file; give --topic NAME{' (or A,B)' * (len(topics) > 1)},"
         f" --input FIELD and --signal FIELD of: {listed}"
@@ -168,7 +168,7 @@ def _read(
     try:
         return dict(_fields(decoders[channel.id](body)))
     except Exception as err:  # a damaged message can raise any exception in its decoder
-        why = f"{type(err).__name__}: {shown(str(err))}"
+        why = f"{type(err).__name__}: {shorten(str(err))}"
         raise FileError(f"a message cannot be decoded ({why}); export its topic as CSV") from err
 
 
@@ -187,9 +187,9 @@ def _decoder(encoding: str, schema: Schema | None) -> Callable[[bytes], Any]:
     except KeyError:
         pass  # another encoding
     except Exception as err:  # a damaged schema can raise any exception in its parser
-        why = f"the schema is damaged ({shown(str(err))}); export the topic as CSV"
-    of = f" with a schema in {shown(schema.encoding)}" if schema else ""
-    raise FileError(f"messages in {shown(encoding)}{of}: {why}")
+        why = f"the schema is damaged ({shorten(str(err))}); export the topic as CSV"
+    of = f" with a schema in {shorten(schema.encoding)}" if schema else ""
+    raise FileError(f"messages in {shorten(encoding)}{of}: {why}")
 
 
 def _fields(value: Any, path: str = "") -> Iterator[tuple[str, float]]:

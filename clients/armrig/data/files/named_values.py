@@ -10,8 +10,8 @@ from typing import Any
 from armrig_core.errors import FileError
 
 from armrig.data.files.cells import REWRITTEN, Kind, kind
-from armrig.data.files.instrument_headers import Head, Lines, columns_of, joined
-from armrig.data.files.table import Column, require_room, shown
+from armrig.data.files.instrument_headers import Head, Lines, columns_of, join_cells
+from armrig.data.files.table import Column, require_room, shorten
 
 _NAME = r"[^\W\d][^\s=:,;]{0,63}\s*[=:]"
 _BETWEEN_VALUES = re.compile(rf"(?<![\s,;])[\s,;]++(?={_NAME})")  # in linear time
@@ -66,20 +66,20 @@ def _leaves(items: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 def without_names(lines: Lines) -> Head | None:
     """Return the rows of lines such as `t=0.01 u=1` or `u:1,y:2`; None for other lines."""
-    first, *others = [next(iter(_named(line)), "") for _, line in lines[:_PROBED_LINES]] or [""]
+    first, *others = [next(iter(_pairs(line)), "") for _, line in lines[:_PROBED_LINES]] or [""]
     if not first or not others or others.count(first) < len(others) / 2:
         return None
-    rows = [(k, _named(line)) for k, line in lines]
+    rows = [(k, _pairs(line)) for k, line in lines]
     for (k, line), (_, row) in zip(lines, rows, strict=True):
         if not row:
             raise FileError(
-                f"line {k}: '{shown(line.strip())}' is not of the form name=value, as the first "
+                f"line {k}: '{shorten(line.strip())}' is not of the form name=value, as the first "
                 "line is; delete the line, or begin it with #"
             )
     return _of_mappings(rows, sum(len(line) for _, line in lines))
 
 
-def _named(line: str) -> dict[str, str]:
+def _pairs(line: str) -> dict[str, str]:
     """Return the values of a line by their names; {} if a value has no name, or another's name."""
     texts = _BETWEEN_VALUES.split(line.strip(" \t\r,;"))
     parts = [part for text in texts if (part := _NAMED_VALUE.fullmatch(text))]
@@ -91,7 +91,7 @@ def _of_mappings(rows: Sequence[tuple[int, Mapping[str, str]]], size: int) -> He
     names = list(dict.fromkeys(name for _, row in rows for name in row))
     require_room(8 * len(names) * len(rows), size)
     cells = [(k, [row.get(name, "") for name in names]) for k, row in rows if row]
-    return columns_of(names), [], joined(cells)
+    return columns_of(names), [], join_cells(cells)
 
 
 def long_table(

@@ -58,7 +58,7 @@ class Grid:
     times: tuple[Vector, Vector] | None = None
     """Times in s of the rows and of the instants, if the rows must be resampled."""
 
-    def placed(self, x: Vector, *, held: bool) -> Vector:
+    def place(self, x: Vector, *, held: bool) -> Vector:
         """Return the values of a column at the instants, NaN where missing; resampled if asked."""
         if self.times is None:
             placed = np.full(self.size, np.nan)

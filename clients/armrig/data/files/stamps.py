@@ -12,7 +12,7 @@ import numpy as np
 from armrig_core.errors import FileError
 
 from armrig.data.files.cells import number
-from armrig.data.files.table import Column, Table, Vector, shown
+from armrig.data.files.table import Column, Table, Vector, shorten
 from armrig.data.step import DOUBT, Step, codes_of
 from armrig.numerics.quantities import digits
 
@@ -151,7 +151,7 @@ def times_of(table: Table, i: int) -> Times:
     seconds. A time of day may have its date in a column named date.
     """
     column, cells = table.columns[i], table.texts(i)
-    named = f"the times in column {shown(column.name)}" if column.name else "the times"
+    named = f"the times in column {shorten(column.name)}" if column.name else "the times"
     if cells and all(number(cells[0], mark) is None for mark in ".,"):
         times = _of_stamps(table, i, cells, named)
     else:
@@ -174,7 +174,7 @@ def _of_numbers(table: Table, i: int, named: str) -> Times:
     _, suffix = base_and_unit(column)
     if column.unit and not suffix:
         raise FileError(
-            f"{named} are in {shown(column.unit)}, known units are {_KNOWN}; give Ts in s (--Ts)"
+            f"{named} are in {shorten(column.unit)}, known units are {_KNOWN}; give Ts in s (--Ts)"
         )
     unit, has_unit = _SECONDS.get(suffix), bool(suffix)
     is_name = has_unit and suffix in (c.name.casefold() for c in table.columns)
@@ -259,7 +259,7 @@ def _with_fractions(table: Table, i: int, times: Times) -> Times:
         is_even = is_even and abs(np.median(d[rises]) - np.median(d)) <= np.median(d) / 2
         is_fraction = size < 1 and np.all((n >= 0) & (size * n < 1) & (n == np.rint(n)))
         if is_fraction and (_SECONDS[unit] == size if is_named else is_even):
-            title = shown(column.name) or str(i + 2)
+            title = shorten(column.name) or str(i + 2)
             notes = [note for note in times.notes if not codes_of([note])[0]]
             return replace(
                 times,
@@ -309,13 +309,13 @@ def _of_stamps(table: Table, i: int, cells: Sequence[str], named: str) -> Times:
             ns[k], zone = _moment(cell, month_first=is_american)
         except (ValueError, OverflowError):
             raise FileError(
-                f"{table.place(k)}: '{shown(cell)}' is not a time; write a number, or a time such "
-                "as 2024-03-31T01:59:00 or 01:59:00.25, or give Ts in s (--Ts)"
+                f"{table.place(k)}: '{shorten(cell)}' is not a time; write a number, or a time "
+                "such as 2024-03-31T01:59:00 or 01:59:00.25, or give Ts in s (--Ts)"
             ) from None
         if zones.setdefault(zone, k) == k and len(zones) > 1:
             raise FileError(
-                f"{table.place(k)}: '{shown(cell)}' is in another time zone than the times before; "
-                "write all times in UTC, or with their offsets, as 2024-03-31T01:59:00+01:00"
+                f"{table.place(k)}: '{shorten(cell)}' is in another time zone than the times before"
+                "; write all times in UTC, or with their offsets, as 2024-03-31T01:59:00+01:00"
             )
     t = (ns - ns[0]) / 1e9
     is_span = "day" in cells[0]

@@ -94,7 +94,7 @@ def require_room(unpacked: int, packed: int) -> None:
         )
 
 
-def titled(heading: str) -> Column:
+def column_of(heading: str) -> Column:
     """Return the name and the unit of a heading such as `u [V]`, `u (V)` or `u(V)`."""
     found = _UNIT.fullmatch(heading)
     if found is None:
@@ -103,14 +103,14 @@ def titled(heading: str) -> Column:
     return Column(name=found["name"].strip(), unit=unit.strip())
 
 
-def chosen(table: Table, wanted: str, what: str) -> int:
+def choose(table: Table, wanted: str, what: str) -> int:
     """Return the index of a column, given by name or by number from 1, for an option `what`.
 
     The name may contain the unit; the name of a structure's field may be its last part. Lower and
     upper case are distinguished only if both exist. A name has priority over a number.
     """
     wanted = wanted.strip()
-    title = titled(wanted)
+    title = column_of(wanted)
     named = [(i, column) for i, column in enumerate(table.columns) if column.name]
     folded = title.name.casefold()
     for found in (
@@ -123,23 +123,23 @@ def chosen(table: Table, wanted: str, what: str) -> int:
         if found:
             numbers = " and ".join(str(i + 1) for i in found[:_MAX_LISTED_COLUMNS])
             raise FileError(
-                f"{what} {shown(wanted)}: columns {numbers} have this name; give the number"
+                f"{what} {shorten(wanted)}: columns {numbers} have this name; give the number"
             )
     is_number = wanted.isdecimal() and len(wanted) <= _MAX_NUMBER_DIGITS
     if is_number and 1 <= int(wanted) <= len(table.columns):
         return int(wanted) - 1
     for name, why in table.refused.items():
         if wanted in (name, name.rpartition(".")[2]):
-            raise FileError(f"{what} {shown(wanted)}: {why}")
-    raise NoColumnError(f"{what} {shown(wanted)}: there is no such column; {listed(table, what)}")
+            raise FileError(f"{what} {shorten(wanted)}: {why}")
+    raise NoColumnError(f"{what} {shorten(wanted)}: there is no such column; {remedy(table, what)}")
 
 
-def listed(table: Table, what: str) -> str:
+def remedy(table: Table, what: str) -> str:
     """Return the remedy for a message: the option to give, with a list of the columns."""
     count = len(table.columns)
     if not count:
         refused = list(table.refused.items())[:_MAX_LISTED_COLUMNS]
-        held = "; ".join(f"{shown(name)} {why}" for name, why in refused)
+        held = "; ".join(f"{shorten(name)} {why}" for name, why in refused)
         return "there is no column of numbers" + (f" ({held})" if held else "")
     if not any(column.name for column in table.columns):
         numbers = " or ".join(str(i + 1) for i in range(count))
@@ -147,12 +147,12 @@ def listed(table: Table, what: str) -> str:
         return f"its columns have no names: give --{what} {numbers}"
     if count == 1 and what != "time":
         return "it has one column, but an input and an output are needed"
-    names = [f"{i} {shown(c.name) or '(no name)'}" for i, c in enumerate(table.columns, 1)]
+    names = [f"{i} {shorten(c.name) or '(no name)'}" for i, c in enumerate(table.columns, 1)]
     more = f", … {count}" if count > _MAX_LISTED_COLUMNS else ""
     return f"give --{what} a name or a number of {', '.join(names[:_MAX_LISTED_COLUMNS])}{more}"
 
 
-def shown(text: str) -> str:
+def shorten(text: str) -> str:
     """Return text of the file in printable form, shortened for a message."""
     short = len(text) <= _MAX_SHOWN_CHARACTERS
     return printable(text if short else f"{text[: _MAX_SHOWN_CHARACTERS - 1]}…")

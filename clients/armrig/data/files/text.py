@@ -35,7 +35,7 @@ from armrig.data.files.instrument_headers import (
     longest_run,
 )
 from armrig.data.files.named_values import json_rows, long_table, without_names
-from armrig.data.files.table import Column, ReadingError, Table, Vector, shown
+from armrig.data.files.table import Column, ReadingError, Table, Vector, shorten
 from armrig.data.step import DOUBT, Step
 from armrig.numerics.quantities import plural
 
@@ -108,9 +108,11 @@ class TextTable(Table):
         for k, cell in enumerate(cells):
             value, named = quantity(cell)
             if named != unit and not is_missing(cell):
-                text = f"has the unit {shown(named)}" if named else "has no unit"
-                more = "give every value of the column the same unit"
-                raise self._fault(i, k, cell, f"{text}, the values above it {shown(unit)}; {more}")
+                text = f"has the unit {shorten(named)}" if named else "has no unit"
+                text += (
+                    f", the values above it {shorten(unit)}; give every value of the column the "
+                )
+                raise self._fault(i, k, cell, f"{text}same unit")
             bare.append(value)
         return bare
 
@@ -160,8 +162,9 @@ class TextTable(Table):
         return self._fault(i, k, cell, "is not a number", self.ways_out[0])
 
     def _fault(self, i: int, k: int, cell: str, *said: str) -> FileError:
-        name = shown(self.columns[i].name) or str(i + 1)
-        return FileError(f"{self.place(k)}, column {name}: '{shown(cell.strip())}' {''.join(said)}")
+        name = shorten(self.columns[i].name) or str(i + 1)
+        place = f"{self.place(k)}, column {name}"
+        return FileError(f"{place}: '{shorten(cell.strip())}' {''.join(said)}")
 
 
 def read_text(
@@ -197,7 +200,7 @@ def read_text(
     columns, notes, lines = head
     if not lines:
         shown_names = ", ".join(column.name for column in columns)
-        below = f" below its names, {shown(shown_names)}" * bool(columns)
+        below = f" below its names, {shorten(shown_names)}" * bool(columns)
         raise FileError(f"there is no row of numbers{below}; a row for each sample is needed")
     numbers, rows, width = _even_rows(lines, separator, len(columns))
     columns = columns or [Column(name="")] * width
@@ -307,11 +310,13 @@ def _with_plain_cells(table: TextTable, firsts: Sequence[str]) -> TextTable:
             units[i] = unit = quantity(first)[1]
             columns[i] = replace(column, unit=unit)
             if column.unit not in ("", unit):
-                text = f"{shown(column.name)}: the unit {shown(unit)} of the values is read, not "
-                notes.append(Step(f"{text}{shown(column.unit)} of the header", DOUBT))
+                text = (
+                    f"{shorten(column.name)}: the unit {shorten(unit)} of the values is read, not "
+                )
+                notes.append(Step(f"{text}{shorten(column.unit)} of the header", DOUBT))
         elif kind(first) is Kind.SWITCH and _SWITCH_KINDS.issuperset(map(kind, {*table.texts(i)})):
             switches.append(i)
     if switches:
         names = ", ".join(columns[i].name or str(i + 1) for i in switches)
-        notes.append(f"read the words of a switch as 1 and 0: {shown(names)}")
+        notes.append(f"read the words of a switch as 1 and 0: {shorten(names)}")
     return replace(table, columns=columns, notes=notes, units_in_cells=units, switches=switches)
