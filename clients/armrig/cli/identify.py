@@ -20,7 +20,7 @@ from msgspec.structs import asdict
 import armrig
 from armrig import plots
 from armrig.cli import model_structures, results
-from armrig.cli.next_step import after_identify, paired, say_next, step_again, typed
+from armrig.cli.next_step import after_identify, counterpart, say_next, step_again, typed
 from armrig.cli.options import Detrend, Json, ModelFile, ModelOrders
 from armrig.cli.printing import (
     estimating,
@@ -210,7 +210,7 @@ def hints(
 
     def say_after() -> None:
         given = signals.options()
-        validation = paired(file, "validation") if from_recording(data) else ""
+        validation = counterpart(file, "validation") if from_recording(data) else ""
         validate = f" --validate {validation}" if validation else ""
         options = _options([*known.values()], level=has_level(data))
         if len(known) > 1 and any(one.doubts for one in known.values()):

@@ -173,7 +173,7 @@ def _pairs(own: Sequence[RecordingSummary], *kinds: str) -> list[tuple[Recording
     ]
 
 
-def paired(path: Path, wanted: Literal["estimation", "validation"]) -> str:
+def counterpart(path: Path, wanted: Literal["estimation", "validation"]) -> str:
     """Return the name of the wanted recording of the pair with `path`; "" if none exists."""
     pairs = [(a, b) if wanted == "validation" else (b, a) for a, b in _pairs(own_recordings())]
     found = (other for own, other in pairs if own.path.absolute() == path.absolute())
@@ -219,11 +219,11 @@ def say_handout(given: Sequence[Path] = (), answers: Path = REASONS, sinusoid: s
     The report contains the given recordings, and others of the same origin.
     """
     said = f" --answers {quote(str(answers))}" if answers.exists() else ""
-    files, report = listed_paths(_for_the_report(given)), free_name()
+    files, report = path_texts(_for_the_report(given)), free_name()
     say_next("handout", files=files, answers=said, sinusoid=sinusoid, report=report)
 
 
-def listed_paths(paths: Iterable[Path]) -> str:
+def path_texts(paths: Iterable[Path]) -> str:
     """Return the names of recordings, with a blank before each name."""
     return "".join(f" {typed(path)}" for path in paths)
 
@@ -248,18 +248,18 @@ def _for_the_report(given: Sequence[Path]) -> list[Path]:
         taken = {path.absolute() for path in given}
         alike = [s for s in own if all(origin.matches(s) for origin in origins)]
         alike = [s for s in alike if s.path.absolute() not in taken]
-        return [s.path for s in _completed(fixed, alike)]
+        return [s.path for s in _complete_set(fixed, alike)]
     groups, left = list[list["RecordingSummary"]](), own
     while left:
         origin, described = Origin.of_summary(left[0]), description_in(left[0].path)
         alike = [s for s in left if origin.matches(s)]
         left = [s for s in left if s not in alike]
         if described is not None and described.arm:
-            groups.append(_completed([], alike))
+            groups.append(_complete_set([], alike))
     return [s.path for s in max(groups, key=len, default=[])]
 
 
-def _completed(
+def _complete_set(
     given: Sequence[RecordingSummary], alike: Sequence[RecordingSummary]
 ) -> list[RecordingSummary]:
     """Return the given recordings, completed from `alike`: step, pair, chassis, and others."""
@@ -301,7 +301,7 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     options, given, file = options_after(found, findings), signals.options(), typed(found.file)
     validation = typed(found.validate) if found.validate else ""
     if signals.read and not validation:
-        validation = paired(found.file, "validation")
+        validation = counterpart(found.file, "validation")
     output, input = (*signals.outputs, *columns.outputs)[0], (*signals.inputs, *columns.inputs)[0]
     channel = signals.of_channel(output, input, data)
     values: dict[str, str | float] = {
@@ -352,7 +352,7 @@ def after_validate(
     """Print the next command: a comparison with other models, or a test of one channel."""
     channel, recorded = signals, from_recording(data)
     if (fit.ny, fit.nu) == (1, 1):
-        estimation = estimation or (paired(file, "estimation") if recorded else "")
+        estimation = estimation or (counterpart(file, "estimation") if recorded else "")
         name = "compare" if estimation else "check"
     else:
         channel = signals.of_channel(*tests.poorest_pair, data)

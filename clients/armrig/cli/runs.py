@@ -148,7 +148,7 @@ def _rig_of(run: _Run) -> StatusReport | None:
     return None
 
 
-def _paced(run: _Run, *, by_model: bool) -> tuple[_Run, Pace | None]:
+def _set_pace(run: _Run, *, by_model: bool) -> tuple[_Run, Pace | None]:
     """Return the options and the pace that suit the matrices of a rig.
 
     The pace is None if the length is given (not `by_model`), for the arm, and without matrices.
@@ -224,7 +224,7 @@ Choice = Annotated[InputChoice, group(InputChoice)]
 @collect.add("collect blackbox --seconds 30 --validation")
 def blackbox(choice: Choice, run: Run) -> None:
     """Play a random input, or your own input, to the complete rig."""
-    run, pace = _paced(run, by_model=choice.seconds is None and choice.file is None)
+    run, pace = _set_pace(run, by_model=choice.seconds is None and choice.file is None)
     collect_each(chosen_inputs("blackbox", choice, run, pace), run)
 
 
@@ -260,7 +260,7 @@ def step(
 
     from armrig.excitation.named_signals import check_step_time, step_at
 
-    run, pace = _paced(run, by_model=seconds is None)
+    run, pace = _set_pace(run, by_model=seconds is None)
     low_v, high_v, *how = _levels(low, high, run, pace)
     step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
     if seconds is None and pace is None and (until or _rig_of(run)):
@@ -290,7 +290,7 @@ def staircase(
     """Play a staircase of levels up and down, to measure the static curve."""
     from armrig.excitation.named_signals import step_at, up_and_down
 
-    run, pace = _paced(run, by_model=seconds is None)
+    run, pace = _set_pace(run, by_model=seconds is None)
     low_v, high_v, *how = _levels(low, high, run, pace)
     step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
     if seconds is None:
@@ -325,7 +325,7 @@ def bla(
     """
     from armrig.excitation.named_signals import realisations
 
-    run, pace = _paced(run, by_model=seconds is None and period is None)
+    run, pace = _set_pace(run, by_model=seconds is None and period is None)
     low_v, high_v, *how = _levels(low, high, run, pace)
     realisations(3, 1, low_v, high_v, seed, periods=1)
     if seconds is not None and period is not None:
@@ -394,7 +394,7 @@ def chosen_inputs(
     # A wrong value is refused here, before the rig is armed.
     named_signal(name, 3, 0.01, seed=choice.seed, **figures)
 
-    def played(kind: str, seed: int) -> Played:
+    def play_of(kind: str, seed: int) -> Played:
         return Played(
             kind,
             lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
@@ -403,8 +403,8 @@ def chosen_inputs(
             *how,
         )
 
-    first = played(experiment, choice.seed)
-    second = played(f"{experiment}-validation", choice.seed + 1)._replace(is_validation=True)
+    first = play_of(experiment, choice.seed)
+    second = play_of(f"{experiment}-validation", choice.seed + 1)._replace(is_validation=True)
     return [first, second] if choice.validation else [first]
 
 

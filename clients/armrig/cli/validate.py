@@ -21,7 +21,7 @@ from armrig.cli.next_step import (
     REASONS,
     after_validate,
     chassis,
-    listed_paths,
+    path_texts,
     say_handout,
     say_next,
     typed,
@@ -482,7 +482,7 @@ def _say_next_answers(files: Sequence[Path], path: Path) -> None:
         inform(f"fill in {path} before the next command")
         say_handout(files, path)
     else:
-        say_next("questions", files=listed_paths(files), questions=quote(str(path)))
+        say_next("questions", files=path_texts(files), questions=quote(str(path)))
 
 
 def _check_options(

@@ -114,15 +114,15 @@ def _input_of(
     )
 
 
-def suggested(described: Description, u_max: float) -> dict[str, Any]:
+def suggest_experiments(described: Description, u_max: float) -> dict[str, Any]:
     """Return sampling time, lengths and levels of experiments that suit a rig; {} for the arm."""
     key = described.text, described.system is not None, u_max
     if key not in _known:
-        _known[key] = _suggested(described, u_max)
+        _known[key] = _suggestion(described, u_max)
     return _known[key]
 
 
-def _suggested(described: Description, u_max: float) -> dict[str, Any]:
+def _suggestion(described: Description, u_max: float) -> dict[str, Any]:
     pace = pace_inside(described, u_max)
     if pace is None:
         high = float(f"{_SHARE * u_max:.2g}")

@@ -22,7 +22,7 @@ from armrig_core.telemetry.telemetry import Sample
 
 from armrig.dashboard.bins import Rows, Signal, as_lists, columns_of, signals
 from armrig.dashboard.driver import Driver
-from armrig.dashboard.experiments import suggested
+from armrig.dashboard.experiments import suggest_experiments
 from armrig.dashboard.feed import LATE_US, Feed, News
 from armrig.dashboard.page_json import page_json
 from armrig.rig.status import status_rows
@@ -272,7 +272,7 @@ def rig_facts(feed: Feed) -> dict[str, Any]:
     known = hashlib.sha256(text).hexdigest() if feed.status else ""
     facts = {"hash": known, "signals": feed.signals, "arm": described.arm, "body": body}
     u_max = feed.status.u_max if feed.status else U_MAX_V
-    return facts | {"suggested": suggested(described, u_max)}
+    return facts | {"suggested": suggest_experiments(described, u_max)}
 
 
 def status_facts(feed: Feed) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from random import Random
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.next_step import chassis, next_line, paired
+from armrig.cli.next_step import chassis, counterpart, next_line
 from armrig.recordings.files.origin import Origin
 from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import (
@@ -155,8 +155,8 @@ def test_each_later_command_stays_with_the_origin_of_the_recording(
         ]
 
         names = [word for line in lines for word in line.split() if word.startswith("@")]
-        others = [paired(s.path, "estimation"), paired(s.path, "validation"), chassis(origin)]
-        for name in filter(None, [*names, *others]):
+        others = [counterpart(s.path, "estimation"), counterpart(s.path, "validation")]
+        for name in filter(None, [*names, *others, chassis(origin)]):
             assert_one_origin([s.path, named_path(name)])
         # A command that records names the rig of the recording.
         records = [line.split() for line in lines if " collect " in line]
@@ -168,5 +168,5 @@ def test_the_validation_of_a_recording_is_of_the_same_rig_although_its_id_occurs
 ) -> None:
     for a, b in pairwise(folder):
         if b.is_validation:
-            assert named_path(paired(a.path, "validation")) == b.path
-            assert named_path(paired(b.path, "estimation")) == a.path
+            assert named_path(counterpart(a.path, "validation")) == b.path
+            assert named_path(counterpart(b.path, "estimation")) == a.path
