@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -323,7 +323,9 @@ def _switching(table: Table, taken: Collection[int]) -> list[str]:
     """Return the names of other columns that hold their values and jump, as an input does."""
     names = []
     for i in sorted(set(range(len(table.columns))) - {*taken, *time_columns(table)}):
-        x = table.numbers(i)
+        x = np.empty(0)
+        with suppress(FileError):  # words, or a mark that is not known
+            x = table.numbers(i)
         x = x[np.isfinite(x)]
         jumps = np.abs(np.diff(x))
         jumps = jumps[jumps > 0]

@@ -431,6 +431,15 @@ def test_a_line_of_too_many_words_is_refused_before_they_are_looked_at(
     assert calls["kind"] == 0
 
 
+@pytest.mark.parametrize("cell", ["dry", "1,234", "25 °C", ""])
+def test_a_column_that_is_not_read_may_contain_anything(tmp_path: Path, cell: str) -> None:
+    rows = "".join(f"{k};{k % 2};{k % 5};{cell if k != 5 else 'x'}\n" for k in range(20))
+
+    data = load_data(written(tmp_path, f"t;u;y;note\n{rows}"))
+
+    assert data.N == 20
+
+
 def test_a_unit_in_the_header_has_precedence_over_one_below(tmp_path: Path) -> None:
     data = load_data(written(tmp_path, "t;u [mV];y\ns;V;K\n0;1;2\n1;3;4\n"))
 
