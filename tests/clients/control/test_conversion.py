@@ -165,14 +165,26 @@ def _played(law: ControlLaw, r: list[float], y0: float, gain: float = 10.0) -> N
 )
 def test_a_law_rests_at_its_operating_point(C: Any, options: dict[str, Any]) -> None:
     """K (u - v) is 0 there, and keeps no -K u0: 2.5 V hold 25 °C above 20 °C."""
-    law = _heater(C, u0=2.5, y0=45.0, **options)
+    _assert_rest(_heater(C, u0=2.5, y0=45.0, **options))
+
+
+def test_a_law_with_the_latched_input_rests_at_its_operating_point() -> None:
+    names = {"inputs": ["r", "u", "T1"], "outputs": "v"}
+
+    _assert_rest(
+        _heater(
+            control.ss(0.5, [[0.1, 0.2, -0.3]], 1.0, [[0.05, 0, 0]], TS, **names), u0=2.5, y0=45.0
+        )
+    )
+
+
+def _assert_rest(law: ControlLaw) -> None:
+    """Assert that a law stays at 2.5 V if T1 stays at 45 °C, which is r, too."""
     program, r = law.program(HEATER), [45.0] * 50
     state = begin(program)
-
     for k in range(50):
         state, command = decide(program, state, k, r, Latch())
         state = observe(program, state, k, (45.0, 0.0), r, Latch())
-
         assert command.v == pytest.approx(2.5, abs=2e-4)  # half a code
 
 
@@ -226,6 +238,12 @@ def test_a_controller_in_the_unit_of_the_input_drives_the_pin() -> None:
         np.testing.assert_allclose(getattr(percent, key), getattr(volts, key), atol=1e-12)
     responses = [np.array(law.C) @ np.array(law.B) for law in (percent, volts)]
     np.testing.assert_allclose(*responses, atol=1e-12)
+    names = {"inputs": ["r", "u", "T1"], "outputs": "v"}
+    seen = control.ss(0.5, [[0.1, 0.2, 0.3]], 1.0, [[0.4, 0, 0]], 1.0, **names)
+    law = armrig.control_law(seen, **options, unit="%")
+    # 1 V is 25.5 %: the controller has its own output in %, and sees u in %.
+    assert law.B[0][1] * law.C[0] == pytest.approx(0.2)
+    assert law.B[0][0] * law.C[0] == pytest.approx(0.1 / 25.5)
     with pytest.raises(InputError, match=r"Q1 is in %, 25.5 % per volt .*unit='V' or unit='%'"):
         armrig.control_law(PI, **options)
 
