@@ -110,9 +110,10 @@ def index_of(table: Table, wanted: str, what: str) -> int | None:
 
 def rows_with_value(table: Table, i: int, *, words: bool = False) -> Mask | None:
     """Return the rows in which a column has a value; None for words, if they are not asked for."""
-    if not len(cells := table.texts(i)):
-        with suppress(FileError):
+    try:
+        if not len(cells := table.texts(i)):
             return ~np.isnan(table.numbers(i))
+    except FileError:  # such as values with several units
         return None
     has_value = ~np.array(list(map(is_missing, cells)), np.bool_)
     some = (cells[k] for k in np.flatnonzero(has_value)[:_MAX_CELLS])
