@@ -238,6 +238,8 @@ def test_a_controller_in_the_unit_of_the_input_drives_the_pin() -> None:
         np.testing.assert_allclose(getattr(percent, key), getattr(volts, key), atol=1e-12)
     responses = [np.array(law.C) @ np.array(law.B) for law in (percent, volts)]
     np.testing.assert_allclose(*responses, atol=1e-12)
+    given = armrig.control_law(control.tf([5.1, -5.0], [1, -1], 1.0), **options, unit="%", K=[0.1])
+    assert given.B[0][1] == pytest.approx(2.55)
     names = {"inputs": ["r", "u", "T1"], "outputs": "v"}
     seen = control.ss(0.5, [[0.1, 0.2, 0.3]], 1.0, [[0.4, 0, 0]], 1.0, **names)
     law = armrig.control_law(seen, **options, unit="%")
