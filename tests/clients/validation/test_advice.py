@@ -149,7 +149,7 @@ def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:
             of_second_order(np.sin(0.3 * np.arange(1500))),
             *("excitation", "4 parameters of the model", ""),
         ),
-        (of_second_order(switched(), nk=4), "delay", "nk=4", "check"),
+        (of_second_order(switched(), nk=4), "delay", "nk=4", "nk"),
         (under_control(), "feedback", "u depends on y", "check"),
         (clipped(of_second_order(switched())), "rails", "mark them missing", "rails"),
     ],
