@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import pytest
 from armrig import Dataset, plots
 from armrig.cli.recordings import TIMING_HEIGHT, timing_figures
 from armrig.cli.results import write_plot
+from armrig.control.law_check import LawCheck
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
@@ -163,6 +164,14 @@ def ax() -> Axes:
     return Figure().add_subplot()
 
 
+@cache
+def checked_law() -> LawCheck:
+    """Return the check of a law of a short record."""
+    data = second_order(N=400)
+    fit = armrig.oe(data, nb=2, nf=2)
+    return armrig.check_law(armrig.pid(fit, time_constant=10 * fit.Ts), fit, draws=20)
+
+
 FIGURES: dict[str, Callable[[Examples], Any]] = {
     "report": lambda e: saved(
         lambda to: write_figures(study_contents(e.study, ()), e.study.recordings, to)
@@ -240,6 +249,10 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
         Dataset(u=np.full(1000, 2.5), y=second_order(N=1000).y, Ts=0.01)
     ).plot(ax=ax()),
     "plot_linearity": lambda e: armrig.linearity(nonlinear_rig("gain by level", 1)).plot(ax=ax()),
+    "plot_law_steps": lambda e: checked_law().plot(ax=ax()),
+    "plot_loop": lambda e: plots.plot_loop(checked_law(), ax=ax()),
+    "plot_nyquist": lambda e: plots.plot_nyquist(checked_law(), ax=ax()),
+    "plot_root_locus": lambda e: plots.plot_root_locus(checked_law(), ax=ax()),
     "plot_rig": lambda e: plots.plot_rig(ax=ax()),
     "plot_physical_step": lambda e: plots.plot_physical_step(
         beside_the_handout(replace(P, J_1=2 * P.J_1, K_lin=2 * P.K_lin)), u=2, seconds=0.5, ax=ax()

@@ -37,6 +37,7 @@ _HEADINGS = {
     },
     "Identify": {"identify": "sampling hints identify batch"},
     "Validate": {"validate": "validate compare check linearity report"},
+    "Design": {"design": "design"},
     "Physics": {"physics": "model simulate greybox split integrate"},
     "Administration": {
         "administration": "rigs doctor glossary flash conformance service pki router",

@@ -296,12 +296,12 @@ def margins(law: LawMatrices, plant: Plant, Ts: float) -> Margins:
         stable=True,
         Ms=1 / nearest,
         Ms_at=Ms_at,
-        gain=gain,
+        gain=float(gain),
         gain_at=gain_at,
-        least_gain=max((g for g, _ in gains if g < 1), default=0.0),
+        least_gain=float(max((g for g, _ in gains if g < 1), default=0.0)),
         phase_deg=float(np.degrees(phase)),
         phase_at=phase_at,
-        delay_s=min(((p % tau) / x for p, x in phases), default=inf),
+        delay_s=float(min(((p % tau) / x for p, x in phases), default=inf)),
     )
 
 

@@ -119,10 +119,10 @@ def pid(
     parts = _parts(w, design.Ts, T_f, goal.is_rate)[: 3 if derivative else 2]
     if time_constant is not None:
         gains = _lambda_tuned(w, P * parts, time_constant, design, goal)
-        settings: dict[str, Any] = {"method": "lambda", "time_constant": time_constant}
+        settings: dict[str, Any] = {"method": "lambda", "time_constant": float(time_constant)}
     else:
         gains = _largest_integral(P * parts, MS if ms is None else ms)
-        settings = {"method": "largest integral gain", "ms": MS if ms is None else ms}
+        settings = {"method": "largest integral gain", "ms": float(MS if ms is None else ms)}
     b = weight if weight is not None else 1.0 if time_constant is not None else 0.5
     return require_margins(_pid_law(design, goal, gains, T_f, b, settings), design)
 

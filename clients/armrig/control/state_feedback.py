@@ -22,7 +22,14 @@ from numpy.typing import ArrayLike
 from scipy.linalg import schur, solve_discrete_lyapunov
 from scipy.optimize import minimize
 
-from armrig.control.loop import LawMatrices, are_stable, closed_loop, hidden_modes, margins
+from armrig.control.loop import (
+    LawMatrices,
+    are_stable,
+    closed_loop,
+    hidden_modes,
+    margins,
+    plant_response,
+)
 from armrig.control.plant import DesignModel, Plant, design_model, require_finite
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
@@ -35,6 +42,7 @@ _LEAST_NOISE = 1e-6
 """Least deviation of a measurement, as a share of the change of y by the range of the input."""
 _FAST = 0.02
 """Modulus below which a pole of the plant belongs to a dead time: it is not moved."""
+_GAIN_DRAWS, _STDS, _EXACT = 100, 3.0, 1e-6
 _MAX_MS = 10.0
 """Ms of the model above which a law is refused."""
 
@@ -128,7 +136,7 @@ def place(
         )
     K = K @ modes
     L = _observer(design, plant, input_noise, drift, observer)
-    settings = {"method": "place", "poles": [[x.real, x.imag] for x in s]}
+    settings = {"method": "place", "poles": [[float(x.real), float(x.imag)] for x in s]}
     return _law(design, goal, plant, K, L, settings)
 
 
@@ -192,7 +200,7 @@ def lqg(
     K = _optimal(A, B, weight, effort)
     if plant.delay:
         K = _optimal_late(A, B, weight, effort, plant.delay, K)
-    return _law(design, goal, plant, K @ modes, L, {"method": "lqg", "effort": effort})
+    return _law(design, goal, plant, K @ modes, L, {"method": "lqg", "effort": float(effort)})
 
 
 class Goal:
@@ -226,7 +234,23 @@ class Goal:
                 f"{names[i]} does not integrate, but another output does: choose it by output=, or "
                 f"a model of {names[i]} alone, such as fit[{names[i]!r}]"
             )
-        return cls(design, i, is_rate, reference)
+        goal = cls(design, i, is_rate, reference)
+        goal.require_gain()
+        return goal
+
+    def require_gain(self) -> None:
+        """Refuse an output that a constant voltage does not change, so that it cannot follow r."""
+        plant, name = self.design.plant, self.design.outputs[self.i].name
+        gain = plant.gain(self.i)
+        drawn = [x.gain(self.i) for x in self.design.draw(_GAIN_DRAWS)]
+        std = float(np.std(drawn)) if drawn else 0.0
+        w = np.exp(1j * np.geomspace(1e-3, np.pi, 100))
+        largest = np.abs(plant_response(plant, w)[:, self.i]).max()
+        if abs(gain) < max(_STDS * std, _EXACT * largest):
+            raise InputError(
+                f"{name} has the steady gain {digits(gain, 2)} ± {digits(std, 1)} per V: it cannot "
+                "follow r, for a constant voltage does not hold it; choose another output"
+            )
 
     def controlled(self, plant: Plant) -> tuple[Matrix, Vector, Matrix]:
         """Return A and B of the modes that are fed back, and the rows that give them from x.
@@ -254,8 +278,6 @@ class Goal:
             rest = np.linalg.solve(np.eye(n - 1) - plant.A[1:, 1:], plant.B[1:] * N_u)
             return np.append(0.0, rest), N_u
         pencil = np.block([[plant.A - np.eye(n), plant.B[:, None]], [plant.C[self.i], np.zeros(1)]])
-        if abs(np.linalg.det(pencil)) < np.finfo(float).tiny:
-            raise InputError("a constant voltage does not change this output: it cannot follow r")
         x = np.linalg.solve(pencil, np.append(np.zeros(n), 1.0))
         return x[:-1], float(x[-1])
 
@@ -274,13 +296,15 @@ class Goal:
         else:
             gain = design.plant.gain(self.i) / (design.Ts if self.is_rate else 1.0)
             low, high = sorted(gain * (u - design.u0) for u in (design.lo, design.hi))
+            step = 10 ** np.floor(np.log10(max(high - low, np.finfo(float).tiny))) / 10
+            low, high = np.floor(low / step) * step, np.ceil(high / step) * step
             if not self.is_rate:
                 low, high = max(low, low_limit), min(high, high_limit)
         if not (np.isfinite([low, high]).all() and low <= high):
             raise InputError(
                 f"{name} has no limits: give reference=(lowest, highest) (--reference LOW,HIGH)"
             )
-        return Reference(name=name, unit=unit, low=float(low), high=float(high))
+        return Reference(name=name, unit=unit, low=float(low) + 0.0, high=float(high) + 0.0)
 
 
 def _with_chain(plant: Plant) -> Plant:

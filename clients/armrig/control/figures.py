@@ -1,0 +1,148 @@
+"""Figures of a law: root locus, Bode and Nyquist diagram of the open loop, and steps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armrig.plots.captions import labelled, legend
+from armrig.plots.layout import (
+    BLUE,
+    GREY,
+    INK,
+    SKY,
+    VERMILION,
+    axes,
+    decibel_ticks,
+    decibels,
+    finish,
+    hertz,
+    panels,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.control.law_check import LawCheck
+
+_EDGES = (2.5, 97.5)
+_NYQUIST = 2.5
+"""Largest distance from 0 in the Nyquist diagram."""
+_MOST_CURVES = 100
+"""Number of draws in a cloud of curves."""
+_BAND: dict[str, Any] = {"color": SKY, "alpha": 0.45, "lw": 0}
+
+
+def plot_root_locus(check: LawCheck, *, ax: Axes | None = None) -> Axes:
+    """Plot the poles of the closed loop for gains of the plant from a fiftieth to 50 times its own.
+
+    Crosses are the poles at the plant's own gain, and dots those with the gain 20 % lower and
+    higher.
+    """
+    ax = axes(ax)
+    factors, poles = check.root_locus
+    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 400))
+    ax.plot(circle.real, circle.imag, color=GREY, lw=0.8, label="unit circle")
+    ax.scatter(
+        poles.real, poles.imag, c=BLUE, s=1.5, lw=0, label="gain from 1/50 to 50 times its own"
+    )
+    for factor in (0.8, 1.2):
+        at = poles[np.argmin(np.abs(factors - factor))]
+        name = "gain 20 % lower and higher" if factor < 1 else "_"
+        ax.plot(at.real, at.imag, "o", color=VERMILION, ms=3, label=name)
+    own = poles[np.argmin(np.abs(factors - 1))]
+    ax.plot(own.real, own.imag, "x", color=INK, ms=7, label="poles of the loop")
+    ax.set_aspect("equal")
+    ax.set_xlim(-1.3, 1.3)
+    ax.set_ylim(-1.3, 1.3)
+    ax.set_xlabel("Re $z$")
+    ax.set_ylabel("Im $z$")
+    finish(ax)
+    legend(ax)
+    return ax
+
+
+def plot_loop(check: LawCheck, *, ax: Axes | None = None) -> Axes:
+    """Plot magnitude and phase of the open loop L, with 95 % bands over the draws.
+
+    Dots are at the frequencies of the gain and the phase margin.
+    """
+    ax, below = panels(ax, 0.42)
+    w, L = check.omega, check.L
+    phase = np.degrees(np.unwrap(np.angle(L[0])))
+    phase -= 360 * np.round((phase[0] + 90) / 360)
+    if len(L) > 1:
+        low, high = np.percentile(decibels(np.abs(L[1:])), _EDGES, axis=0)
+        ax.fill_between(w, low, high, label="95 % of the draws", **_BAND)
+        low, high = np.percentile(np.degrees(np.angle(L[1:] / L[0])), _EDGES, axis=0)
+        below.fill_between(w, phase + low, phase + high, **_BAND)
+    ax.plot(w, decibels(np.abs(L[0])), color=BLUE, label="open loop $L$ of the model")
+    below.plot(w, phase, color=BLUE)
+    ax.axhline(0, color=INK, lw=0.6)
+    below.axhline(-180, color=INK, lw=0.6)
+    m = check.nominal
+    if m.gain_at:
+        ax.plot(m.gain_at, -decibels(np.array(m.gain)), "o", color=VERMILION, ms=4)
+    if m.phase_at:
+        at = np.interp(np.log(m.phase_at), np.log(w), phase)
+        below.plot(m.phase_at, at, "o", color=VERMILION, ms=4)
+    ax.set_xscale("log")
+    ax.set_ylim(-60, 60)
+    below.set_ylim(max(float(phase.min()) - 20, -720), max(float(phase.max()) + 20, 0))
+    decibel_ticks(ax)
+    ax.set_ylabel("$|L|$ [dB]")
+    below.set_ylabel("arg $L$ [°]")
+    below.set_xlabel(r"$\omega$ [rad/s]")
+    finish(ax, below, xlim=(float(w[0]), float(w[-1])))
+    legend(ax, lift=hertz(ax))
+    return ax
+
+
+def plot_nyquist(check: LawCheck, *, ax: Axes | None = None) -> Axes:
+    """Plot the open loop in the complex plane, with a cloud of draws, the corners' Ms and a circle.
+
+    A loop outside the circle around -1 has Ms below 2.
+    """
+    ax = axes(ax)
+    for k, row in enumerate(check.L[1 : _MOST_CURVES + 1]):
+        name = "draws of the model" if k == 0 else "_"
+        ax.plot(row.real, row.imag, color=SKY, lw=0.6, alpha=0.4, label=name)
+    ax.plot(check.L[0].real, check.L[0].imag, color=BLUE, label="open loop $L$ of the model")
+    angle = np.linspace(0, 2 * np.pi, 200)
+    radii = {"Ms = 2": (0.5, INK, "--")}
+    if np.isfinite(check.worst_Ms):
+        radii[f"Ms = {check.worst_Ms:.2f}, the worst"] = (1 / check.worst_Ms, VERMILION, "-")
+    for name, (radius, colour, dashes) in radii.items():
+        ax.plot(
+            -1 + radius * np.cos(angle), radius * np.sin(angle), dashes, color=colour, label=name
+        )
+    ax.plot(-1, 0, "+", color=INK, ms=8)
+    ax.set_aspect("equal")
+    ax.set_xlim(-_NYQUIST, _NYQUIST)
+    ax.set_ylim(-_NYQUIST, _NYQUIST)
+    ax.set_xlabel("Re $L$")
+    ax.set_ylabel("Im $L$")
+    finish(ax)
+    legend(ax)
+    return ax
+
+
+def plot_law_steps(check: LawCheck, *, ax: Axes | None = None) -> Axes:
+    """Plot the response to a step of r, and the change of the voltage, with 95 % bands."""
+    ax, below = panels(ax, 0.42)
+    steps, reference = check.steps, check.law.reference
+    for panel, values in ((ax, steps.z), (below, steps.u)):
+        if len(values) > 1 and np.isfinite(values).all():
+            low, high = np.percentile(values[1:], _EDGES, axis=0)
+            panel.fill_between(steps.t, low, high, step="post", label="95 % of the draws", **_BAND)
+    ax.axhline(steps.height, color=INK, lw=0.8, ls="--", label="$r$")
+    ax.plot(steps.t, steps.z[0], color=BLUE, label="model")
+    below.step(steps.t, steps.u[0], where="post", color=BLUE)
+    unit = f" [{reference.unit}]" if reference.unit else ""
+    ax.set_ylabel(f"{labelled(reference.name)}{unit}")
+    below.set_ylabel("change of $u$ [V]")
+    below.set_xlabel("$t$ [s]")
+    finish(ax, below, xlim=(0.0, float(steps.t[-1])))
+    legend(ax)
+    return ax
