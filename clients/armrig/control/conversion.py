@@ -21,7 +21,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import Any
 
@@ -233,15 +233,12 @@ class Controller:
 
     def scaled(self, scale: float) -> Controller:
         """Return the controller with the input in V, of which one is `scale` of its unit."""
-        return Controller(
-            A=self.A,
-            B_r=self.B_r,
+        return replace(
+            self,
             B_u=self.B_u * scale,
-            B_y=self.B_y,
             C=self.C / scale,
             D_r=self.D_r / scale,
             D_y=self.D_y / scale,
-            Ts=self.Ts,
         )
 
     def equilibrium(self, r: float, y: Vector) -> tuple[Vector, float]:

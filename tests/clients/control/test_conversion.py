@@ -208,6 +208,8 @@ def test_the_default_tracking_time_is_that_of_the_slowest_zero() -> None:
     assert _heater(PI, tracking_time=0.05).A[0][0] == pytest.approx(np.exp(-0.2))
     integral = control.tf([0.001], [1, -1], TS)
     assert _heater(integral).A[0][0] == pytest.approx(np.exp(-0.1))
+    fast = control.tf([1, -0.2], [1, -1], TS)  # not faster than two samples
+    assert _heater(fast).A[0][0] == pytest.approx(np.exp(-0.5))
     lead = control.tf([1, -0.9], [1, -0.2], TS)
     assert _heater(lead).design["anti_windup"] == [0.0]
 
