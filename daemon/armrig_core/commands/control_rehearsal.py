@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing, nullcontext
-from math import floor, isfinite, nan, tau
+from math import floor, isfinite, tau
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -214,10 +214,8 @@ def _reading(output: Output, value: float, adc_bits: int) -> float:
     """Return the value that the converter reads; NaN in a dead band or at an end of its range."""
     conversion, steps = output.conversion, 1 << adc_bits
     counts = conversion.counts(value)
-    if output.turning:
+    if output.turning:  # beyond the track, the converter reads an end of its range
         counts %= tau / abs(output.per_count)
-        if not counts <= COUNTS:
-            return nan
     # The nearest step, as of the Uno's converter; a value that is not finite reads an end.
     step = floor(min(max(-1.0, counts / COUNTS), 2.0) * steps + 0.5)
     reading = min(max(step, 0), steps - 1) * (COUNTS // steps)

@@ -12,7 +12,7 @@ from armrig_core.commands.control_rehearsal import rehearse_control
 from armrig_core.control.control_law import ControlLaw, Reference
 from armrig_core.control.evaluation import Latch, begin, decide, observe
 from armrig_core.errors import InputError, InputTypeError
-from armrig_core.rig.description import shipped
+from armrig_core.rig.description import Description, shipped
 from numpy.typing import NDArray
 
 TS = 0.01
@@ -427,6 +427,21 @@ def test_what_is_no_law_is_refused(
 ) -> None:
     with pytest.raises(kind, match=sentence):
         _heater(C, **options)
+
+
+def test_the_observer_of_a_model_begins_at_rest() -> None:
+    """The rig rests at 1 V, and the model has 10 cm per volt."""
+    text = """
+        rig = {name = "tank"}
+        input = {name = "pump", rest_v = 1.0}
+        outputs = {level = {unit = "cm", per_count = 0.001}}
+    """
+    signals = {"input": "pump", "output": "level", "input_unit": "V", "unit": "cm"}
+    model = armrig.Fit.of_channel(B=[0, 1.0], F=[1, -0.9], nk=1, Ts=TS, **signals)
+
+    law = _heater(PI, outputs="level", rig=Description.of(text.encode()), unit=None, model=model)
+
+    assert np.dot(law.F[0], law.x0) == pytest.approx(10.0)
 
 
 def test_a_turning_output_needs_a_model() -> None:

@@ -14,7 +14,7 @@ from armrig_core.commands.rehearsal import rehearse_outputs
 from armrig_core.control.control_law import ControlLaw, LawOutput, Reference, Tracking
 from armrig_core.control.evaluation import Latch
 from armrig_core.errors import InputError
-from armrig_core.rig.description import Description, read_description, shipped
+from armrig_core.rig.description import Description, read_description, require_model, shipped
 from armrig_core.rig.firmware_image import WITH_ENABLE_LINE
 from msgspec.structs import replace
 
@@ -286,6 +286,16 @@ def test_an_integrator_in_the_loop_that_nothing_moves_is_unstable() -> None:
     rehearse_control(free, np.full(5, 5.0), shipped("heater"))
     held = _heater_law(C=(0.0, -0.1), B=((0.0, 0.0, 0.1), (0.0, 0.0, 1.0)))
     rehearse_control(held, np.full(5, 5.0), shipped("heater"))
+    marginal = _heater_law(
+        A=((0.5, 0.0), (0.0, 0.0)), B=((0.0, 0.5, 0.0), (0.0, 0.0, 1.0)), C=(1.0, 0.0)
+    )
+    with pytest.raises(InputError, match="unstable: a deviation stays; design the law with less"):
+        rehearse_control(marginal, np.full(5, 5.0), shipped("heater"))
+    _, (A, B, C, *_) = require_model(shipped("heater"))
+    gain = float((np.array(C) @ np.linalg.solve(-np.array(A), np.array(B)))[0, 0])
+    positive = _heater_law(A=((0.0,),), B=((0.0, 0.0, 1.0),), C=(1 / gain,), x0=(0.0,), F=None)
+    with pytest.raises(InputError, match="unstable: a deviation stays; design the law with less"):
+        rehearse_control(positive, np.full(5, 5.0), shipped("heater"))
     growing = _heater_law(A=((1.01, 0.0), (0.0, 0.0)), C=(0.0, -0.1))
     with pytest.raises(InputError, match=r"unstable: a deviation grows by 1.00% in each sample"):
         rehearse_control(growing, np.full(5, 5.0), shipped("heater"))
@@ -375,6 +385,40 @@ def test_a_rig_rests_where_its_description_says(tmp_path: Path) -> None:
 
     assert _range(at_rest, "level") == pytest.approx((2.0, 2.0), abs=0.011)  # 10 bits
     assert _range(above, "level") == pytest.approx((2.0, 2.5), abs=0.02)
+
+
+def test_the_duty_and_the_converter_have_their_resolutions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """0.03 V are 2 steps of 5/256 V; a reading of 10 bits is a multiple of 64 counts."""
+    readings: list[float] = []
+    observe = control_rehearsal.observe
+
+    def observe_and_note(*args: Any) -> Any:
+        readings.append(args[3][0] / 0.001)
+        return observe(*args)
+
+    monkeypatch.setattr(control_rehearsal, "observe", observe_and_note)
+    rig = _tank(tmp_path, "A = [[-0.05]]\nB = [[0.5]]\nC = [[1.0]]\noffset = [2.0]")
+    law = _tank_law(B=((0.0,) * 3,) * 2, C=(0.0, 0.0), D=0.0, u0=0.03)
+
+    found = rehearse_control(law, np.zeros(400), rig, latch=Latch(pwm_bits=8))
+
+    assert _range(found, "level")[1] == pytest.approx(2.0 + 10 * 2 * 5 / 256, rel=1e-4)
+    np.testing.assert_allclose(np.array(readings) / 64, np.round(np.array(readings) / 64))
+    assert len({*readings}) > 3
+
+
+def test_own_equations_have_the_rest_before_the_run(tmp_path: Path) -> None:
+    """The voltage at the pin acts after the dead time of 3 s; 1 V is the rest."""
+    text = EQUATIONS.replace("0.2 * u[0]", "0.2 * (u[0] - 1)").replace("={},", "={}, delay=3.0,")
+    (tmp_path / "tank.py").write_text(text)
+    rig = _tank(tmp_path, 'file = "tank.py"\noffset = [2.0]', rest_v=1.0)
+    still = _tank_law(B=((0.0,) * 3,) * 2, C=(0.0, 0.0), D=0.0, u0=1.0)
+
+    low, high = _range(rehearse_control(still, np.zeros(20), rig), "level")
+
+    assert high - low < 0.01
 
 
 def test_the_slew_and_the_limits_of_the_latch_hold(monkeypatch: pytest.MonkeyPatch) -> None:
