@@ -39,6 +39,10 @@ _OTHER_NAMES = {
     "selstruc": "select_orders",
     "arxstruc": "select_orders",
     "impulseest": "impulse_response",
+    "pidtune": "pid",
+    "dlqr": "lqg",
+    "lqr": "lqg",
+    "margin": "check_law",
     "cra": "correlation",
 }
 """Functions of the System Identification Toolbox and of earlier releases, and the present names."""

@@ -1,13 +1,14 @@
 """Coverage of the bands that a design predicts: 300 identifications of the simulated arm.
 
-Each identification has 30 s of its own noise, a converter of 10 bits, PWM of 8 bits, and the dead
-band of θ1, and a law of its own by `armrig.place` from fixed poles. The bands of `armrig.check_law`
+Each identification has 30 s with noise, a converter of 10 bits, PWM of 8 bits, and the dead band
+of θ1. `armrig.place` designs a law from each, with fixed poles. The bands of `armrig.check_law`
 are compared with the law on the true arm. `python -m tests.benchmarks.design_study [n] [friction]`:
 the friction, in V at the motor, is in the data alone.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 from contextlib import suppress
 from time import process_time
@@ -33,11 +34,12 @@ def record(seed: int, friction_v: float) -> armrig.Signals:
     u = armrig.telegraph(N, 0.1, low=0.5, high=4.5, seed=seed)
     u = np.round(u * 51) / 51
     A, B, C = arm_matrices(armrig.ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, Ts / _SUBSTEPS)
+    substeps = _SUBSTEPS if friction_v else 1  # without friction, the held input is exact
+    Phi, Gamma = zero_order_hold(A, B, Ts / substeps)
     x, y = np.zeros(4), np.zeros((N, 2))
     for k, volts in enumerate(u):
         y[k] = C @ x
-        for _ in range(_SUBSTEPS):
+        for _ in range(substeps):
             ahead = Phi @ x + Gamma[:, 0] * volts
             sign = np.sign(ahead[2] if x[2] == 0 else x[2])
             x = ahead - Gamma[:, 0] * sign * friction_v
@@ -53,6 +55,7 @@ def record(seed: int, friction_v: float) -> armrig.Signals:
 
 def main() -> None:
     """Print the shares of true values in their bands, and the median widths."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background, too
     n = int(sys.argv[1]) if len(sys.argv) > 1 else 300
     friction_v = float(sys.argv[2]) if len(sys.argv) > 2 else 0.0
     true = design_model(armrig.arm(armrig.ArmParameters()), Ts=Ts)

@@ -73,7 +73,7 @@ class Settings:
         return {"rig": _rig(self.rig_file), "u0": self.u0, "y0": self.y0}
 
     def of_design(self) -> dict[str, Any]:
-        """Return the arguments of a design besides the model."""
+        """Return the arguments of a design other than the model."""
         return self.of_model() | {
             "output": self.signal,
             "rate": self.rate,
@@ -117,7 +117,7 @@ def _pair(text: str | None) -> tuple[float, float] | None:
 
 
 def _complex(texts: list[str] | None, name: str) -> list[complex] | None:
-    """Return poles as numbers; one of a pair stands for both."""
+    """Return poles as numbers; a complex pole brings its conjugate."""
     poles: list[complex] = []
     for text in texts or ():
         try:
@@ -317,9 +317,9 @@ def _show(judged: LawCheck, law: ControlLaw, out: Output, output: Path | None = 
         )
         if out.verbose:
             rows = {"model": judged.nominal} | dict(judged.corners)
-            table: list[Sequence[str]] = [("", "Ms", "gain", "phase [°]", "delay [ms]")]
+            table: list[Sequence[str]] = [("", "Ms", "gain", "phase [°]", "delay [s]")]
             for name, m in rows.items():
-                values = (m.Ms, m.gain, m.phase_deg, 1e3 * m.delay_s)
+                values = (m.Ms, m.gain, m.phase_deg, m.delay_s)
                 table.append((name, *(f"{x:.4g}" for x in values)))
             say(columns(table))
             for name, value in law.design.get("gains", {}).items():

@@ -1,4 +1,4 @@
-"""What a law will do on the model, on draws of the model's covariance, and on corners beside it."""
+"""Margins and steps of a law: on the model, on draws of its covariance, and on corners."""
 
 from __future__ import annotations
 
@@ -170,12 +170,12 @@ class LawCheck:
         size = f"{self.worst_Ms:.2f}" if np.isfinite(self.worst_Ms) else "infinite: unstable"
         judged = "" if self.worst_Ms <= ENOUGH else f"; above {ENOUGH:g}, ask for a slower loop"
         lines = [f"Ms at most {size} (worst: {where}), {share}{judged}."]
+        phase, gain = _range(self.band("phase_deg"), 0), _range(self.band("gain"), 1)
+        delay, settling = _time(self.band("delay_s")), _time(self.band("settling"))
+        overshoot = _range(self.band("overshoot"), 0)
         lines.append(
-            f"Phase margin {_range(self.band('phase_deg'), 0)}°, gain margin "
-            f"{_range(self.band('gain'), 1)}, delay margin "
-            f"{_range([1e3 * x for x in self.band('delay_s')], 0)} ms; overshoot "
-            f"{_range(self.band('overshoot'), 0)} %, 5 % settling "
-            f"{_range(self.band('settling'), 2)} s."
+            f"Phase margin {phase}°, gain margin {gain}, delay margin {delay}; overshoot "
+            f"{overshoot} %, 5 % settling {settling}."
         )
         if self.doubts:
             lines.insert(0, f"In doubt: {'; '.join(self.doubts)}.")
@@ -185,10 +185,10 @@ class LawCheck:
         """Return the verdict and a table of the corners."""
         rows = {"model": self.nominal} | dict(self.corners)
         table = [
-            f"  {name:24} {m.Ms:6.3f} {m.gain:7.2f} {m.phase_deg:7.1f} {1e3 * m.delay_s:9.1f}"
+            f"  {name:24} {m.Ms:6.3f} {m.gain:7.2f} {m.phase_deg:7.1f} {m.delay_s:9.4g}"
             for name, m in rows.items()
         ]
-        head = f"  {'':24} {'Ms':>6} {'gain':>7} {'phase/°':>7} {'delay/ms':>9}"
+        head = f"  {'':24} {'Ms':>6} {'gain':>7} {'phase/°':>7} {'delay/s':>9}"
         return "\n".join([self.verdict, head, *table])
 
     plot = drawn_by("plot_law_steps", "a step of r with bands over the draws")
@@ -198,6 +198,14 @@ def _range(band: Sequence[float], places: int) -> str:
     """Return a band as text; one number if both ends are equal to the digits shown."""
     low, high = (f"{x:.{places}f}" if np.isfinite(x) else "infinite" for x in band)
     return low if low == high else f"{low} to {high}"
+
+
+def _time(band: Sequence[float]) -> str:
+    """Return a band of times in ms or s."""
+    finite = [x for x in band if np.isfinite(x)]
+    if max(finite, default=0.0) < 1:
+        return f"{_range([1e3 * x for x in band], 0)} ms"
+    return f"{_range(band, 2 if max(finite) < 10 else 0)} s"
 
 
 @checked_call
@@ -215,7 +223,7 @@ def check_law(
     """Return what a law will do: margins, steps and their bands over draws of the model.
 
     The corners are the model with a gain 20 % lower and higher, and with one more sample of delay.
-    They stand for what a covariance does not know, such as friction.
+    A covariance does not know such errors; friction is one of them.
 
     Parameters
     ----------

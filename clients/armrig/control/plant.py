@@ -276,7 +276,8 @@ def _of_fit(fit: Fit, Ts: float | None, rig: Description | None) -> dict[str, An
         value, vector = np.linalg.eigh(P / np.outer(by, by))
         W = by[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
         theta = form.theta + np.random.default_rng(SEED).standard_normal((n, std.size)) @ W.T
-        return [_plant_of(form.replaced(x), time) for x in theta]
+        of_theta = _plants_of(form, time)
+        return [of_theta(x) for x in theta]
 
     offset = fit.free[-1].offset if fit.offset and fit.free else 0.0
     return {
@@ -352,6 +353,26 @@ def _plant_of(form: Polynomials | Matrices | TransferFunction, Ts: float) -> Pla
     return _realised(parts)
 
 
+def _plants_of(form: Polynomials | Matrices | TransferFunction, Ts: float) -> Callable[..., Plant]:
+    """Return the function of the parameters that gives a plant."""
+    if not isinstance(form, Polynomials) or form.coupled:
+        return lambda theta: _plant_of(form.replaced(theta), Ts)
+    rows = [
+        (form.nk[i][0], *(form.slice_of(x, i, k) for x, k in (("b", 0), ("a", i), ("f", 0))))
+        for i in range(len(form.A))
+    ]
+
+    def plant(theta: Vector) -> Plant:
+        parts = []
+        for (nk, b, a, f), is_fixed in zip(rows, form.integrators, strict=True):
+            F = np.convolve(np.append(1.0, theta[a]), np.append(1.0, theta[f]))
+            F = np.cumsum(F)[:-1] if is_fixed else F
+            parts.append((np.append(np.zeros(nk), theta[b]), F, is_fixed))
+        return _realised(parts)
+
+    return plant
+
+
 def _direct() -> InputError:
     return InputError(
         "the model has nk=0, a direct term: u[k] of a law is latched with sample k, so y[k] cannot "
@@ -379,7 +400,9 @@ def _realised(parts: list[tuple[Vector, Vector, bool]]) -> Plant:
             R[: B.size] += B
             R[1 : F.size + 1] -= gains[i] * F
             B = np.cumsum(R)[:-1]
-        same = (g for G, g in groups if G.size == F.size and np.allclose(G, F, rtol=1e-6, atol=0))
+        same = (
+            g for G, g in groups if G.size == F.size and (np.abs(G - F) <= 1e-6 * np.abs(F)).all()
+        )
         if (members := next(same, None)) is not None:
             members.append((i, B))
         else:

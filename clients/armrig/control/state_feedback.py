@@ -158,9 +158,8 @@ def lqg(
 ) -> ControlLaw:
     """Return the law that minimises the sum of (z/g)² + effort · u², with a Kalman predictor.
 
-    z is the output that follows r, or its rate, and g the gain from the voltage to z: an error of
-    the control in V costs as much as `effort` V² of the input. For an output that integrates, g is
-    the change of z in a second at 1 V.
+    z is the output that follows r, or its rate, and g the gain from the voltage to z. For an output
+    that integrates, g is the change of z in a second at 1 V.
 
     Parameters
     ----------
@@ -255,8 +254,8 @@ class Goal:
     def controlled(self, plant: Plant) -> tuple[Matrix, Vector, Matrix]:
         """Return A and B of the modes that are fed back, and the rows that give them from x.
 
-        The integrator is left out if its rate follows r, and so are the modes of a dead time, which
-        are at 0 with every K.
+        If the rate of the integrator follows r, the integrator is left out. The modes of a dead
+        time, which are at 0 with every K, are left out, too.
         """
         first = int(self.is_rate)
         T, Z, count = schur(plant.A[first:, first:].T, sort=lambda x, y: np.hypot(x, y) > _FAST)

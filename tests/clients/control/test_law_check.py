@@ -27,7 +27,7 @@ def _estimated(*, N: int = 600, noise: float = 0.05, seed: int = 3) -> armrig.Fi
 
 @pytest.mark.exhaustive
 def test_bands_over_draws_hold_the_margins_of_the_true_plant() -> None:
-    """Of 60 estimates, each with its own law, the true Ms and phase margin are in 95 % bands."""
+    """The true Ms and phase margin are in the 95 % bands of 60 estimates, each with its own law."""
     inside = np.zeros(2)
     true = design_model(LAG)
 
@@ -137,7 +137,7 @@ def test_a_design_that_no_law_meets_is_refused_with_what_would_be_met(
 
 
 def test_with_a_dead_time_poles_that_cannot_dominate_are_refused() -> None:
-    """A fast pole would be there with hardly any gain, behind the slow pole of the plant."""
+    """A fast pole needs hardly any gain, and the slow pole of the plant would stay."""
     late = plants.model([0] * 16 + [0.1], [1, -0.9])
 
     with pytest.raises(InputError, match="rad/s can be met") as refusal:
@@ -177,7 +177,7 @@ def test_doubts_stand_in_the_first_line() -> None:
 
 
 def test_a_model_in_percent_commands_volts_at_the_pin_of_its_rig() -> None:
-    """20 % are 1 V on the heater: the law's gains are those of the model in V, and so is u0."""
+    """20 % are 1 V on the heater: gains and u0 of the law are those of the model in V."""
     heater, more = shipped("heater"), {"output": "T1", "unit": "degC", "Ts": 1.0, "input": "power"}
     percent = armrig.Fit.of_channel(B=[0, 0.01], F=[1, -0.98], nk=1, input_unit="%", **more)
 
