@@ -232,7 +232,7 @@ class Controller:
     """Sampling time, in s."""
 
     def scaled(self, scale: float) -> Controller:
-        """Return the controller with the input in V, of which one is `scale` of its unit."""
+        """Return the controller in V; 1 V is `scale` in the unit of its output."""
         return replace(
             self,
             B_u=self.B_u * scale,

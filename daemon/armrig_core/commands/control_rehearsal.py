@@ -90,8 +90,8 @@ def rehearse_control(
     Raises
     ------
     InputError
-        An output leaves its limits; the closed loop is unstable; the law computes no finite number,
-        or ends the run early; the model has no output that the law uses, or another sampling time.
+        An output leaves its limits, the closed loop is unstable, or the law ends the run early. The
+        model may also lack an output of the law, or have another sampling time.
     OperationError
         Own equations took too long.
     """
@@ -110,8 +110,8 @@ def rehearse_control(
         if not unstable and (text := _instability(program, model, Ts)):
             raise InputError(
                 f"the closed loop of the law and the rig's model is unstable: {text}; design the "
-                "law with less gain, or permit an unstable loop (--unstable, unstable=True), which "
-                "the rehearsal still keeps inside the limits of the outputs"
+                "law with less gain. An unstable loop runs only with unstable=True (--unstable), "
+                "inside the limits of the outputs"
             )
         sensors = [*zip(described.outputs.values(), model.rest.tolist(), strict=False)]
         if model.is_arm:

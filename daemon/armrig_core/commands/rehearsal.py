@@ -317,8 +317,8 @@ def _extremes(model: RigModel, v: _Array, Ts: float) -> Iterator[Ends]:
 def interval_ends(C: _Array, step: _Array, m: int, x: _Array, v: _Array) -> Ends:
     """Return the lowest and highest y = C x of each interval without its start, and the last y.
 
-    `x` are the states (N + 1, n) at the samples, `v` is the input (N,) that is held between them,
-    and `step` maps (x, v) to (x, v) after each of the m parts of an interval.
+    `x` are the states (N + 1, n) at the samples, and `v` is the input (N,), held between them. The
+    matrix `step` maps (x, v) to (x, v) after one of the m parts of an interval.
     """
     n = C.shape[1]
     lowest = x[1:] @ C.T

@@ -266,7 +266,7 @@ def test_an_unstable_loop_may_be_ended_by_its_law() -> None:
 
 
 def test_a_blind_law_ends_a_rehearsal() -> None:
-    """Where both thermometers read an end of their range, the law has no valid output."""
+    """A thermometer that reads an end of its range gives no valid output."""
     outputs = {**shipped("heater").outputs}
     outputs["T1"] = replace(outputs["T1"], zero_counts=-6000.0, high=np.inf, blind_s=None)
     rig = _with_outputs(shipped("heater"), outputs)
