@@ -282,10 +282,15 @@ def _smallest_first(
     rms = held_out_errors(busiest(data), requests)
     if np.isnan(rms).all():
         return [*models]
-    nf = min(s.nf for s, e in zip(known, rms, strict=True) if e <= MAX_RATIO * np.nanmin(rms))
-    if nf == first.nf:  # the description length decides on the other orders
+    most, parameters = MAX_RATIO * np.nanmin(rms), first.nb + first.nf
+    near = [
+        m
+        for (s, m), e in zip(known.items(), rms, strict=True)
+        if e <= most and s.nf < first.nf and s.nb + s.nf <= parameters
+    ]
+    if not near:  # the description length decides on structures with as many poles
         return [*models]
-    smallest = min((m for m in known.values() if m.structure.nf == nf), key=lambda m: m.bits)
+    smallest = min(near, key=lambda m: (m.structure.nf, m.bits))
     return [*dict.fromkeys([smallest, *models])][:RECOMMENDED]
 
 
