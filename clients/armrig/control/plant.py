@@ -358,7 +358,12 @@ def _plants_of(form: Polynomials | Matrices | TransferFunction, Ts: float) -> Ca
     if not isinstance(form, Polynomials) or form.coupled:
         return lambda theta: _plant_of(form.replaced(theta), Ts)
     rows = [
-        (form.nk[i][0], *(form.slice_of(x, i, k) for x, k in (("b", 0), ("a", i), ("f", 0))))
+        (
+            form.nk[i][0],
+            form.slice_of("b", i, 0),
+            form.slice_of("a", i, i),
+            form.slice_of("f", i, 0),
+        )
         for i in range(len(form.A))
     ]
 
