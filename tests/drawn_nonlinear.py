@@ -118,7 +118,7 @@ def dead_zone(rng: Generator, N: int) -> Drawn:
 
 
 def quadratic(rng: Generator, N: int) -> Drawn:
-    """Return u + c u² behind a linear rig, a speed in a drag of x², or the level of a tank."""
+    """Return u + c u² after a linear rig, a speed in a drag of x², or the level of a tank."""
     which = rng.integers(3)
     if which == 0:
         u, c = drawn_input(rng, N, -1.0, 1.0), rng.choice([-1, 1]) * rng.uniform(0.1, 0.4)

@@ -32,7 +32,7 @@ class Settings:
         None,
         "Description of the rig (TOML), or a name of `armrig rigs`; needed for an input that is "
         "not in V.",
-        "the arm for theta_1 and alpha, otherwise 0 to 5 V",
+        "the arm for its outputs, otherwise 0 to 5 V",
         names="--rig-file TOML",
     )
     validate: Path | None = chosen(

@@ -95,7 +95,7 @@ def place(
         Operating point of a model of deviations: voltage in V, and the first output there.
     rig : Description, optional
         Description of the rig, `armrig_core.rig.description.read_description`. The default is the
-        arm for models of theta_1 and alpha, otherwise an input of 0 to 5 V.
+        arm for models of its outputs, otherwise an input of 0 to 5 V.
     Ts : float, optional
         Sampling time of the law, in s, for a model in s.
     validation : Dataset or Signals, optional

@@ -14,7 +14,7 @@ Remedy = Literal[
 - check: test the data before a model is estimated
 - integrator: fix a pole at 1
 - level: estimate the constant level of y, or remove it from the data
-- nk: begin at the lag of which the data show an effect
+- nk: begin at the first lag with an effect in the data
 - order: lower the orders
 - outliers, rails: mark these samples missing
 - search: search other orders and noise models

@@ -60,7 +60,7 @@ _REMEDIES: Mapping[Kind, str] = {
     "gain by level": "record small steps around one level, and estimate a model for each level",
     "speed by level": "record small steps around one level, and estimate a model for each level",
     "friction": "record with a u that keeps the rig moving, or estimate the friction (greybox)",
-    "backlash": "record a motion in one direction, or one that is large beside the play",
+    "backlash": "record a motion in one direction, or motions much larger than the play",
 }
 _NO_STATIC_GAIN = "a response that changes with {of}"
 _LEVEL = 0.05
@@ -84,8 +84,9 @@ class Linearity:
     level: float
     """Level of the test: share of linear rigs that the test rejects by chance."""
     kind: Kind = ""
-    """Dead zone of u, saturated output, friction, backlash, a gain or a speed of the response by
-    level, or "not known" if no kind has a clear lead; "" if the rig is linear."""
+    """Kind of the nonlinearity, "not known" if no kind has a clear lead, or "" if the rig is
+    linear. The kinds are a dead zone of u, a saturated output, friction, backlash, and a gain or a
+    speed of the response by level."""
     numbers: Mapping[str, float] = field(default_factory=dict)
     """Numbers of the kind: `from` and `to` of a dead zone, `at` and `share` of a saturation, or the
     `width` of a play. For a gain: the least and the greatest, `gain_1` at `level_1` and `gain_2` at

@@ -101,11 +101,10 @@ def search(
     """Estimate many models, rank them on other data, and choose the simplest of the good models.
 
     A candidate of order n has n poles and n numerator coefficients; "bj" has nc = nd = 1 or 2, too.
-    The best candidate has the least mean squared error on the validation data. Two conditions make
-    a candidate as good. Its mean of e² - e²_best is at most the standard error of this mean, and
-    its rms error is at most 1.2 times the least, and larger by at most 2 % of the standard
-    deviation of y. Successive errors are
-    correlated, so the first is the largest standard error of 30, 15 and 7 batch means. A simulation
+    The best candidate has the least mean squared error on the validation data. Three conditions
+    make a candidate as good. Its mean of e² - e²_best is at most the standard error of this mean.
+    Its rms error is at most 1.2 times the least. Its rms error is larger by at most 2 % of the
+    standard deviation of y. Successive errors are correlated, so the first is the largest standard error of 30, 15 and 7 batch means. A simulation
     does not distinguish drift from wrong dynamics, so only candidates that also predict one step
     ahead as well as the best remain. Of these, the one with the fewest parameters is chosen.
 

@@ -93,9 +93,9 @@ class SearchResult:
     excess_std: Vector
     """Standard error of `excess`, computed from the means of batches of samples, (n,)."""
     as_good: NDArray[np.bool_]
-    """Mask of the candidates in `ranked` that are as good as the best, (n,): `excess` is at most
-    its standard error, the rms error at most 1.2 times the least, and the fit at most 2 points
-    lower."""
+    """Mask of the candidates in `ranked` that are as good as the best, (n,). Their `excess` is at
+    most its standard error, their rms error at most 1.2 times the least, and their fit at most 2
+    points lower."""
     chosen_index: int
     """Index of the chosen candidate."""
     failed: dict[Candidate, str]

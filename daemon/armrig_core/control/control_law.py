@@ -137,7 +137,7 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     tracking: Tracking | None = None
     """Bound of the control error; None for no bound."""
     design: dict[str, Any] = {}
-    """How the law was designed: method, weights, hash of the model, predicted margins."""
+    """Origin of the law: method, weights, hash of the model, predicted margins."""
 
     @property
     def order(self) -> int:

@@ -69,7 +69,7 @@ REMEDIES: dict[Id, str] = {
     Id.SERVICE: "start armrigd again; its earlier output may say why it froze",
     Id.LEASE: "let the client send a command at least every 0.1 s or 5 Ts, whichever is longer",
     Id.LIMITS: "keep the input within [limits] of the configuration",
-    Id.CONTROL: "rehearse the control law on a model of the rig, and design it anew",
+    Id.CONTROL: "rehearse the control law on a model of the rig, and design the law again",
     Id.OUTPUT: "bring the output back into its limits ([limits], or the rig's description); a "
     "smaller or shorter input may keep it there",
     Id.BLIND: "check the wires of this sensor, and that its reading is not at an end of its range",

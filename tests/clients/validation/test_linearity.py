@@ -52,7 +52,7 @@ def test_the_gains_at_both_ends_of_a_root_are_right() -> None:
 
 
 def test_an_effect_outside_of_nearly_all_samples_is_no_dead_zone() -> None:
-    """Of u, 0.9 % are inside the least of the zones that fit these data."""
+    """The smallest zone that fits these data contains 0.9 % of u."""
     rng = np.random.default_rng(9)
     u = np.repeat(np.append(rng.uniform(1, 5, 198), [0.0, 0.05]), 8)
     y = filtered([0, 0.2], [1, -0.8], np.maximum(u, 0.9)) + 0.002 * rng.standard_normal(u.size)
