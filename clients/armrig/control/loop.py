@@ -159,8 +159,8 @@ class ClosedLoop:
 
 
 def closed_loop(law: LawMatrices, plants: Sequence[Plant]) -> ClosedLoop:
-    """Return the closed loops of a law with plants of one order."""
-    n, c = plants[0].order, law.C.size
+    """Return the closed loops of a law with plants."""
+    n, c = max(p.order for p in plants), law.C.size
     longest = max(law.delay, *(p.delay for p in plants))
     S = n + longest + c
     M, C = np.zeros((len(plants), S, S)), np.zeros((len(plants), plants[0].C.shape[0], S))
@@ -169,14 +169,15 @@ def closed_loop(law: LawMatrices, plants: Sequence[Plant]) -> ClosedLoop:
     row[n + longest :] = law.C
     chain = slice(n, n + longest)
     for i, plant in enumerate(plants):
-        M[i, :n, :n] = plant.A
+        own = slice(0, plant.order)  # a dead time across a whole sample has one state less or more
+        M[i, own, own] = plant.A
         if plant.delay:
-            M[i, :n, n + plant.delay - 1] = plant.B
+            M[i, own, n + plant.delay - 1] = plant.B
         else:
-            M[i, :n] += plant.B[:, None] * row
-            N[i, :n] = plant.B * law.D
-        drive[i, :n] = plant.B
-        C[i, :, :n] = plant.C
+            M[i, own] += plant.B[:, None] * row
+            N[i, own] = plant.B * law.D
+        drive[i, own] = plant.B
+        C[i, :, own] = plant.C
     if longest:
         M[:, chain, chain] = np.eye(longest, k=-1)
         M[:, n] = row

@@ -147,6 +147,25 @@ def test_with_a_dead_time_poles_that_cannot_dominate_are_refused() -> None:
     assert armrig.place(late, [-0.95 * most]).input_delay == 15
 
 
+def test_draws_of_a_dead_time_may_cross_a_whole_sample() -> None:
+    """A dead time near 15 samples is 14 or 15 whole samples and a part, with one state or two."""
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.choice([0.0, 4.0], 20), 60)
+    late = plants.model([0] * 16 + [0.051], [1, -0.9943], Ts=1.0)
+    y = late.simulate(u) + 0.1 * rng.standard_normal(u.size)
+    fit = armrig.process(armrig.Dataset(u=u, y=y, Ts=1.0, input_unit="V"), "P1D")
+    drawn = design_model(fit).draw(100)
+
+    check = armrig.check_law(armrig.pid(fit, time_constant=40.0), fit, draws=100)
+
+    assert {p.delay for p in drawn} == {14, 15}
+    low, high = check.band("delay_s")
+    assert low < check.nominal.delay_s < high
+    y_direct, _ = plants.simulate(check.law, late, np.ones(400))
+    found = np.interp(200.0, check.steps.t, check.steps.z[0]) / check.steps.height
+    assert found == pytest.approx(y_direct[200, 0], abs=0.02)
+
+
 def test_doubts_stand_in_the_first_line() -> None:
     fit, other = _estimated(), _estimated(seed=9)
     u = armrig.prbs(400, clock=4, low=0.0, high=4.0, seed=8)

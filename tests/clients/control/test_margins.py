@@ -152,3 +152,11 @@ def test_a_rate_loop_is_stable_with_its_angle_at_exactly_1() -> None:
     assert np.abs(loop.poles[0] - 1).min() < 1e-9
     assert margins(matrices, plant, 0.01).stable
     assert not are_stable(loop, 0)[0]
+
+
+def test_a_law_that_sums_r_without_feedback_is_no_stable_loop() -> None:
+    """Its pole at 1 is in the voltage, so it is no mode that a rate leaves alone."""
+    zero, one = np.zeros(1), np.ones(1)
+    law = LawMatrices(np.ones((1, 1)), one, zero, np.zeros((1, 1)), one, 0.0, 0, (0,))
+
+    assert not margins(law, _plant(CASES["first order"]), Ts).stable
