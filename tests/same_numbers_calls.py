@@ -38,6 +38,7 @@ def variants(function: Callable[[], Variants]) -> Callable[[], Variants]:
 NOT_CALLED = {
     "ArmrigError": "an error",
     "Catalogue": "what catalogue returns",
+    "ControlLaw": "what pid and others return",
     "FileError": "an error",
     "Fit": "what arx and others return",
     "GreyFit": "what greybox returns",
@@ -51,6 +52,7 @@ NOT_CALLED = {
     "RigError": "an error",
     "SearchResult": "what search returns",
     "example_recording": "load reads other recordings",
+    "load_law": "reads what pid and others return",
     "plots": "drawn_figures.txt has the figures",
     "stream": "of a live rig",
 }
@@ -850,6 +852,50 @@ def open_loop() -> Variants:
     valid = ~np.isin(np.arange(500), lost)  # gaps of 1 to 14 samples: one is at any limit
     yield "gaps", armrig.open_loop(fed_back().replaced(step=None, valid=valid))
     yield "unlike", armrig.open_loop(unlike(1.0), 0.2)
+
+
+def matrices(law: armrig.ControlLaw) -> tuple[Any, ...]:
+    return (*(np.array(M) for M in (law.A, law.B, law.C)), law.D, law.u0)
+
+
+@variants
+def control_law() -> Variants:
+    import control
+
+    C = control.tf([0.2, -0.199], [1, -1], 0.01)
+    yield "PI", matrices(armrig.control_law(C, outputs="alpha", reference=(-0.2, 0.2)))
+
+
+@variants
+def pid() -> Variants:
+    import control
+
+    yield "heater", matrices(armrig.pid(control.tf([9.0], [175, 1]), time_constant=60.0, Ts=1.0))
+
+
+@variants
+def place() -> Variants:
+    yield "arm", matrices(placed())
+
+
+def placed() -> armrig.ControlLaw:
+    plant = armrig.arm(ArmParameters())
+    return armrig.place(plant, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
+
+
+@variants
+def lqg() -> Variants:
+    plant = armrig.arm(ArmParameters())
+    yield "arm", matrices(armrig.lqg(plant, effort=0.1, rate=True, Ts=0.01))
+
+
+@variants
+def check_law() -> Variants:
+    found = armrig.check_law(placed(), armrig.arm(ArmParameters()))
+    yield (
+        "arm",
+        (found.worst_Ms, found.nominal.gain, found.nominal.phase_deg, found.nominal.delay_s),
+    )
 
 
 # Without structure.

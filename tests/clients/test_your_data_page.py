@@ -124,7 +124,7 @@ _CASES: dict[str, tuple[str | bytes, list[str], list[str] | None]] = {
     "used the given Ts = …": (_text(_rows()), [*_NAMED, "--Ts", "1"], _NAMED),
     "… samples … are exactly 1023": (_text(_RAILS), _NAMED, [*_NAMED, "--mask-rails"]),
     "jumps by 65536": (_text(_TURNS), _NAMED, [*_NAMED, "--unwrap", "65536"]),
-    "is not 0 at u = 0": (_text(_LEVEL), _NAMED, [*_NAMED, "--detrend"]),
+    "needs a level": (_text(_LEVEL), _NAMED, [*_NAMED, "--detrend"]),
     "is taken as …": (_text(_rows()), _NAMED, None),
     "in sequence": (_text(_STUCK), _NAMED, None),
     "look wrong": (_text(_WRONG), _NAMED, [*_NAMED, "--hampel"]),

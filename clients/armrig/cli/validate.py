@@ -288,7 +288,7 @@ def check(
     level: float = chosen(0.05, "Significance level of the tests for feedback and linearity."),
     out: results.Shown,
 ) -> None:
-    """Test the data for feedback, a delay (handout 3.7, 3.8) and a nonlinearity.
+    """Test the data for feedback, a delay and a nonlinearity.
 
     With several signals, each pair of an input and an output is tested.
     """

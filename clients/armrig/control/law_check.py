@@ -29,7 +29,7 @@ from armrig.control.loop import (
 )
 from armrig.control.plant import DesignModel, Plant, design_model
 from armrig.models.state_space import Complex, Matrix, Vector
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import drawn_by
 
 DRAWS = 500
@@ -163,7 +163,7 @@ class LawCheck:
         where = max(worst, key=lambda name: worst[name])
         n = len(self.draws["Ms"])
         share = (
-            f"{100 * self.unstable_share:.2g} % of {plural(n, 'draw')} unstable"
+            f"{digits(100 * self.unstable_share, 2)} % of {plural(n, 'draw')} unstable"
             if n
             else "no draws"
         )

@@ -132,7 +132,7 @@ def place(
         )
         raise InputError(
             f"poles: with the dead time of {plural(plant.delay, 'sample')}, another pole would be "
-            f"slower than these; at most {scale * np.abs(s).max():.2g} rad/s can be met"
+            f"slower than these; at most {digits(scale * np.abs(s).max(), 2)} rad/s can be met"
         )
     K = K @ modes
     L = _observer(design, plant, input_noise, drift, observer)
@@ -333,8 +333,8 @@ def _check_poles(name: str, s: Complex, wanted: int, Ts: float) -> None:
     fastest = float(np.abs(s).max())
     if fastest * Ts > 0.5:
         raise InputError(
-            f"{name}: a pole at {fastest:.3g} rad/s has a time constant below two samples of "
-            f"{Ts:g} s; at most {0.5 / Ts:.3g} rad/s can be met"
+            f"{name}: a pole at {digits(fastest, 3)} rad/s has a time constant below two samples "
+            f"of {Ts:g} s; at most {digits(0.5 / Ts, 3)} rad/s can be met"
         )
 
 
@@ -468,8 +468,8 @@ def _law(
     n = plant.order
     if n + 1 > MAX_STATES:
         raise InputError(
-            f"the law would have {n + 1} states, at most {MAX_STATES} are allowed: lower the "
-            'orders, or estimate with shared="denominator"'
+            f"the law would have {plural(n + 1, 'state')}, at most {MAX_STATES} are allowed: lower "
+            'the orders, or estimate with shared="denominator"'
         )
     A, C = _augmented(plant)
     N_x, N_u = goal.steady_state(plant, design.Ts)

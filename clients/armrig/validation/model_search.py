@@ -104,7 +104,8 @@ def search(
     The best candidate has the least mean squared error on the validation data. Three conditions
     make a candidate as good. Its mean of e² - e²_best is at most the standard error of this mean.
     Its rms error is at most 1.2 times the least. Its rms error is larger by at most 2 % of the
-    standard deviation of y. Successive errors are correlated, so the first is the largest standard error of 30, 15 and 7 batch means. A simulation
+    standard deviation of y. Successive errors are correlated, so the first is the largest standard
+    error of 30, 15 and 7 batch means. A simulation
     does not distinguish drift from wrong dynamics, so only candidates that also predict one step
     ahead as well as the best remain. Of these, the one with the fewest parameters is chosen.
 

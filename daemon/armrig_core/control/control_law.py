@@ -211,14 +211,31 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @classmethod
     def of(cls, text: bytes) -> Self:
-        """Return the law in the contents of a file; raise InputError if it is no law."""
+        """Return the law in the contents of a file; raise InputError if it is no law.
+
+        Examples
+        --------
+        >>> ControlLaw.of(b"{}")
+        Traceback (most recent call last):
+            ...
+        armrig_core.errors.InputError: no control law: Object missing required field `Ts_us`
+        """
         try:
             return msgspec.json.decode(text, type=cls)
         except (msgspec.DecodeError, RecursionError) as err:
             raise InputError(f"no control law: {printable(str(err))}") from err
 
     def check_reference(self, values: Sequence[float]) -> None:
-        """Refuse a reference with a value that is outside the law's range, or not finite."""
+        """Refuse a reference with a value that is outside the law's range, or not finite.
+
+        Examples
+        --------
+        >>> law = ControlLaw(
+        ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(),
+        ...     D=1.0, x0=(), reference=Reference(name="u", unit="V", low=0.0, high=4.0),
+        ... )
+        >>> law.check_reference([1.0, 4.0])
+        """
         low, high = self.reference.low, self.reference.high
         for k, r in enumerate(values):
             if not low <= r <= high:  # NaN fails this, too
@@ -231,6 +248,15 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         """Refuse a law of another rig, another sampling time or wider limits.
 
         `u_min_v` and `u_max_v` are the limits of the configuration, in V.
+
+        Examples
+        --------
+        >>> from armrig_core.rig.description import shipped
+        >>> law = ControlLaw(
+        ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(),
+        ...     D=1.0, x0=(), reference=Reference(name="u", unit="V", low=0.0, high=4.0),
+        ... )
+        >>> law.check_rig(shipped("arm"), 10_000, 0.0, 5.0)
         """
         if self.Ts_us != Ts_us:
             raise InputError(
@@ -270,7 +296,18 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             )
 
     def program(self, rig: Description) -> Program:
-        """Return the law as the core evaluates it for a rig."""
+        """Return the law as the core evaluates it for a rig.
+
+        Examples
+        --------
+        >>> from armrig_core.rig.description import shipped
+        >>> law = ControlLaw(
+        ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(),
+        ...     D=1.0, x0=(), reference=Reference(name="u", unit="V", low=0.0, high=4.0),
+        ... )
+        >>> law.program(shipped("arm")).channels
+        (1,)
+        """
         channels = [*rig.outputs]
         return Program(
             law_sha256=self.sha256,

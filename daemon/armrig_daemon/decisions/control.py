@@ -46,7 +46,8 @@ def _consequences(control: Control, after: evaluation.LawState) -> list[Outcome]
         text = f"the law had no valid output in {plural(after.blind, 'sample')} in a row"
         return [Halt(text, code=OutcomeCode.BLIND)]
     if law.most_astray and after.astray >= law.most_astray:
-        text = f"the control error was above {law.most_error:g} in {after.astray} samples in a row"
+        count = plural(after.astray, "sample")
+        text = f"the control error was above {law.most_error:g} in {count} in a row"
         return [Halt(text, code=OutcomeCode.TRACKING)]
     return []
 
@@ -65,7 +66,9 @@ def decide(
         fault = Fault(Id.LIMITS, f"u[{i}] of the law is not within the limits")
         return state, rest, [Trip(fault)]
     if law.most_limited and after.limited >= law.most_limited:
-        text = f"the law was at a limit of the voltage in {after.limited} samples in a row"
+        text = (
+            f"the law was at a limit of the voltage in {plural(after.limited, 'sample')} in a row"
+        )
         return state, rest, [Halt(text, code=OutcomeCode.AT_LIMIT)]
     blind = control.state.blind + command.predicted
     if blind > law.most_blind:

@@ -14,10 +14,10 @@ import typer
 from armrig.cli import app, main
 from armrig.cli.next_step import (
     NEXT,
+    counterpart,
     free_name,
     naming,
     next_line,
-    paired,
 )
 from armrig.excitation import telegraph
 from armrig.recordings.files.origin import Origin
@@ -246,7 +246,7 @@ def test_a_pair_is_complete_and_has_one_sampling_time(
     [first, other] = (next(pair.glob(f"*{run_id}.mcap")) for run_id in ("0000000a", "0000000c"))
 
     names = ("@0000000a/validation", "@0000000a") if found else ("", "")
-    assert (paired(first, "validation"), paired(other, "estimation")) == names
+    assert (counterpart(first, "validation"), counterpart(other, "estimation")) == names
 
 
 def test_the_report_uses_the_repetition_of_a_step(pair: Path) -> None:

@@ -212,8 +212,8 @@ def test_a_run_without_a_reply_is_stopped(daemon: FakeDaemon, rig: Rig) -> None:
     rig.arm("me")
     prepared = rig._wait_for_beginning
 
-    def interrupted(request: commands.Run) -> None:
-        prepared(request)
+    def interrupted(request: commands.Run, samples: int) -> None:
+        prepared(request, samples)
         raise KeyboardInterrupt
 
     rig._wait_for_beginning = interrupted

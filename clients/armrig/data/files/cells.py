@@ -23,6 +23,7 @@ _QUANTITY = re.compile(
     r"(?P<number>[+-]?\s*(?!0[xX])(?:\d[\d.,'\u2019]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*"
     r"(?P<unit>(?![eE]$)(?:[^\W\d_]|[%‰°′″℃℉])(?:[^\d:;,]|(?<=[a-zA-Z^-])[1-4](?!\d)){0,15})"
 )
+_LETTERS = re.compile(r"[^\W\d_]+")
 _PLAIN_NUMBER = re.compile(r"[+-]?\s*\d[\d.,]*")  # with marks between thousands, too
 _TIME = re.compile(r"\d+[-/.:](?:\d+|[A-Za-z]{3})[-/.: T]\s*\d.*|\d{1,3}:\d\d.*|\d{8}T\d.*")
 _MISSING = frozenset(
@@ -76,7 +77,7 @@ def kind(cell: str) -> Kind:
     text = cell.strip()
     if is_missing(text):
         return Kind.MISSING
-    if text.isalpha() and text.casefold() not in _NOT_WORDS:
+    if _LETTERS.fullmatch(text) and text.casefold() not in _NOT_WORDS:
         return Kind.WORD  # first, because a line may have thousands of words
     if number(text, "") is not None or _PLAIN_NUMBER.fullmatch(text):
         return Kind.NUMBER
