@@ -247,3 +247,19 @@ def test_the_facts_are_printed_as_json(lamp: Path, capsys: pytest.CaptureFixture
         {"name": "temp", "unit": "°C"},
     ]
     assert (facts["Ts"], facts["samples"], facts["missing"]) == (0.5, N, 0)
+
+
+def test_a_column_without_a_name_is_named_by_its_number_in_the_file(
+    lamp: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A refusal lists the columns by number and name, and both serve."""
+    lines = (tmp_path / "lamp.csv").read_text(encoding="utf-8").splitlines()[1:]
+    Path("plain.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    command = ["identify", "@plain", "--structure", "oe", "--nb", "1", "--nf", "1"]
+    assert main(["import", "plain.csv", "--time", "1"]) == 0
+
+    assert main([*command, "--input", "u", "--signal", "y"]) == 1
+    assert "1 column_2, 2 column_3" in capsys.readouterr().err
+    for u, y in (("1", "2"), ("column_2", "column_3")):
+        assert main([*command, "--input", u, "--signal", y]) == 0
+        assert "column_2 to column_3" in capsys.readouterr().out

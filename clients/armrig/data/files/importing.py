@@ -148,10 +148,13 @@ def _numbers(
 
 
 def _names(table: Table, of: Sequence[int]) -> dict[int, str]:
-    """Return a name for each column: its own, or its number; a repeated name gets the number."""
+    """Return a name for each column: its own, or column_ and its number in the file.
+
+    A repeated name gets the number.
+    """
     names, used = dict[int, str](), set[str]()
     for i in of:
-        name = table.columns[i].name or str(i + 1)
+        name = table.columns[i].name or f"column_{i + 1}"
         names[i] = f"{name}:{i + 1}" if name in used else name
         used.add(names[i])
     return names
