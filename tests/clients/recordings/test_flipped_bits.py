@@ -68,7 +68,7 @@ def test_records_listed_in_the_index_are_read_whole(tmp_path: Path) -> None:
         "file's index, 0 records left out; saved: 30 samples, "
     )
     assert armrig.load(path).calibration == Calibration()
-    assert checks["input"].text != "no input is attached"
+    assert checks["input"].text != "no input.csv is attached"
     assert armrig.load(path, start=0.1, stop=0.2).samples.size == 10
     assert len(list(streamed(path, "timing"))) == 0  # a replay needs the steps without a hole
 

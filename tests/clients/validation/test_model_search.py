@@ -272,7 +272,7 @@ def test_a_search_in_closed_loop_does_not_identify_the_controller() -> None:
     assert {j.candidate.request.nk for j in found.ranked} == {1}
     assert found.horizon == 1
     assert [f.about for f in found.doubts] == ["feedback"]
-    assert "doubt about the data, feedback: u depends on y" in found.explain()
+    assert "doubt about the data, feedback: the data look as if u depends on y" in found.explain()
 
 
 def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
