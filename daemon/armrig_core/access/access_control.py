@@ -11,7 +11,7 @@ from typing import Any
 
 from armrig_core.access.access_list import AccessList
 from armrig_core.access.credential import RIG_PREFIX, ROUTER
-from armrig_core.commands.commands import MOST_REMOTE_BYTES, REQUESTS, Calibrate, Run, Status
+from armrig_core.commands.commands import MOST_REMOTE_BYTES, REQUESTS, Calibrate, RunOptions, Status
 from armrig_core.rig.calibration_file import RAW_LIMIT
 from armrig_core.telemetry.topics import (
     EVERY_RIG,
@@ -92,7 +92,10 @@ def at_router(rig: str) -> dict[str, Any]:
 
 def size_limits(rig: str) -> list[dict[str, Any]]:
     """Return zenoh's `low_pass_filter`, by which zenoh discards overlong commands unread."""
-    longest = {Run.name: MOST_REMOTE_BYTES, Calibrate.name: MOST_CALIBRATION_BYTES}
+    longest = {
+        name: MOST_REMOTE_BYTES for name, kind in REQUESTS.items() if issubclass(kind, RunOptions)
+    }
+    longest[Calibrate.name] = MOST_CALIBRATION_BYTES
     return [
         {
             "id": f"size of {name}",

@@ -114,15 +114,10 @@ class Part:
     def _begin(self, attachments: dict[str, bytes]) -> dict[str, int]:
         writer, channels, manifest = self._writer, {}, self.manifest
         writer.start(profile=PROFILE, library=f"armrig {manifest.armrig}")
-        rig = description_of(attachments).channels
+        self._rig = description_of(attachments).channels
         for stream in RECORDED:
-            if stream == "control" and not manifest.controller_sha256:
-                continue
-            name = protobuf.OF_STREAM[stream]
-            schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name, rig))
-            channels[stream] = writer.register_channel(
-                topic(manifest.rig, stream), "protobuf", schema
-            )
+            if stream != "control":  # only runs under a law have it: see `add`
+                channels[stream] = self._register(stream)
         writer.add_metadata(RUN, manifest.metadata())
         began = self._sample_ns + self._offset_ns
         for name, data in attachments.items():
@@ -132,8 +127,17 @@ class Part:
         self._write_pending()
         return channels
 
+    def _register(self, stream: str) -> int:
+        """Write the schema and the channel of a stream; return the number of the channel."""
+        name, writer = protobuf.OF_STREAM[stream], self._writer
+        schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name, self._rig))
+        number: int = writer.register_channel(topic(self.manifest.rig, stream), "protobuf", schema)
+        return number
+
     def add(self, message: Outgoing) -> None:
         """Add a message, which the next flush writes."""
+        if message.stream not in self._channels:
+            self._channels[message.stream] = self._register(message.stream)
         # Log times never decrease in the file. A message newer than the last sample gets the log
         # time of this sample, because the next sample may be older than the message. A message
         # older than the last log time gets this log time. The payload keeps the original time.

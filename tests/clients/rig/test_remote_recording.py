@@ -11,6 +11,7 @@ from typing import Any
 
 import armrig
 import pytest
+from armrig.recordings.files.container import streamed
 from armrig.recordings.files.verification import verify
 from armrig.recordings.grid import MISSING_LIMIT
 from armrig.rig import remote_recording
@@ -102,6 +103,16 @@ def test_a_gap_is_recorded_in_the_file_with_samples_on_both_sides(
 
     assert ks(found) == [5, 6, 9]
     assert [(g.k_first, g.count, g.reason) for g in found.gaps] == [(7, 2, "link silent")]
+
+
+def test_the_decisions_of_a_law_are_recorded_with_the_samples(recording: RemoteRecording) -> None:
+    decision = message("control", t_host_ns=sample_ns(5), k=5, r=2.0, v=1.5, u_v=1.5)
+    recording.add(piece(state(), sample(5), decision, sample(6)))
+
+    [found] = files(recording)
+
+    assert ks(found) == [5, 6]
+    assert [m.r for m in streamed(found.path, "control")] == [2.0]
 
 
 def test_a_break_too_long_for_a_file_begins_a_new_file(recording: RemoteRecording) -> None:

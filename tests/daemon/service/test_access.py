@@ -10,6 +10,7 @@ from armrig.lab import pki
 from armrig_core.access.access_control import remote, size_limits
 from armrig_core.access.access_list import AccessList
 from armrig_core.access.credential import read_credential
+from armrig_core.commands.commands import MOST_REMOTE_BYTES
 from armrig_core.errors import InputError
 from armrig_daemon.config import Access, Config, load
 from armrig_daemon.service.access import network_of, router_of
@@ -177,3 +178,10 @@ def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_p
 def test_a_router_endpoint_without_tls_is_refused(router: str) -> None:
     with pytest.raises(InputError, match="must be tls/HOST:PORT"):
         load([], {"ARMRIG_ACCESS_ROUTER": router}, {})
+
+
+@pytest.mark.parametrize("name", ["run", "control"])
+def test_a_run_over_a_network_may_have_eight_mebibytes(name: str) -> None:
+    (limit,) = (rule["size_limit"] for rule in size_limits("1") if rule["id"] == f"size of {name}")
+
+    assert limit == MOST_REMOTE_BYTES
