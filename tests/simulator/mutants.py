@@ -59,7 +59,7 @@ _config, _decide, _started = Rules.config, step._decide, transitions._started
 _observe, _watched, _reset = output_limits.observe, output_limits._watched, orders._reset
 _law_decide, _law_observe, _law_outputs = evaluation.decide, evaluation.observe, evaluation._outputs
 _begin_control, _control_decide = transitions._begin_control, control.decide
-_advanced = evaluation._advanced
+_advance = evaluation._advance
 
 
 def _decode_anyway(stuffed: bytes) -> Any:
@@ -235,7 +235,7 @@ def _law_of_another_run() -> Any:
 
 
 def _no_delay(law: Any, *args: Any) -> Any:
-    return _advanced(replace(law, input_delay=0), *args)
+    return _advance(replace(law, input_delay=0), *args)
 
 
 def _slew_of_the_newest(law: Any, state: Any, k: int, reference: Any, latch: Any) -> Any:
@@ -252,7 +252,7 @@ def _slew_of_the_newest(law: Any, state: Any, k: int, reference: Any, latch: Any
 
 
 def _as_commanded(law: Any, state: Any, values: Any, r: float, latch: Any) -> Any:
-    return _advanced(law, state, values, r, replace(latch, pwm_bits=16))
+    return _advance(law, state, values, r, replace(latch, pwm_bits=16))
 
 
 def _no_end(*_: Any) -> Any:
@@ -289,9 +289,9 @@ MUTANTS = (
     _law("x advanced twice", (evaluation, "observe", _twice)),
     _law("rest forgotten", (transitions, "_begin_control", _begin_at_rest_0)),
     _law("the law of another run", (transitions, "_begin_control", _law_of_another_run())),
-    _law("no dead time", (evaluation, "_advanced", _no_delay)),
+    _law("no dead time", (evaluation, "_advance", _no_delay)),
     _law("the slew of the newest code only", (evaluation, "decide", _slew_of_the_newest)),
-    _law("u as commanded, not as latched", (evaluation, "_advanced", _as_commanded)),
+    _law("u as commanded, not as latched", (evaluation, "_advance", _as_commanded)),
     _law("no end by a bound", (control, "_consequences", _no_end)),
     _law("a code that the record does not have", (control, "decide", _one_more)),
     _rule("a limit of the wrong channel", (output_limits, "observe", _wrong_channel)),

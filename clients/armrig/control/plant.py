@@ -350,7 +350,7 @@ def _plant_of(form: Polynomials | Matrices | TransferFunction, Ts: float) -> Pla
         is_fixed = channel.integrators[0]
         F = np.cumsum(F)[:-1] if is_fixed else F
         parts.append((np.trim_zeros(channel.B[0][0], "b"), np.trim_zeros(F, "b"), is_fixed))
-    return _realised(parts)
+    return _realisation(parts)
 
 
 def _plants_of(form: Polynomials | Matrices | TransferFunction, Ts: float) -> Callable[..., Plant]:
@@ -373,7 +373,7 @@ def _plants_of(form: Polynomials | Matrices | TransferFunction, Ts: float) -> Ca
             F = np.convolve(np.append(1.0, theta[a]), np.append(1.0, theta[f]))
             F = np.cumsum(F)[:-1] if is_fixed else F
             parts.append((np.append(np.zeros(nk), theta[b]), F, is_fixed))
-        return _realised(parts)
+        return _realisation(parts)
 
     return plant
 
@@ -385,7 +385,7 @@ def _direct() -> InputError:
     )
 
 
-def _realised(parts: list[tuple[Vector, Vector, bool]]) -> Plant:
+def _realisation(parts: list[tuple[Vector, Vector, bool]]) -> Plant:
     """Return the plant of B/F for each output, with one integrator for all outputs that have it.
 
     B/((1 - q^-1) F) = g q^-1/(1 - q^-1) + R/F with g = B(1)/F(1). Outputs of the same F share their

@@ -124,7 +124,7 @@ def place(
     plant = _with_chain(design.plant)
     A, B, modes = goal.controlled(plant)
     _check_poles("poles", s, B.size, design.Ts)
-    K = _placed(A, B, np.exp(s * design.Ts), plant.delay)
+    K = _place_poles(A, B, np.exp(s * design.Ts), plant.delay)
     if plant.delay and not _dominate(A, B, K, s * design.Ts, plant.delay):
         slower = (0.9**k for k in range(1, 60))
         scale = next(
@@ -338,7 +338,7 @@ def _check_poles(name: str, s: Complex, wanted: int, Ts: float) -> None:
         )
 
 
-def _placed(A: Matrix, B: Vector, z: Complex, delay: int = 0) -> Vector:
+def _place_poles(A: Matrix, B: Vector, z: Complex, delay: int = 0) -> Vector:
     """Return K so that z are poles of the loop, exactly.
 
     Without dead time these are all poles of A - B K. With it, each z is a root of
@@ -386,7 +386,7 @@ def _dominate(A: Matrix, B: Vector, K: Vector, s: Complex, delay: int) -> bool:
 
 
 def _can_dominate(A: Matrix, B: Vector, s: Complex, delay: int) -> bool:
-    return _dominate(A, B, _placed(A, B, np.exp(s), delay), s, delay)
+    return _dominate(A, B, _place_poles(A, B, np.exp(s), delay), s, delay)
 
 
 def _optimal_late(
@@ -434,14 +434,14 @@ def _observer(
     if not (input_noise > 0 and drift > 0):
         raise InputError("input_noise and drift are deviations above 0, in V")
     n, ny = plant.order, len(plant.C)
-    A, C = _augmented(plant)
+    A, C = _with_disturbance(plant)
     if poles is not None:
         s = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
         _check_poles("observer", s, design.plant.order + 1, design.Ts)
         z = np.append(np.exp(s * design.Ts), np.zeros(n - design.plant.order))
         if ny > 1:
             return np.asarray(control.place(A.T, C.T, z)).T
-        return _placed(A.T, C[0], z)[:, None]
+        return _place_poles(A.T, C[0], z)[:, None]
     G = np.zeros((n + 1, 2))
     G[:n, 0], G[n, 1] = plant.B, 1.0
     least = np.diag((_LEAST_NOISE * span * np.abs(plant.C @ np.abs(plant.B))) ** 2)
@@ -449,7 +449,7 @@ def _observer(
     return np.asarray(L)
 
 
-def _augmented(plant: Plant) -> tuple[Matrix, Matrix]:
+def _with_disturbance(plant: Plant) -> tuple[Matrix, Matrix]:
     """Return A and C of the plant with a constant disturbance of its input as last state."""
     n = plant.order
     A = np.block([[plant.A, plant.B[:, None]], [np.zeros((1, n)), np.ones((1, 1))]])
@@ -471,7 +471,7 @@ def _law(
             f"the law would have {plural(n + 1, 'state')}, at most {MAX_STATES} are allowed: lower "
             'the orders, or estimate with shared="denominator"'
         )
-    A, C = _augmented(plant)
+    A, C = _with_disturbance(plant)
     N_x, N_u = goal.steady_state(plant, design.Ts)
     start: Vector = np.zeros(n)
     if not plant.integrator:  # the state at rest

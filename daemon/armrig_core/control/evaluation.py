@@ -121,8 +121,8 @@ def observe(
     `values` are the values of the rig's channels, NaN for a missing one.
     """
     while state.k < k:
-        state = _advanced(law, state, None, reference[state.k], latch)
-    return _advanced(law, state, values, reference[k], latch)
+        state = _advance(law, state, None, reference[state.k], latch)
+    return _advance(law, state, values, reference[k], latch)
 
 
 def decide(
@@ -139,7 +139,7 @@ def decide(
         state = replace(state, codes=codes)
     ahead = state
     while ahead.k < k:
-        ahead = _advanced(law, ahead, None, reference[ahead.k], latch)
+        ahead = _advance(law, ahead, None, reference[ahead.k], latch)
     (v,) = _products((law.v_row,), (*ahead.x, reference[k]))
     v += law.u0
     if not isfinite(v):
@@ -158,7 +158,7 @@ def decide(
     return state, Command(within, v, is_low, is_high, within != code, k - committed)
 
 
-def _advanced(
+def _advance(
     law: Program, state: LawState, values: Sequence[float] | None, r: float, latch: Latch
 ) -> LawState:
     """Return the state after one more sample; without `values`, the sample is missing."""
