@@ -46,6 +46,7 @@ ALLOWED = {
     ("clients/armrig/recordings/files/verification.py", "held in a gap"): _OWN,
     ("clients/armrig/report/identification_sections.py", "armrig collect greybox"): _OWN,
     ("clients/armrig/validation/linearity.py", "gain by level"): _OWN,
+    ("clients/armrig/validation/nonlinearity.py", "gain by level"): _OWN,
     ("clients/armrig/lab/avrdude.py", r"(Reading|Writing|Verifying) +\| (#*)"): _OTHERS,
     ("clients/armrig/lab/avrdude.py", r"Firmware Version *: *(\d+)\.(\d+)"): _OTHERS,
     ("clients/armrig/lab/avrdude.py", "avrdude(?: error| OS error)?: "): _OTHERS,
