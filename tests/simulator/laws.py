@@ -5,7 +5,8 @@ from __future__ import annotations
 from random import Random
 from struct import pack
 
-from armrig_core.control.evaluation import Program, Row
+from armrig_core.control.evaluation import Program
+from armrig_core.control.sums import Row
 from armrig_protocol.messages import CODE_FULL_SCALE
 
 from tests.simulator.options import Options

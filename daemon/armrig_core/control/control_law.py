@@ -22,7 +22,8 @@ from typing import Annotated, Any, Literal, Self
 import msgspec
 from msgspec import Meta
 
-from armrig_core.control.evaluation import Program, Row, Rows
+from armrig_core.control.evaluation import Program
+from armrig_core.control.sums import Row, Rows
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.printable import plural, printable
