@@ -311,6 +311,7 @@ class Rig:
         *,
         dead_man: float = 1.0,
         unstable: bool = False,
+        unmonitored: bool = False,
         experiment: str = "control",
         details: Mapping[str, Any] | None = None,
         accepted: Callable[[commands.RunAccepted], None] | None = None,
@@ -334,6 +335,8 @@ class Rig:
             stops the run.
         unstable : bool, default False
             True to allow a closed loop whose rehearsal is unstable; the limits of the outputs hold.
+        unmonitored : bool, default False
+            True to allow a law without a monitor. A stuck sensor then drives the rig to full input.
         experiment, details, accepted, progress, tell : optional
             As for `run`.
 
@@ -363,7 +366,7 @@ class Rig:
         ... )
         >>> with armrig.Rig("1") as rig:
         ...     granted = rig.arm("a student", Ts=0.01)
-        ...     path = rig.control(law, [1.0, 2.0, 3.0])
+        ...     path = rig.control(law, [1.0, 2.0, 3.0], unmonitored=True)
         >>> armrig.load(path).u.round(1)
         array([1., 2., 3.])
         """
@@ -378,6 +381,7 @@ class Rig:
             law=law,
             reference=r.tolist(),
             unstable=unstable,
+            unmonitored=unmonitored,
             experiment=experiment,
             details=dict(details or {}),
             dead_man=dead_man,

@@ -161,6 +161,8 @@ class ControlOptions(RunOptions, frozen=True, kw_only=True):
     """Law, as in its file."""
     unstable: bool = False
     """True to allow a closed loop whose rehearsal is unstable, inside the limits of the outputs."""
+    unmonitored: bool = False
+    """True to allow a law without a monitor."""
 
 
 class Control(ControlOptions, frozen=True, kw_only=True):

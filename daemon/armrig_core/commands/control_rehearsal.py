@@ -21,6 +21,7 @@ from armrig_core.commands.rehearsal import (
     interval_ends,
     rig_model,
 )
+from armrig_core.control import monitor
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.control.evaluation import (
     Command,
@@ -202,6 +203,11 @@ def _end_by_sample(law: Program, state: LawState) -> str:
     """Return why a run ends after a sample; empty if it goes on."""
     if not state.is_finite:
         return "the law's states are not finite"
+    if law.monitor and state.monitor and (alarm := monitor.alarm(law.monitor, state.monitor)):
+        return (
+            f"{alarm.name} differs from the law's monitor (its {alarm.gate} gate), because the "
+            "monitor has another model than the rig's description"
+        )
     if state.blind >= law.most_blind:
         return f"the law has no valid output in {plural(state.blind, 'sample')} in a row"
     if law.most_astray and state.astray >= law.most_astray:

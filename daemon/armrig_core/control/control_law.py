@@ -7,8 +7,8 @@ difference Δ of a signal from the law's operating point, the law is
     v[k]   = C x[k] + D r[k] + u0,    u[k] = slew(sat(v[k], lo, hi))
 
 u is the voltage that the device latched, and d the `input_delay` in samples. The input in w is
-therefore the limited one, which is the law's anti-windup. A missing y is replaced by F x.
-`evaluation.py` evaluates a law.
+therefore the limited one, which is the law's anti-windup. A missing y is replaced by F x, or by the
+prediction of the law's monitor. `evaluation.py` evaluates a law, and `monitor.py` its monitor.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.control.evaluation import Program
+from armrig_core.control.monitor import MonitorProgram
 from armrig_core.control.sums import Row, Rows
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
@@ -32,6 +33,10 @@ from armrig_core.rig.volts import CODES_PER_V, U_MAX_V
 
 MAX_STATES = 8
 """Largest number of states of a law."""
+MAX_MONITOR_STATES = 10
+"""Largest number of states of a monitor."""
+MAX_PRELUDE = 10_000
+"""Longest prelude, in samples."""
 MAX_DELAY = 200
 """Largest dead time of the input in a law, in samples."""
 LIMIT_BYTES = 1 << 18
@@ -84,6 +89,64 @@ class Tracking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Number of consecutive samples with a larger difference after which the run ends."""
 
 
+class Monitor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Copy of the plant's model, which stops a run whose outputs differ from its predictions.
+
+    `armrig_core.control.monitor` has the equations and the two gates.
+    """
+
+    A: Rows
+    """(m, m)."""
+    B: Row
+    """(m,): the column of Δu."""
+    C: Rows
+    """(ny, m): predictions of the law's outputs, in the law's order."""
+    L: Rows
+    """(m, ny): gains of the innovations."""
+    x0: Row
+    """(m,): states at rest."""
+    u0: float = 0.0
+    """Voltage of the operating point of the model, in V."""
+    deviations: Row
+    """(ny,): standard deviation of each innovation, in the unit of its output; above 0."""
+    settling: tuple[bool, ...]
+    """(ny,): True for an output that settles, which the simulation gate compares, too."""
+    input_delay: Annotated[int, Meta(ge=0, le=MAX_DELAY)] = 0
+    """Dead time of the input in the model, in samples."""
+    prelude: Annotated[int, Meta(ge=0, le=MAX_PRELUDE)]
+    """Number of samples of feed-forward at the beginning of a run, before the loop closes."""
+    forward: tuple[float, float]
+    """Feed-forward: v[k] = forward[0] r[k] + forward[1], in V."""
+
+    def shapes(self, ny: int) -> dict[str, tuple[Rows, int, int]]:
+        """Return each matrix with the shape that it must have, by its key in the file."""
+        m = len(self.x0)
+        return {
+            "monitor.A": (self.A, m, m),
+            "monitor.B": ((self.B,), 1, m),
+            "monitor.C": (self.C, ny, m),
+            "monitor.L": (self.L, m, ny),
+            "monitor.deviations": ((self.deviations,), 1, ny),
+            "monitor.settling": ((tuple(map(float, self.settling)),), 1, ny),
+        }
+
+    def program(self, outputs: Sequence[LawOutput]) -> MonitorProgram:
+        """Return the monitor of a law's outputs as the core evaluates it."""
+        rows = zip(self.A, self.B, self.L, strict=True)
+        return MonitorProgram(
+            outputs=tuple(output.name for output in outputs),
+            rows=tuple((*a, b, *gains) for a, b, gains in rows),
+            predictions=self.C,
+            x0=self.x0,
+            u0=self.u0,
+            deviations=self.deviations,
+            settling=self.settling,
+            input_delay=self.input_delay,
+            prelude=self.prelude,
+            forward=self.forward,
+        )
+
+
 class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A control law, as in its file.
 
@@ -117,8 +180,8 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     D: float = 0.0
     """Direct term of r, in V per unit of r; r itself is no difference."""
     F: Rows | None = None
-    """(ny, n): prediction of Δy[k] from x[k]. Required for a turning output. Without it, a missing
-    y is replaced by the newest valid one."""
+    """(ny, n): prediction of Δy[k] from x[k]. A turning output requires it or a monitor. Without
+    both, a missing y is replaced by the newest valid one."""
     x0: Row
     """(n,): states at the beginning of each run."""
     u0: float = 0.0
@@ -137,6 +200,8 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Number of consecutive samples at `lo` or `hi` after which the run ends; 0 is no limit."""
     tracking: Tracking | None = None
     """Bound of the control error; None for no bound."""
+    monitor: Monitor | None = None
+    """Monitor of the outputs; a law without one runs only with the word `unmonitored`."""
     design: dict[str, Any] = {}
     """Origin of the law: method, weights, hash of the model, predicted margins."""
 
@@ -169,11 +234,19 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             shapes["F"] = (self.F, ny, n)
         if self.tracking is not None:
             shapes["tracking.row"] = ((self.tracking.row,), 1, n + ny)
+        if self.monitor is not None:
+            if (order := len(self.monitor.x0)) > MAX_MONITOR_STATES:
+                raise InputError(
+                    f"the monitor has {plural(order, 'state')}; at most {MAX_MONITOR_STATES} are "
+                    "allowed: use a model of lower order"
+                )
+            shapes |= self.monitor.shapes(ny)
         for key, (rows, high, wide) in shapes.items():
             if len(rows) != high or any(len(row) != wide for row in rows):
                 widths = " or ".join(map(str, sorted({*map(len, rows)}))) or "0"
+                states = len(self.monitor.x0) if self.monitor and "monitor" in key else n
                 raise InputError(
-                    f"{key} has {len(rows)} x {widths} numbers; with {plural(n, 'state')} in "
+                    f"{key} has {len(rows)} x {widths} numbers; with {plural(states, 'state')} in "
                     f"x0 and {plural(ny, 'output')} it must have {high} x {wide}"
                 )
         r, bound = self.reference, self.tracking
@@ -181,12 +254,19 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         numbers |= {"x0": [*self.x0], "D": [self.D], "u0": [self.u0]}
         numbers |= {"reference": [r.low, r.high], "outputs": [o.y0 for o in self.outputs]}
         numbers |= {"tracking": [bound.offset, bound.most]} if bound else {}
+        if m := self.monitor:
+            numbers |= {"monitor.x0": [*m.x0], "monitor.forward": [*m.forward, m.u0]}
         for key, values in numbers.items():
             if wrong := [x for x in values if not isfinite(x)]:
                 raise InputError(
                     f"{key} of the law has the number {wrong[0]}; all numbers must be finite: "
                     "repeat the design, and look at its model"
                 )
+        if m and not all(s > 0 for s in m.deviations):
+            raise InputError(
+                f"monitor.deviations are {', '.join(f'{s:g}' for s in m.deviations)}: each must be "
+                "above 0"
+            )
         texts = [self.input, r.name, r.unit]
         texts += [text for output in self.outputs for text in (output.name, output.unit)]
         if wrong_texts := [text for text in texts if not text.isprintable()]:
@@ -204,10 +284,10 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         for output in self.outputs:
             if output.turning and output.y0:
                 raise InputError(f"{output.name} turns, so its y0 must be 0, not {output.y0:g}")
-            if output.turning and self.F is None:
+            if output.turning and self.F is None and m is None:
                 raise InputError(
                     f"{output.name} turns through a dead band, so the law needs F, its prediction "
-                    "of the output; `armrig.control_law(C, model=…)` adds it"
+                    "of the output, or a monitor; `armrig.control_law(C, model=…)` adds both"
                 )
 
     @classmethod
@@ -330,6 +410,7 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             tracked=(*self.tracking.row, self.tracking.offset) if self.tracking else None,
             most_error=self.tracking.most if self.tracking else 0.0,
             most_astray=self.tracking.samples if self.tracking else 0,
+            monitor=self.monitor.program(self.outputs) if self.monitor else None,
         )
 
 

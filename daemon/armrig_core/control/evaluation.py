@@ -13,6 +13,8 @@ from typing import NamedTuple
 import msgspec
 from msgspec.structs import replace
 
+from armrig_core.control import monitor as monitors
+from armrig_core.control.monitor import MonitorProgram, MonitorState
 from armrig_core.control.sums import Row, Rows, products
 from armrig_core.rig.volts import CODES_PER_V, applied_code, volts_of
 
@@ -44,6 +46,7 @@ class Program(msgspec.Struct, frozen=True, kw_only=True, array_like=True, gc=Fal
     """Row of the tracked value, over (x, Δy), and then its offset; None for no bound."""
     most_error: float
     most_astray: int
+    monitor: MonitorProgram | None = None
 
 
 class Latch(msgspec.Struct, frozen=True, array_like=True, gc=False):
@@ -76,6 +79,7 @@ class LawState(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """Number of consecutive samples with a control error beyond the bound."""
     limited: int = 0
     """Number of consecutive codes at a limit of the voltage."""
+    monitor: MonitorState | None = None
 
     @property
     def is_finite(self) -> bool:
@@ -102,7 +106,8 @@ class Command(NamedTuple):
 def begin(law: Program) -> LawState:
     """Return the state of a law before the first sample of a run."""
     none = (None,) * len(law.y0)
-    return LawState(0, law.x0, (0.0,) * len(law.y0), none)
+    state = LawState(0, law.x0, (0.0,) * len(law.y0), none)
+    return replace(state, monitor=monitors.begin(law.monitor)) if law.monitor else state
 
 
 def observe(
@@ -137,8 +142,12 @@ def decide(
     ahead = state
     while ahead.k < k:
         ahead = _advance(law, ahead, None, reference[ahead.k], latch)
-    (v,) = products((law.v_row,), (*ahead.x, reference[k]))
-    v += law.u0
+    if law.monitor and k < law.monitor.prelude:
+        gain, offset = law.monitor.forward
+        v = gain * reference[k] + offset
+    else:
+        (v,) = products((law.v_row,), (*ahead.x, reference[k]))
+        v += law.u0
     if not isfinite(v):
         return state, Command(latch.rest_code, v, False, False, False, k - committed)
     code = round(min(max(v * CODES_PER_V, -1.0), 65536.0))
@@ -160,39 +169,53 @@ def _advance(
 ) -> LawState:
     """Return the state after one more sample; without `values`, the sample is missing."""
     x, k, codes, first = state.x, state.k, state.codes, state.first
-    y, zeros, is_blind = _outputs(law, state, values)
-    delayed = k - law.input_delay
-    # Before the run, and after the last code of the law, the device holds rest.
-    is_decided = 0 <= delayed < first + len(codes)
-    code = codes[delayed - first] if is_decided else latch.rest_code
-    # The device rounds a code to its resolution: this is the code that it latches.
-    u_v = volts_of(applied_code(code, latch.pwm_bits))
-    x = products(law.rows, (*x, r, u_v - law.u0, *y))
+    y, zeros, valid = _outputs(law, state, values)
+    x = products(law.rows, (*x, r, _latched_v(state, law.input_delay, latch) - law.u0, *y))
+    monitor, delay = state.monitor, law.input_delay
+    is_closed = True
+    if law.monitor and monitor:
+        u_v = _latched_v(state, law.monitor.input_delay, latch)
+        monitor = monitors.advance(law.monitor, monitor, y, valid, u_v)
+        delay, is_closed = max(delay, law.monitor.input_delay), k >= law.monitor.prelude
     astray = 0
-    if law.tracked is not None:
+    if law.tracked is not None and is_closed:
         error = r - products((law.tracked,), (*x, *y, 1.0))[0]
         astray = state.astray + 1 if not abs(error) <= law.most_error else 0
     # The newest latched code is kept for the slew, and the older ones for the dead time.
-    kept = max(first, min(k, k + 1 - law.input_delay))
-    blind = state.blind + 1 if is_blind else 0
-    return LawState(k + 1, x, y, zeros, codes[kept - first :], kept, blind, astray, state.limited)
+    kept = max(first, min(k, k + 1 - delay))
+    blind = 0 if any(valid) else state.blind + 1
+    codes = codes[kept - first :]
+    return LawState(k + 1, x, y, zeros, codes, kept, blind, astray, state.limited, monitor)
+
+
+def _latched_v(state: LawState, delay: int, latch: Latch) -> float:
+    """Return the voltage that the device latched `delay` samples before the state's sample."""
+    i = state.k - delay
+    # Before the run, and after the last code of the law, the device holds rest.
+    is_decided = 0 <= i < state.first + len(state.codes)
+    code = state.codes[i - state.first] if is_decided else latch.rest_code
+    # The device rounds a code to its resolution: this is the code that it latches.
+    return volts_of(applied_code(code, latch.pwm_bits))
 
 
 def _outputs(
     law: Program, state: LawState, values: Sequence[float] | None
-) -> tuple[Row, tuple[float | None, ...], bool]:
-    """Return Δy of a sample, the zeros of turning outputs, and True if no output is valid."""
-    F, zeros = law.predictions, state.zeros
-    expected = state.y if F is None else products(F, state.x)
+) -> tuple[Row, tuple[float | None, ...], tuple[bool, ...]]:
+    """Return Δy of a sample, the zeros of turning outputs, and which outputs are valid."""
+    zeros, expected = state.zeros, state.y
+    if law.predictions is not None:
+        expected = products(law.predictions, state.x)
+    elif law.monitor and state.monitor:
+        expected = monitors.expected(law.monitor, state.monitor)
     if values is None:
-        return expected, zeros, True
-    y, is_blind = [], True
+        return expected, zeros, (False,) * len(expected)
+    y, valid = [], []
     for y0, channel, turning, own in zip(law.y0, law.channels, law.turning, expected, strict=True):
         value = values[channel]
-        if not -inf < value < inf:  # a NaN fails this, too
+        valid.append(-inf < value < inf)  # a NaN fails this, too
+        if not valid[-1]:
             y.append(own)
             continue
-        is_blind = False
         if not turning:
             y.append(value - y0)
             continue
@@ -204,5 +227,4 @@ def _outputs(
         turned = value - zero
         turns = (own - turned) / tau
         y.append(turned + tau * round(turns) if isfinite(turns) else turned)
-    return tuple(y), zeros, is_blind
-
+    return tuple(y), zeros, tuple(valid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite
 
 from armrig_core.commands.codes import OutcomeCode
-from armrig_core.control import evaluation
+from armrig_core.control import evaluation, monitor
 from armrig_core.process.printable import plural
 from armrig_core.rig.volts import volts_of
 from armrig_core.telemetry.telemetry import Sample
@@ -15,6 +15,8 @@ from armrig_daemon import pipe
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.outcomes import Halt, Outcome, Step, Trip
 from armrig_daemon.decisions.state import ActiveRun, Control, Emit, Phase, State
+
+_COMPARED = {monitor.Gate.INNOVATION: "prediction", monitor.Gate.SIMULATION: "simulation"}
 
 
 def observe(state: State, sample: Sample) -> Step:
@@ -34,14 +36,23 @@ def observe(state: State, sample: Sample) -> Step:
     state = _with_law(state, run, control, after)
     if state.is_stopping or state.phase is not Phase.ACTIVE:
         return state, []
-    return state, _consequences(control, after)
+    return state, _consequences(control, after, values)
 
 
-def _consequences(control: Control, after: evaluation.LawState) -> list[Outcome]:
+def _consequences(
+    control: Control, after: evaluation.LawState, values: tuple[float, float]
+) -> list[Outcome]:
     """Return the end of the run if a bound of the law is exceeded; otherwise []."""
     law = control.law
     if not after.is_finite:
         return [Trip(Fault(Id.CONTROL, f"the law's state is not finite at sample {after.k}"))]
+    if law.monitor and after.monitor and (alarm := monitor.alarm(law.monitor, after.monitor)):
+        text = (
+            f"{alarm.name} differs from the {_COMPARED[alarm.gate]} of the law's monitor in "
+            f"{plural(monitor.IN_A_ROW, 'sample')} in a row"
+        )
+        value = values[law.channels[alarm.output]]
+        return [Trip(Fault(Id(alarm.gate), text, output=alarm.name, value=value))]
     if after.blind >= law.most_blind:
         text = f"the law had no valid output in {plural(after.blind, 'sample')} in a row"
         return [Halt(text, code=OutcomeCode.BLIND)]

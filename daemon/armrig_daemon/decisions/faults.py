@@ -27,6 +27,10 @@ class Id(StrEnum):
     """The input of an experiment left the limits."""
     CONTROL = "control"
     """A control law computed no finite number."""
+    INNOVATION = "innovation"
+    """A measured output differs from the one-step prediction of the law's monitor."""
+    SIMULATION = "simulation"
+    """A measured output differs from the simulation of the law's monitor."""
     OUTPUT = "output"
     """A measured output left its limits."""
     BLIND = "blind"
@@ -70,6 +74,10 @@ REMEDIES: dict[Id, str] = {
     Id.LEASE: "let the client send a command at least every 0.1 s or 5 Ts, whichever is longer",
     Id.LIMITS: "keep the input within [limits] of the configuration",
     Id.CONTROL: "rehearse the control law on a model of the rig, and design the law again",
+    Id.INNOVATION: "check this sensor, its wires, and the sign of the input; begin at rest; if the "
+    "rig is as it was, identify the model again, and design the law on it",
+    Id.SIMULATION: "check this sensor and the actuator; begin at rest; if the rig is as it was, "
+    "identify the model again, and design the law on it",
     Id.OUTPUT: "bring the output back into its limits ([limits], or the rig's description); a "
     "smaller or shorter input may keep it there",
     Id.BLIND: "check the wires of this sensor, and that its reading is not at an end of its range",

@@ -169,6 +169,12 @@ def make_control_plan(
     reference = np.asarray(r, dtype=np.float64)
     law.check_rig(description, round(Ts * 1e6), limits.u_min_v, limits.u_max_v)
     law.check_reference(reference.tolist())
+    if law.monitor is None and not request.unmonitored:
+        raise InputError(
+            "the law has no monitor, so a stuck sensor drives the rig to full input: design the "
+            "law with `armrig design`, or give model= to armrig.control_law; a law without a "
+            "monitor runs only with unmonitored=True (--unmonitored)"
+        )
     rehearsal = config.control_rehearsal(
         law, reference, description, start_rad, unstable=request.unstable
     )

@@ -1,0 +1,142 @@
+"""Monitor of a control law: a copy of the plant's model that compares each output with itself.
+
+The model, with its observer, is
+
+    x[k+1] = A x[k] + B Δu[k-d] + L e[k],    e[k] = y[k] - z - C x[k],    x[0] = x0
+
+The innovation e of a missing output is 0. The zero z of an output is the difference at its first
+valid sample, so that the monitor compares changes. Two gates trip:
+
+- innovation: |e| is beyond 6 of its deviations in 5 samples in a row;
+- simulation, for an output that settles: the same model without L differs from y by more than 6
+  deviations, and by more than 25 % of the range that it has simulated, in 5 samples in a row.
+
+The innovation sees a fast change that the input does not explain. The simulation sees a slow one,
+which the observer follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import NamedTuple
+
+import msgspec
+
+from armrig_core.control.sums import Row, Rows, products
+
+DEVIATIONS = 6.0
+"""Largest difference that may recur, in deviations of the innovation."""
+IN_A_ROW = 5
+"""Number of consecutive valid samples beyond a gate after which it trips."""
+RANGE_SHARE = 0.25
+"""Largest difference from the simulation that may recur, as a share of its range."""
+
+
+class Gate(StrEnum):
+    """Gate of a monitor."""
+
+    INNOVATION = "innovation"
+    SIMULATION = "simulation"
+
+
+class MonitorProgram(msgspec.Struct, frozen=True, kw_only=True, array_like=True, gc=False):
+    """A monitor as the core evaluates it."""
+
+    outputs: tuple[str, ...]
+    """Names of the law's outputs."""
+    rows: Rows
+    """(m, m + 1 + ny): A, B and L side by side."""
+    predictions: Rows
+    """C, (ny, m)."""
+    x0: Row
+    u0: float
+    """Voltage at which Δu is 0, in V."""
+    deviations: Row
+    """Deviation of each innovation, in the unit of its output."""
+    settling: tuple[bool, ...]
+    """True for each output that settles."""
+    input_delay: int
+    """Dead time d, in samples."""
+    prelude: int
+    """Number of samples of feed-forward at the beginning of a run."""
+    forward: tuple[float, float]
+    """Feed-forward: v = forward[0] · r + forward[1], in V."""
+
+
+class MonitorState(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """State of a monitor in a run, after the same samples as the state of its law."""
+
+    x: Row
+    simulated: Row
+    """State of the model without L."""
+    zeros: tuple[float | None, ...]
+    """Zero z of each output; None before its first valid sample."""
+    low: Row
+    """Lowest value of each simulated output."""
+    high: Row
+    unlike: tuple[int, ...]
+    """Number of consecutive valid samples beyond the innovation gate, for each output."""
+    astray: tuple[int, ...]
+    """Number of consecutive valid samples beyond the simulation gate, for each output."""
+
+
+class Alarm(NamedTuple):
+    """Gate that has tripped."""
+
+    gate: Gate
+    output: int
+    """Number of the output in the law."""
+    name: str
+    """Name of the output."""
+
+
+def begin(monitor: MonitorProgram) -> MonitorState:
+    """Return the state of a monitor before the first sample of a run."""
+    y, none = products(monitor.predictions, monitor.x0), (0,) * len(monitor.deviations)
+    return MonitorState(monitor.x0, monitor.x0, (None,) * len(y), y, y, none, none)
+
+
+def advance(
+    monitor: MonitorProgram, state: MonitorState, y: Row, valid: Sequence[bool], u_v: float
+) -> MonitorState:
+    """Return the state after a sample with the outputs `y`, of which only `valid` ones count.
+
+    `u_v` is the voltage that the device latched `input_delay` samples before, in V.
+    """
+    expected = products(monitor.predictions, state.x)
+    simulated = products(monitor.predictions, state.simulated)
+    low, high = tuple(map(min, state.low, simulated)), tuple(map(max, state.high, simulated))
+    zeros, unlike, astray = [*state.zeros], [*state.unlike], [*state.astray]
+    e = [0.0] * len(y)
+    for i, is_valid in enumerate(valid):
+        if not is_valid:
+            continue
+        if (zero := zeros[i]) is None:
+            zero = zeros[i] = y[i] - expected[i]
+        value, most = y[i] - zero, DEVIATIONS * monitor.deviations[i]
+        e[i] = value - expected[i]
+        # A difference that is not finite is beyond a gate.
+        unlike[i] = 0 if abs(e[i]) <= most else unlike[i] + 1
+        if monitor.settling[i]:
+            most = max(most, RANGE_SHARE * (high[i] - low[i]))
+            astray[i] = 0 if abs(value - simulated[i]) <= most else astray[i] + 1
+    du = u_v - monitor.u0
+    free = products(monitor.rows, (*state.simulated, du, *(0.0,) * len(y)))
+    x = products(monitor.rows, (*state.x, du, *e))
+    return MonitorState(x, free, tuple(zeros), low, high, tuple(unlike), tuple(astray))
+
+
+def alarm(monitor: MonitorProgram, state: MonitorState) -> Alarm | None:
+    """Return the first gate that has tripped; None if no gate has."""
+    for gate, counts in ((Gate.INNOVATION, state.unlike), (Gate.SIMULATION, state.astray)):
+        for i, count in enumerate(counts):
+            if count >= IN_A_ROW:
+                return Alarm(gate, i, monitor.outputs[i])
+    return None
+
+
+def expected(monitor: MonitorProgram, state: MonitorState) -> Row:
+    """Return the outputs that the monitor predicts for the next sample."""
+    y = products(monitor.predictions, state.x)
+    return tuple(value + (zero or 0.0) for value, zero in zip(y, state.zeros, strict=True))
