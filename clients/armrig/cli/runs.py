@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import FileError, InputError, OperationError
-from armrig_core.process.options import Commands, chosen, group, option
+from armrig_core.process.options import Commands, argument, chosen, group, option
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 from msgspec import structs
 
@@ -30,6 +30,7 @@ from armrig.numerics.quantities import digits, plural
 
 if TYPE_CHECKING:
     from armrig_core.commands.commands import StatusReport
+    from armrig_core.control.control_law import ControlLaw
     from armrig_core.rig.description import Input
 
     from armrig.excitation.pace import Pace
@@ -261,7 +262,7 @@ def step(
     from armrig.excitation.named_signals import check_step_time, step_at
 
     run, pace = _set_pace(run, by_model=seconds is None)
-    low_v, high_v, *how = _levels(low, high, run, pace)
+    low_v, high_v, *_ = given = _levels(low, high, run, pace)
     step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
     if seconds is None and pace is None and (until or _rig_of(run)):
         until, seconds = "settled", (MOST_ASKED_S if yes else MOST_UNASKED_S)
@@ -275,7 +276,7 @@ def step(
     details = {"input": "step", "low": low_v, "high": high_v, "at": at}
     details |= {UNTIL: until} if until else {}
     make = partial(step_at, low=low_v, high=high_v, at=at)
-    collect_each([Played("step", make, details, seconds, *how)], run)
+    collect_each([Played("step", make, details, seconds, *given[2:])], run)
 
 
 @collect.add("collect staircase --levels 6")
@@ -291,7 +292,7 @@ def staircase(
     from armrig.excitation.named_signals import step_at, up_and_down
 
     run, pace = _set_pace(run, by_model=seconds is None)
-    low_v, high_v, *how = _levels(low, high, run, pace)
+    low_v, high_v, *_ = given = _levels(low, high, run, pace)
     step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
     if seconds is None:
         seconds = (2 * levels - 1) * pace.step_s if pace else SECONDS
@@ -300,7 +301,7 @@ def staircase(
     def make(N: int, _: float) -> Any:
         return up_and_down(N, low=low_v, high=high_v, levels=levels)
 
-    collect_each([Played("staircase", make, details, seconds, *how)], run)
+    collect_each([Played("staircase", make, details, seconds, *given[2:])], run)
 
 
 @collect.add("collect bla --realisations 4")
@@ -326,7 +327,7 @@ def bla(
     from armrig.excitation.named_signals import realisations
 
     run, pace = _set_pace(run, by_model=seconds is None and period is None)
-    low_v, high_v, *how = _levels(low, high, run, pace)
+    low_v, high_v, *_ = given = _levels(low, high, run, pace)
     realisations(3, 1, low_v, high_v, seed, periods=1)
     if seconds is not None and period is not None:
         raise InputError(
@@ -346,11 +347,86 @@ def bla(
 
     collect_each(
         (
-            Played("bla", partial(make, r), details | {"realisation": r}, seconds, *how)
+            Played("bla", partial(make, r), details | {"realisation": r}, seconds, *given[2:])
             for r in range(count)
         ),
         run,
     )
+
+
+@collect.add("collect control law.json --reference step")
+def control(
+    *,
+    law_file: Annotated[
+        Path, argument("LAW", "File of the law, such as of `armrig design place`.")
+    ],
+    reference: str = chosen(
+        "step", "step, staircase, or a CSV with a row of r, or t and r, for each sample."
+    ),
+    seconds: float | None = chosen(
+        None,
+        "Length of the run, in s; not with a file.",
+        "five time constants of the law's model for each level, at least 150 samples",
+    ),
+    low: float | None = chosen(
+        None, "Lowest level of r, in its unit.", "a quarter of the law's range"
+    ),
+    high: float | None = chosen(
+        None, "Highest level of r, in its unit.", "half of the law's range"
+    ),
+    levels: int = chosen(4, "Number of levels of a staircase.", min=2),
+    dither: float = chosen(
+        0.0,
+        "Amplitude of a random square wave on r, in its unit, so that a model can be identified.",
+    ),
+    seed: int = chosen(1, "Seed of the dither.", min=0, max=_MAX_SEED),
+    unstable: bool = chosen(
+        False, "Allow a loop that is unstable on the rig's model, inside the outputs' limits."
+    ),
+    unmonitored: bool = chosen(
+        False, "Allow a law without a monitor. A stuck sensor then drives the rig to full input."
+    ),
+    run: Run,
+) -> None:
+    """Control the rig by a law, and record the run.
+
+    The reference holds its first level until the outputs have settled. Sampling time and pacing are
+    those of the law.
+    """
+    from armrig.excitation.reference import level_s, profile_of, reference_of
+
+    law = armrig.load_law(law_file)
+    Ts = law.Ts_us / 1e6
+    if run.Ts is not None and round(run.Ts * 1e6) != law.Ts_us:
+        raise InputError(f"--Ts {run.Ts:g}: the law has Ts = {Ts:g} s; leave --Ts out")
+    if not run.dead_man:
+        raise InputError("--dead-man 0: control stops if this program dies; give 0.5 to 60 s")
+    profile = profile_of(
+        law, reference, low=low, high=high, levels=levels, dither=dither, seed=seed
+    )
+    if profile.file is not None:
+        if seconds is not None:
+            raise InputError(f"--seconds {seconds:g}: a file has its own length; leave it out")
+        reference_of(profile, 0, Ts, law.reference.unit)  # a wrong file is refused here
+    elif seconds is None:
+        of_level = level_s(law)
+        if of_level is None:
+            raise InputError("the law has no model of the plant: give the length, --seconds")
+        seconds = of_level * (2 if profile.kind == "step" else 2 * levels - 1)
+    details: dict[str, Any] = {"reference": profile.kind, "low": profile.low, "high": profile.high}
+    details |= {"levels": levels} if profile.kind == "staircase" else {}
+    details |= {"dither": dither, "seed": seed} if dither else {}
+    details |= {"file": profile.file.name} if profile.file else {}
+    of_law = Played(
+        "control",
+        lambda N, Ts: reference_of(profile, N, Ts, law.reference.unit),
+        details,
+        seconds,
+        law=law,
+        unstable=unstable,
+        unmonitored=unmonitored,
+    )
+    collect_each([of_law], replace(run, Ts=Ts, pacing="exchange"))
 
 
 class Played(NamedTuple):
@@ -367,6 +443,10 @@ class Played(NamedTuple):
     """True if the user gave voltages without the name of the input."""
     is_validation: bool = False
     """True if the recording validates the models of the previous recording."""
+    law: ControlLaw | None = None
+    """Law of a run in control; `make` then returns the reference."""
+    unstable: bool = False
+    unmonitored: bool = False
 
 
 def chosen_inputs(
@@ -388,7 +468,7 @@ def chosen_inputs(
         )
     if file is not None:
         return [_from_file(experiment, file, choice.seconds, run)]
-    low, high, *how = _levels(choice.low, choice.high, run, pace)
+    low, high, *_ = given = _levels(choice.low, choice.high, run, pace)
     a, usual = (pace.switch, pace.seconds) if pace else (SWITCHING, SECONDS)
     figures = {"a": a if choice.a is None else choice.a, "low": low, "high": high}
     # A wrong value is refused here, before the rig is armed.
@@ -400,7 +480,7 @@ def chosen_inputs(
             lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
             usual if choice.seconds is None else choice.seconds,
-            *how,
+            *given[2:],
         )
 
     first = play_of(experiment, choice.seed)
@@ -451,6 +531,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     If `without_arm` is True, the experiment needs the rig without its arm, and a rig with an
     arm is refused.
     """
+    from armrig.recordings.files.control_run import control_run
     from armrig.recordings.files.recording_summary import VALIDATION_OF
     from armrig.rig.collection import Plan
     from armrig.rig.collection import collect as collected
@@ -460,7 +541,7 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     plans = [
         Plan(
             experiment=experiment_name(p.experiment, run.name),
-            **fields_of(p, "make details seconds default_levels is_bare"),
+            **fields_of(p, "make details seconds default_levels is_bare law unstable unmonitored"),
             **fields_of(run, "Ts pacing"),
             owner=this_user() or "armrig collect" if run.owner is None else run.owner,
             dead_man=run.dead_man or None,
@@ -492,6 +573,8 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
             raise OperationError(verdict.summary)
         else:
             inform(f"{kept}{verdict.summary}", bold=True)
+            if p.law is not None and (decided := control_run(armrig.load(done.path))):
+                inform(decided.shares)
     if first is not None and not run.json:
         _say_next(each[0].experiment, first, naming(run.rig, run.connect))
 

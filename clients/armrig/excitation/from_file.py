@@ -114,6 +114,19 @@ def from_text(
     return u
 
 
+def reference_from_file(path: str | Path, Ts: float, unit: str) -> Vector:
+    """Return the reference (N,) from a text file, and check the times in the file against Ts.
+
+    A row contains r, or t in s and r; the first row may contain the names t and r.
+
+    Raises InputError if a row is not numeric, or its t does not agree with Ts.
+    """
+    t, r, table = _columns(path, _text(path), Input(name="r", unit=unit))
+    if t is not None:
+        _require_times(path, t, table, Ts)
+    return r
+
+
 def _require_times(path: str | Path, t: Vector, table: TextTable, Ts: float) -> None:
     due = t[0] + Ts * np.arange(t.size)
     wrong = ~(np.abs(t - due) <= MAX_TIME_ERROR * Ts)  # also finds NaN

@@ -23,6 +23,7 @@ from armrig_core.commands.commands import (
     rehearsal_sentence,
     samples_of,
 )
+from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import ParameterError
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.rig.calibration import BODY
@@ -114,6 +115,10 @@ class Plan:
     """True if the experiment needs the rig without its arm."""
     of_arm: bool = False
     """True if the experiment calibrates the potentiometers of the arm."""
+    law: ControlLaw | None = None
+    """Law of a run in control; `make` then returns the reference in the law's unit."""
+    unstable: bool = False
+    unmonitored: bool = False
 
     def __post_init__(self) -> None:
         """Raise ParameterError for settings that are invalid, whatever the sampling time."""
@@ -280,7 +285,9 @@ def collect(
             granted = opened.arm(plan.owner, plan.Ts)
             armed = True
             u = planned_input(plan, granted.Ts, tell)
-            if given.is_scaled:
+            if plan.law is not None:
+                tell(f"the reference is {u.min():.4g} to {u.max():.4g} {plan.law.reference.unit}")
+            elif given.is_scaled:
                 tell(f"the input is {given.both(float(u.min()), float(u.max()))}")
             if (seconds := u.size * granted.Ts) > _LONG_S:
                 most = "at most " * (UNTIL in plan.details)
@@ -363,16 +370,29 @@ def _played(
                 raise _SettledError
 
         try:
-            path = rig.run(
-                **{given.name: given.value(u)} if given.rest_v else {"u": u},
-                pacing=plan.pacing,
-                experiment=plan.experiment,
-                details=plan.details,
-                dead_man=plan.dead_man,
-                accepted=accepted,
-                progress=counted,
-                tell=tell,
-            )
+            common: dict[str, Any] = {
+                "experiment": plan.experiment,
+                "details": plan.details,
+                "accepted": accepted,
+                "progress": counted,
+                "tell": tell,
+            }
+            if plan.law is not None:
+                path = rig.control(
+                    plan.law,
+                    u,
+                    dead_man=plan.dead_man or DEAD_MAN_S[0],
+                    unstable=plan.unstable,
+                    unmonitored=plan.unmonitored,
+                    **common,
+                )
+            else:
+                path = rig.run(
+                    **{given.name: given.value(u)} if given.rest_v else {"u": u},
+                    pacing=plan.pacing,
+                    dead_man=plan.dead_man,
+                    **common,
+                )
         except _SettledError:
             path = _after_the_stop(rig, run_id)
             tell("the outputs have settled: the rig is stopped")

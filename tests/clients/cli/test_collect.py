@@ -19,6 +19,7 @@ from armrig.excitation.named_signals import realisations
 from armrig.rig.collection import Collected, Plan
 from armrig_core.commands import commands
 from armrig_core.commands.commands import Rehearsal
+from armrig_core.control.control_law import LawOutput, Reference
 from armrig_core.rig.description import Input
 from armrig_core.telemetry import telemetry
 
@@ -73,6 +74,72 @@ def test_every_option_of_a_collection_reaches_its_plan(
         assert made[1][0].details["seed"] == 6
     step = made[0][0].make(200, 0.02)
     assert arguments[0] != "step" or (step[:35].max(), step[35:].min()) == (1.25, 3.5)
+
+
+def law_file(folder: Path) -> Path:
+    law = armrig.ControlLaw(
+        Ts_us=20_000,
+        outputs=(LawOutput(name="alpha", unit="rad"),),
+        reference=Reference(name="velocity", unit="rad/s", low=0, high=8),
+        A=(),
+        B=(),
+        C=(),
+        D=1.0,
+        x0=(),
+    )
+    (folder / "law.json").write_bytes(law.text)
+    return folder / "law.json"
+
+
+def test_every_option_of_a_control_run_reaches_its_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans: list[Plan] = []
+
+    def collected(plan: Plan, **_: object) -> Collected:
+        plans.append(plan)
+        return Collected(Path("a.mcap"), 3, 0.02, None, "run", None)
+
+    monkeypatch.setattr("armrig.rig.collection.collect", collected)
+    file = law_file(tmp_path)
+    options = ["--reference", "staircase", "--levels", "3", "--low", "2", "--high", "4"]
+    options += ["--dither", "0.1", "--seed", "7", "--seconds", "10", "--unstable", "--unmonitored"]
+
+    assert main(["collect", "control", str(file), *options, "--name", "mine"]) == 0
+
+    [plan] = plans
+    assert (plan.Ts, plan.pacing, plan.seconds, plan.dead_man) == (0.02, "exchange", 10.0, 1.0)
+    assert (plan.experiment, plan.law) == ("control-mine", armrig.load_law(file))
+    assert (plan.unstable, plan.unmonitored) == (True, True)
+    levels = {"reference": "staircase", "low": 2.0, "high": 4.0, "levels": 3}
+    assert plan.details == levels | {"dither": 0.1, "seed": 7}
+    r = plan.make(500, 0.02)
+    assert (r.size, r.min(), r.max()) == (500, 1.9, 4.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ([], "the law has no model of the plant: give the length, --seconds"),
+        (["--seconds", "5", "--Ts", "0.01"], "--Ts 0.01: the law has Ts = 0.02 s"),
+        (["--seconds", "5", "--dead-man", "0"], "--dead-man 0: control stops if this program dies"),
+        (["--seconds", "5", "--high", "9"], "the law allows 0 to 8"),
+        (["--seconds", "5", "--reference", "r.csv"], "--seconds 5: a file has its own length"),
+        (["--reference", "none.csv"], "none.csv"),
+    ],
+)
+def test_a_control_run_is_refused_before_the_rig_is_armed(
+    options: list[str],
+    error: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("armrig.rig.collection.collect", pytest.fail)
+
+    assert main(["collect", "control", str(law_file(tmp_path)), *options]) != 0
+
+    assert error in told(capsys)
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ from armrig.recordings.grid import check_sampling_time
 
 VALIDATION_OF = "validation_of"
 """Key in a run's details; the value is the id of the run that this run validates."""
-KINDS = ("blackbox", "greybox", "step", "staircase", "bla", IMPORTED)
+KINDS = ("blackbox", "greybox", "step", "staircase", "bla", "control", IMPORTED)
 """Kinds of recordings; a name that a person chose may follow the kind."""
 REMOTE = "remote"
 """Kind of all recordings of `armrig record`."""
