@@ -316,7 +316,7 @@ def emulate(
         described = read_description(path_of(rig_file)) if rig_file else shipped("arm")
         given = {"seed": seed, "baud": baud, "arm_removed": described.arm_removed or None}
         given = {key: value for key, value in given.items() if value is not None}
-        used = convert(msgspec.structs.asdict(used) | given, EmulatorSettings)
+        used = convert(msgspec.to_builtins(used) | given, EmulatorSettings)
         started = "" if settings is not None else _started(port, used.baud)
         lines = LineWriter()
         report_stall = partial(_say_stall, lines)

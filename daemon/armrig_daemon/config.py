@@ -524,6 +524,7 @@ def load(
     except ValueError as err:
         raise InputError(f"[timing] {err}") from err
     description = description_of(config)
+    config.emulator.check_rig(description)
     config.check_limits(
         description, {key: source for layer, source in layers for key in layer.get("limits", ())}
     )

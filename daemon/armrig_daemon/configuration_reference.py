@@ -131,10 +131,11 @@ def _keys(table: msgspec.Struct, path: str) -> Iterator[Key]:
                 default=shown,
                 allowed=_range(field.type),
                 description=descriptions[field.name],
-                example=shown or ('""' if _in_words(field.type) == "text" else "0"),
+                example=shown or _EXAMPLES.get(_in_words(field.type), "0"),
             )
 
 
+_EXAMPLES = {"text": '""', "true or false": "false"}  # of keys without a default
 _PROGRAM_TYPES = (type_info(Made | None),)  # types of keys that only programs write
 _CALIBRATION_FILE = Key(
     name="file",
@@ -179,6 +180,8 @@ def _in_words(kind: Any) -> str:
         return _in_words(kind.types[0])
     if isinstance(kind, BoolType):
         return "true or false"
+    if isinstance(kind, LiteralType) and isinstance(kind.values[0], str):
+        return "text"
     if isinstance(kind, IntType | LiteralType):
         return "whole number"
     return "number" if isinstance(kind, FloatType) else "text"

@@ -53,7 +53,8 @@ def test_the_unedited_example_equals_the_default_configuration(tmp_path: Path) -
 
 
 def test_the_values_of_the_example_are_the_defaults(tmp_path: Path) -> None:
-    config = _with_all_keys(tmp_path, "file", "cpu")
+    faults = ("friction_v", "motor_reversed", "loose_arm", "faulty_sensor", "sensor_fault")
+    config = _with_all_keys(tmp_path, "file", "cpu", *faults, "fault_s")
 
     assert config.arm.parameters() == Config().arm.parameters()
     assert config.emulator.arm_parameters() == EmulatorSettings().arm_parameters()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians, tau
 from typing import Any
 
@@ -17,11 +18,16 @@ class Arm:
 
     def __init__(self, settings: EmulatorSettings) -> None:
         """Put the arm at rest."""
-        self._plant = plant.build(
-            settings.arm_parameters(),
-            arm_removed=settings.arm_removed,
-            coulomb_nm=settings.coulomb_nm,
-            stiffening=settings.stiffening,
+        arm = settings.arm_parameters()
+        friction_nm = (settings.friction_v or 0.0) * arm.torque_per_volt
+        self._intact, self._loose = (
+            plant.build(
+                replace(arm, K_lin=arm.K_lin * share),
+                arm_removed=settings.arm_removed,
+                coulomb_nm=settings.coulomb_nm + friction_nm,
+                stiffening=settings.stiffening * share,
+            )
+            for share in (1.0, settings.loose_arm or 1.0)
         )
         first, second = CALIBRATED
         self._potentiometers = (
@@ -31,10 +37,13 @@ class Arm:
         self.state = plant.REST
         """Angles of the arm and their rates."""
         self.rest_v = 0.0  # as while the driver is off
+        self.is_loose = False
+        """True while the spring has only the share `loose_arm` of its stiffness."""
 
     def advance(self, u: float, dt_ns: int) -> None:
         """Move under a constant voltage."""
-        self.state = plant.advance(self._plant, self.state, u, dt_ns)
+        now = self._loose if self.is_loose else self._intact
+        self.state = plant.advance(now, self.state, u, dt_ns)
 
     def wiper(self, channel: int) -> float | None:
         """Return the voltage of a wiper as a fraction of the reference; None in the dead band."""

@@ -11,12 +11,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from armrig_core.rig.description import Description
+from armrig_core.rig.description import Description, shipped
 from armrig_core.rig.volts import applied_code, duty
 from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV, Cause, State
 
 from armrig_daemon.emulator.arm_rig import Arm
 from armrig_daemon.emulator.described_rig import DescribedRig
+from armrig_daemon.emulator.faulty_rig import FaultyRig
 from armrig_daemon.emulator.sensors import CODE_BITS, convert
 from armrig_daemon.emulator.settings import EmulatorSettings
 
@@ -75,11 +76,13 @@ class Board:
         description: Description | None = None,
     ) -> None:
         """Put the rig at rest; `rng` is the source of noise, `witness` gets each new voltage."""
-        self._rig: Arm | DescribedRig
+        self._rig: Arm | DescribedRig | FaultyRig
         if description is None or description.arm:
             self._rig = Arm(settings)
         else:
             self._rig = DescribedRig(description, rng)
+        if settings.has_faults:
+            self._rig = FaultyRig(self._rig, settings, description or shipped("arm"))
         self._adc_bits = settings.adc_bits or CODE_BITS
         self._noise_v = settings.adc_noise_v
         self._pwm_bits = settings.pwm_bits
@@ -146,6 +149,9 @@ class Board:
     ) -> None:
         if not 0.0 <= terminal_v <= FULL_SCALE_V:
             raise VoltageError(f"{terminal_v} V at the motor: must be from 0 to {FULL_SCALE_V}")
+        if isinstance(self._rig, FaultyRig):
+            self.motion(now_ns)
+            self._rig.note_drive(is_running=state is _RUN)
         acting_v = terminal_v if enabled else self._rig.rest_v
         if (terminal_v, acting_v) == (self._volts, self._acting_v):
             return

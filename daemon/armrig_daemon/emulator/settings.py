@@ -12,10 +12,11 @@ from armrig_core.process.bounded import CONFIGURATION_LIMIT
 from armrig_core.process.toml_file import convert, read_toml
 from armrig_core.rig.firmware_image import read_image, shipped_image
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType
 
 if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters
+    from armrig_core.rig.description import Description
 
 HARNESS_VARIABLE = "ARMRIG_FIL"
 _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
@@ -88,6 +89,28 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Coulomb friction of the chassis, in Nm; 0 for no friction."""
     stiffening: Annotated[float, Meta(ge=0, le=1_000)] = 0.0
     """Cubic part of the spring, in Nm/rad³; 0 for a linear spring."""
+    friction_v: Annotated[float, Meta(ge=0, le=5)] | UnsetType = UNSET
+    """Voltage that friction takes away, in V: Coulomb friction of the arm, added to `coulomb_nm`
+    (0.12 V are 0.02 Nm), or a dead zone around the rest of another rig's input."""
+    motor_reversed: bool | UnsetType = UNSET
+    """True if the wires of the motor are swapped."""
+    loose_arm: Annotated[float, Meta(gt=0, le=1)] | UnsetType = UNSET
+    """Share of the spring's stiffness that is left; for the arm only."""
+    faulty_sensor: str | UnsetType = UNSET
+    """Name of the output with the `sensor_fault`."""
+    sensor_fault: Literal["stuck", "stuck_when_moving", "low", "high", "reversed"] | UnsetType = (
+        UNSET
+    )
+    """Fault of a sensor.
+
+    The sensor sticks at its value, or at the value at which its output next moves by 1 % of the
+    range. It reads the low or the high end of its range, or its readings fall as its output rises.
+    """
+    fault_s: Annotated[float, Meta(ge=0, le=1e6)] | UnsetType = UNSET
+    """Time in each run after which `motor_reversed`, `loose_arm` and `sensor_fault` begin, in s.
+
+    At the end of the run the rig is repaired. Without this key, the faults always exist.
+    """
     arm: dict[str, float] = {}
     """Parameters of the arm that differ from the handout's, by name; b_1 is viscous friction."""
 
@@ -98,8 +121,24 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
                 f"alpha_zero_deg={self.alpha_zero_deg!r} must be on the track, "
                 f"from 0 to alpha_range_deg={self.alpha_range_deg!r}"
             )
+        if bool(self.faulty_sensor) != bool(self.sensor_fault):
+            raise InputError("faulty_sensor and sensor_fault: give both keys, or neither")
         if self.arm:
             self.arm_parameters()
+
+    @property
+    def has_faults(self) -> bool:
+        """True if the rig has a fault."""
+        return bool(self.friction_v or self.motor_reversed or self.loose_arm or self.faulty_sensor)
+
+    def check_rig(self, description: Description) -> None:
+        """Raise InputError if a rig with this description cannot have the faults."""
+        rig, sensor = description.rig.name, self.faulty_sensor
+        if sensor and sensor not in description.outputs:
+            allowed = ", ".join(description.outputs)
+            raise InputError(f"faulty_sensor = {sensor!r}: rig {rig} has only {allowed}")
+        if self.loose_arm and (not description.arm or description.arm_removed or self.arm_removed):
+            raise InputError(f"loose_arm = {self.loose_arm:g}: rig {rig} has no arm: omit the key")
 
     def arm_parameters(self) -> ArmParameters:
         """Return the handout's parameters, overridden by `arm`."""
