@@ -55,6 +55,7 @@ NOT_CALLED = {
     "load_law": "reads what pid and others return",
     "plots": "drawn_figures.txt has the figures",
     "stream": "of a live rig",
+    "compare_loop": "of a recorded run in control; test_loop_comparison has the numbers",
 }
 """Public names that are not called, and why."""
 

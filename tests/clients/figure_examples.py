@@ -17,6 +17,7 @@ from armrig import Dataset, plots
 from armrig.cli.recordings import TIMING_HEIGHT, timing_figures
 from armrig.cli.results import write_plot
 from armrig.control.law_check import LawCheck
+from armrig.control.loop_comparison import LoopComparison
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
@@ -37,6 +38,7 @@ from armrig_core.rig.arm import ArmParameters, arm_matrices
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from tests import same_numbers_calls as of
 from tests.clients.chassis_data import angle
@@ -172,6 +174,28 @@ def checked_law() -> LawCheck:
     return armrig.check_law(armrig.pid(fit, time_constant=10 * fit.Ts), fit, draws=20)
 
 
+def compared_loop(draws: NDArray[np.float64]) -> LoopComparison:
+    """Return a run beside its prediction, which is a line of slope 1, and has the given draws."""
+    n = np.arange(12.0)
+    law = checked_law().law
+    return LoopComparison(
+        law=law,
+        source="",
+        model_sha256="",
+        Ts=0.1,
+        prelude=draws.size,
+        t=0.1 * n,
+        r=np.where(n < 6, 3.0, 8.0),
+        z=n + (-1.0) ** n,
+        predicted=np.vstack([n, *(n * d / 10 for d in draws)]),
+        u=n / 6,
+        predicted_u=np.vstack([n / 5, *(n / d for d in draws)]),
+        noise=0.5 if draws.size else np.nan,
+        limited_share=0.0,
+        doubts=(),
+    )
+
+
 FIGURES: dict[str, Callable[[Examples], Any]] = {
     "report": lambda e: saved(
         lambda to: write_figures(study_contents(e.study, ()), e.study.recordings, to)
@@ -250,6 +274,8 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     ).plot(ax=ax()),
     "plot_linearity": lambda e: armrig.linearity(nonlinear_rig("gain by level", 1)).plot(ax=ax()),
     "plot_law_steps": lambda e: checked_law().plot(ax=ax()),
+    "plot_loop_comparison": lambda e: compared_loop(np.array([10.0, 11.0])).plot(ax=ax()),
+    "plot_loop_comparison, one model": lambda e: compared_loop(np.zeros(0)).plot(ax=ax()),
     "plot_loop": lambda e: plots.plot_loop(checked_law(), ax=ax()),
     "plot_nyquist": lambda e: plots.plot_nyquist(checked_law(), ax=ax()),
     "plot_root_locus": lambda e: plots.plot_root_locus(checked_law(), ax=ax()),

@@ -259,6 +259,38 @@ def check(
     _show(judged, found, replace(out, plot=plot))
 
 
+@design.add("design compare @run --plot loop.png", "compare")
+def compare(
+    *,
+    file: recorded_data.File,
+    model: Path | None = chosen(
+        None, "Model file.", "the one that the law names", names="--model MODEL"
+    ),
+    draws: int = chosen(30, "Number of draws of the model's parameters.", "30", min=0),
+    plot: Figure = None,
+    out: Shown,
+) -> None:
+    """Show a recorded run in control beside its prediction by the model."""
+    import armrig
+    from armrig import plots
+    from armrig.recordings.files.control_run import control_run
+
+    check_plot(plot, [file])
+    recording = armrig.load(file)
+    run = control_run(recording)
+    files = run.law.design.get("files", {}) if run else {}
+    path = model or (Path(files["model"]) if "model" in files else None)
+    if run and path is None:
+        raise InputError("the law of this run does not name its model: give --model MODEL.json")
+    with spinner("predicting"):
+        found = armrig.compare_loop(recording, path and armrig.load_fit(path), draws=draws)
+    replace(out, plot=plot).show(
+        facts=found.facts,
+        say=lambda: say_answer(found.verdict),
+        figures=lambda: {"loop": lambda *, ax: plots.plot_loop_comparison(found, ax=ax)},
+    )
+
+
 def _data(path: Path | None, fit: Fit) -> Any:
     """Return the validation data of a model, with the model's signals."""
     if path is None:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.control.law_check import LawCheck
+    from armrig.control.loop_comparison import LoopComparison
 
 _EDGES = (2.5, 97.5)
 _NYQUIST = 2.5
@@ -144,5 +145,40 @@ def plot_law_steps(check: LawCheck, *, ax: Axes | None = None) -> Axes:
     below.set_ylabel("change of $u$ [V]")
     below.set_xlabel("$t$ [s]")
     finish(ax, below, xlim=(0.0, float(steps.t[-1])))
+    legend(ax)
+    return ax
+
+
+def plot_loop_comparison(found: LoopComparison, *, ax: Axes | None = None) -> Axes:
+    """Plot a run in control beside its prediction: the variable that follows r, and the voltage.
+
+    The band contains 95 % of the draws of the model; the lighter one has twice the noise of the
+    measurement, too.
+    """
+    ax, below = panels(ax, 0.42)
+    reference, t = found.law.reference, found.t
+    low, high = found.band()
+    if not np.isnan(found.noise):
+        wide = 2 * found.noise
+        ax.fill_between(t, low - wide, high + wide, color=GREY, alpha=0.2, lw=0, label="noise")
+    if len(found.predicted) > 1:
+        ax.fill_between(t, low, high, label="95 % of the draws", **_BAND)
+        low, high = np.percentile(found.predicted_u[1:], _EDGES, axis=0)
+        below.fill_between(t, low, high, step="post", **_BAND)
+    ax.step(t, found.r, where="post", color=INK, lw=0.8, ls="--", label="$r$")
+    ax.plot(t, found.z, color=VERMILION, lw=0.8, label="measured")
+    ax.plot(t, found.predicted[0], color=BLUE, label="predicted")
+    below.step(t, found.u, where="post", color=VERMILION, lw=0.8)
+    below.step(t, found.predicted_u[0], where="post", color=BLUE)
+    for limit in (found.law.lo, found.law.hi):
+        below.axhline(limit, color=INK, lw=0.6)
+    if found.prelude:
+        for panel in (ax, below):
+            panel.axvspan(0.0, found.prelude * found.Ts, color=GREY, alpha=0.15, lw=0)
+    unit = f" [{reference.unit}]" if reference.unit else ""
+    ax.set_ylabel(f"{labelled(reference.name)}{unit}")
+    below.set_ylabel("$u$ [V]")
+    below.set_xlabel("$t$ [s]")
+    finish(ax, below, xlim=(0.0, float(t[-1])))
     legend(ax)
     return ax
