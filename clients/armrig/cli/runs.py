@@ -404,7 +404,7 @@ def control(
     profile = profile_of(
         law, reference, low=low, high=high, levels=levels, dither=dither, seed=seed
     )
-    if profile.file is not None:
+    if profile.file:
         if seconds is not None:
             raise InputError(f"--seconds {seconds:g}: a file has its own length; leave it out")
         reference_of(profile, 0, Ts, law.reference.unit)  # a wrong file is refused here
@@ -416,7 +416,7 @@ def control(
     details: dict[str, Any] = {"reference": profile.kind, "low": profile.low, "high": profile.high}
     details |= {"levels": levels} if profile.kind == "staircase" else {}
     details |= {"dither": dither, "seed": seed} if dither else {}
-    details |= {"file": profile.file.name} if profile.file else {}
+    details |= {"file": Path(profile.file).name} if profile.file else {}
     of_law = Played(
         "control",
         lambda N, Ts: reference_of(profile, N, Ts, law.reference.unit),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -34,14 +33,15 @@ class Profile(NamedTuple):
     dither: float = 0.0
     """Amplitude of a random square wave on the reference, in the unit of r."""
     seed: int = 1
-    file: Path | None = None
+    file: str = ""
+    """Path of a file; "" for the other kinds."""
 
 
 def level_s(law: ControlLaw) -> float | None:
     """Return a length of one level, in s, in which the plant settles; None without a monitor.
 
-    The length is five time constants of the plant and its dead time, and at least 150 samples or twice the
-    prelude.
+    The length is five time constants of the plant and its dead time. It is at least 150 samples,
+    and at least twice the prelude.
     """
     if (monitor := law.monitor) is None:
         return None
@@ -77,7 +77,7 @@ def profile_of(
     if text not in ("step", "staircase"):
         if low is not None or high is not None:
             raise InputError(f"--low and --high with the file {text}: the file has the levels")
-        return Profile("file", r.low, r.high, levels, dither, seed, Path(text))
+        return Profile("file", r.low, r.high, levels, dither, seed, text)
     default = [r.low + share * (r.high - r.low) for share in _SHARES]
     low_r, high_r = (x if y is None else y for x, y in zip(default, (low, high), strict=True))
     if not low_r < high_r:
@@ -115,7 +115,7 @@ def reference_of(profile: Profile, N: int, Ts: float, unit: str, at: float | Non
     array([1., 1., 3., 3., 1., 1.])
     """
     low, high = profile.low, profile.high
-    if profile.file is not None:
+    if profile.file:
         r = reference_from_file(profile.file, Ts, unit)
     elif profile.kind == "step":
         first = N // 2 if at is None else round(at / Ts)
