@@ -54,6 +54,12 @@ LAWS = {
     "law: codes at a limit": 1_000,
     "law: codes within the slew": 1_000,
     "law: codes without the newest sample": 100,
+    "law: runs with a monitor": 500,
+    "law: codes with a monitor that counts turns": 500,
+    "law: codes of a prelude": 2_000,
+    "law: loops closed after a prelude": 200,
+    "law: tripped, innovation": 200,
+    "law: tripped, simulation": 50,
     **{f"law: ended, {code}": 10 for code in BOUNDS},
 }
 """Least counts of control runs in a thousand schedules or more."""

@@ -53,6 +53,7 @@ from armrig_protocol.messages import State as DeviceState
 
 from tests.simulator.frames import Frame, ask_the_same, exchange, may_exchange, may_fill
 from tests.simulator.law_judge import LawJudge
+from tests.simulator.monitor_judge import GATES
 from tests.simulator.options import MS, Options
 from tests.simulator.outputs import OutputJudge
 from tests.simulator.violation import Violation
@@ -244,7 +245,10 @@ class Checks:
         if self.phase == "fault":
             if before != "fault":
                 self.seen[f"trip: {_cause(record.reason)}"] += 1
-                self.outputs.tripped(self.step_ns, record.reason)
+                if record.fault not in GATES:
+                    self.outputs.tripped(self.step_ns, record.reason)
+                elif self.law is not None:
+                    self.law.tripped(now_ns, record.fault, record.reason.split()[0])
                 if self.law is not None and record.reason.startswith("the law"):
                     self.law.ends_by(now_ns, OutcomeCode.FAULT)
                 if record.reason.endswith("not within the limits"):  # each experiment is inside

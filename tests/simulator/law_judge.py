@@ -8,7 +8,7 @@ run from its first sample on, and has no ring and no state but this history.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import isfinite, pi
 from struct import unpack
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from armrig_core.commands.codes import OutcomeCode
 from armrig_daemon.pipe import Control, Run
 
+from tests.simulator.monitor_judge import MonitorJudge, ordered_sum
 from tests.simulator.options import Options
 from tests.simulator.violation import Violation
 
@@ -28,8 +29,8 @@ class _Tick(NamedTuple):
     """Decision of the law at a tick."""
 
     k: int
-    ends: frozenset[OutcomeCode]
-    """Reasons why no code of the law may follow."""
+    ends: frozenset[str]
+    """Reasons why no code of the law may follow: codes of outcomes, or gates of the monitor."""
     code: int = -1
     v: float = 0.0
     is_low: bool = False
@@ -58,7 +59,9 @@ class LawJudge:
         """Change of each output from the operating point, for each sample up to the newest."""
         self._zeros: list[float | None] = [None] * len(self._law.y0)
         self._blind = self._astray = self._limited = 0
-        self._ends: frozenset[OutcomeCode] = frozenset()
+        self._ends: frozenset[str] = frozenset()
+        self._monitor = MonitorJudge(self._law.monitor) if self._law.monitor else None
+        self._prelude = self._law.monitor.prelude if self._law.monitor else 0
         self._tick: _Tick | None = None
         self._recorded: Control | None = None
         self._is_over = False
@@ -73,7 +76,9 @@ class LawJudge:
         while len(self._y) < i:
             self._take(None)
         self._take(values)
-        law, ends = self._law, set()
+        law, ends = self._law, set[str]()
+        if self._monitor and self._monitor.alarm:
+            ends.add(self._monitor.alarm)
         if not all(map(isfinite, self._x)):
             ends.add(OutcomeCode.FAULT)
         if self._blind >= law.most_blind:
@@ -118,6 +123,13 @@ class LawJudge:
         self._seen["law: codes at a limit"] += tick.is_low or tick.is_high
         self._seen["law: codes within the slew"] += tick.is_slewed
         self._seen["law: codes without the newest sample"] += tick.predicted > 0
+        if self._monitor:
+            is_turning = any(self._law.turning) and self._law.predictions is None
+            self._seen["law: codes with a monitor that counts turns"] += is_turning
+            self._seen["law: runs with a monitor"] += i == 0
+            self._seen["law: codes with a monitor"] += 1
+            self._seen["law: codes of a prelude"] += i < self._prelude
+            self._seen["law: loops closed after a prelude"] += i == self._prelude > 0
 
     def stopped(self) -> None:
         """Note that a STOP leaves, or that the run has ended."""
@@ -135,7 +147,12 @@ class LawJudge:
             self._seen[f"law: ended, {code}"] += 1
             self.ends_by(now_ns, code)
 
-    def ends_by(self, now_ns: int, code: OutcomeCode) -> None:
+    def tripped(self, now_ns: int, gate: str, output: str) -> None:
+        """Judge a trip by a gate of the monitor."""
+        self._seen[f"law: tripped, {gate}"] += 1
+        self.ends_by(now_ns, f"{gate} of {output}")
+
+    def ends_by(self, now_ns: int, code: str) -> None:
         """Judge an end or a trip that the law is said to have caused."""
         if code not in self._ends:
             raise Violation("S5", now_ns, f"ended by {code}, where the law has {[*self._ends]}")
@@ -148,15 +165,24 @@ class LawJudge:
             return self._options.rest
         return self.codes[min(i, len(self.codes) - 1)]
 
-    def _expected(self, x: Sequence[float], y: Sequence[float]) -> list[float]:
+    def _expected(
+        self, x: Sequence[float], y: Sequence[float], of_monitor: Sequence[float]
+    ) -> list[float]:
+        """Return Δy after the states of law and monitor, and after the newest Δy."""
         F = self._law.predictions
-        return [*y] if F is None else [_sum(row, x) for row in F]
+        if F is not None:
+            return [ordered_sum(row, x) for row in F]
+        return self._monitor.expected(of_monitor) if self._monitor else [*y]
+
+    def _volts_at(self, i: int) -> float:
+        """Return the voltage that the device latched with sample i."""
+        return _volts(_latched(self._code(i), self._bits))
 
     def _next(self, i: int, x: Sequence[float], y: Sequence[float]) -> list[float]:
         """Return x[i + 1]."""
-        u = _volts(_latched(self._code(i - self._law.input_delay), self._bits)) - self._law.u0
+        u = self._volts_at(i - self._law.input_delay) - self._law.u0
         z = [*x, self._r[i], u, *y]
-        return [_sum(row, z) for row in self._law.rows]
+        return [ordered_sum(row, z) for row in self._law.rows]
 
     def _newest(self) -> list[float]:
         return self._y[-1] if self._y else [0.0] * len(self._zeros)
@@ -164,18 +190,21 @@ class LawJudge:
     def _take(self, values: Sequence[float] | None) -> None:
         """Advance by a sample; None is a missing one."""
         law, i = self._law, len(self._y)
-        y, is_seen = self._expected(self._x, self._newest()), False
+        monitor, valid = self._monitor, [False] * len(law.y0)
+        y = self._expected(self._x, self._newest(), monitor.x if monitor else ())
         for j, channel in enumerate(law.channels):
             value = values[channel] if values is not None else float("nan")
             if not isfinite(value):
                 continue
-            is_seen = True
+            valid[j] = True
             y[j] = self._turned(j, value, y[j]) if law.turning[j] else value - law.y0[j]
         self._y.append(y)
         self._x = self._next(i, self._x, y)
-        self._blind = 0 if is_seen else self._blind + 1
-        if law.tracked is not None:
-            error = self._r[i] - _sum(law.tracked, [*self._x, *y, 1.0])
+        if monitor:
+            monitor.take(y, valid, self._volts_at(i - law.monitor.input_delay))
+        self._blind = 0 if any(valid) else self._blind + 1
+        if law.tracked is not None and i >= self._prelude:
+            error = self._r[i] - ordered_sum(law.tracked, [*self._x, *y, 1.0])
             self._astray = 0 if abs(error) <= law.most_error else self._astray + 1
 
     def _turned(self, j: int, value: float, expected: float) -> float:
@@ -188,14 +217,20 @@ class LawJudge:
         return angle + 2 * pi * round(turns) if isfinite(turns) else angle
 
     def _decided(self, k: int, i: int) -> _Tick:
-        law = self._law
+        law, monitor = self._law, self._monitor
         if i >= len(self._r):
             return _Tick(k, frozenset({OutcomeCode.COMPLETE}))
         x, y, predicted = self._x, self._newest(), i - len(self._y)
+        of_monitor = monitor.x if monitor else []
         for j in range(len(self._y), i):
-            y = self._expected(x, y)
+            y = self._expected(x, y, of_monitor)
             x = self._next(j, x, y)
-        v = _sum(law.v_row, [*x, self._r[i]]) + law.u0
+            if monitor:
+                volts = self._volts_at(j - law.monitor.input_delay)
+                of_monitor = monitor.next(of_monitor, volts)
+        v = ordered_sum(law.v_row, [*x, self._r[i]]) + law.u0
+        if i < self._prelude:
+            v = law.monitor.forward[0] * self._r[i] + law.monitor.forward[1]
         if not isfinite(v):
             return _Tick(k, frozenset({OutcomeCode.FAULT}))
         wanted = round(min(max(v, -1.0), 6.0) * 13_107)
@@ -206,7 +241,7 @@ class LawJudge:
             held = [self._code(j) for j in range(confirmed, max(i, confirmed + 1))]
             within = max(code, max(held) - self._slew)
             within = min(within, min(held) + self._slew)
-        ends = set()
+        ends = set[str]()
         if law.most_limited and (is_low or is_high) and self._limited + 1 >= law.most_limited:
             ends.add(OutcomeCode.AT_LIMIT)
         if self._blind + predicted > law.most_blind:
@@ -224,11 +259,3 @@ def _latched(code: int, bits: int) -> int:
     steps = 1 << bits
     duty = (2 * code * steps + _FULL_CODE) // (2 * _FULL_CODE)
     return (2 * duty * _FULL_CODE + steps) // (2 * steps)
-
-
-def _sum(row: Iterable[float], z: Iterable[float]) -> float:
-    """Return the sum of products, in the order of the law's definition."""
-    total = 0.0
-    for a, b in zip(row, z, strict=False):
-        total += a * b
-    return total

@@ -6,15 +6,21 @@ from random import Random
 from struct import pack
 
 from armrig_core.control.evaluation import Program
+from armrig_core.control.monitor import MonitorProgram
 from armrig_core.control.sums import Row
 from armrig_protocol.messages import CODE_FULL_SCALE
+from msgspec.structs import replace
 
 from tests.simulator.options import Options
+from tests.simulator.outputs import NAMES
 
 _GROWTH = {"stable": (0.2, 0.95), "unstable": (1.01, 1.3), "overflowing": (1e2, 1e40)}
 """Least and most growth of a state in one sample."""
 _ARM_SCALES = (1.0, 0.1)
 """Size of the arm's outputs, in rad."""
+_ARM_NAMES = ("theta_1", "alpha")
+_MONITORED = 0.7
+"""Share of the laws with a monitor."""
 
 
 def draw_law(rng: Random, options: Options) -> tuple[Program, bytes]:
@@ -52,10 +58,48 @@ def draw_law(rng: Random, options: Options) -> tuple[Program, bytes]:
         most_error=rng.uniform(0.5, 5.0),
         most_astray=rng.choice([1, 5, 50]),
     )
+    # Of a generator of its own: the law and its reference are the same with and without a monitor.
+    of_monitor = Random(law.law_sha256)
+    if of_monitor.random() < _MONITORED:
+        predictions = law.predictions if of_monitor.random() < 0.7 else None
+        monitor = _monitor(of_monitor, law, scales, bool(options.outputs))
+        law = replace(law, monitor=monitor, predictions=predictions)
     reference: list[float] = []
     for _ in range(rng.randint(1, rng.choice([3, 30]))):
         reference += [rng.uniform(-1, 1)] * rng.randint(1, 40)
     return law, pack(f"<{len(reference)}d", *reference)
+
+
+def _monitor(
+    rng: Random, law: Program, scales: tuple[float, ...], is_described: bool
+) -> MonitorProgram:
+    """Return a monitor, whose model follows its outputs or is unlike the rig."""
+    ny, follows = len(scales), rng.random() < 0.6
+    names = NAMES if is_described else _ARM_NAMES
+    m = ny if follows else rng.choice([1, 2, 3, 10])
+    A = _states(rng, m, rng.choices(list(_GROWTH), [12, 2, 1])[0])
+    L = [tuple(rng.uniform(-0.2, 0.2) / scale for scale in scales) for _ in range(m)]
+    C = [tuple(scale * c for c in _row(rng, m)) for scale in scales]
+    if follows:  # the prediction is almost the newest value, and the simulation goes to 0
+        decay = rng.uniform(0.9, 1.0)
+        A = [tuple(decay * (i == j) for j in range(m)) for i in range(m)]
+        L = [tuple(decay * (i == j) / scale for j, scale in enumerate(scales)) for i in range(m)]
+        C = [tuple(scale * (i == j) for j in range(m)) for i, scale in enumerate(scales)]
+    gain = rng.choice([0.0, 0.01, 0.2])
+    return MonitorProgram(
+        outputs=tuple(names[channel] for channel in law.channels),
+        rows=tuple(
+            (*row, rng.uniform(-gain, gain), *gains) for row, gains in zip(A, L, strict=True)
+        ),
+        predictions=tuple(C),
+        x0=(0.0,) * m if follows else _row(rng, m),
+        u0=rng.uniform(0.0, 5.0),
+        deviations=tuple(scale * 10.0 ** rng.uniform(-3.0, 2.0) for scale in scales),
+        settling=tuple(rng.random() < 0.6 for _ in scales),
+        input_delay=rng.choice([0, 0, law.input_delay, 1, 3, 200]),
+        prelude=rng.choice([0, rng.randint(1, 10), rng.randint(1, 50)]),
+        forward=(rng.uniform(-1.0, 1.0), rng.uniform(0.0, 5.0)),
+    )
 
 
 def _row(rng: Random, n: int) -> Row:

@@ -9,7 +9,7 @@ from math import inf, isfinite, nan
 from typing import Any
 from unittest.mock import patch
 
-from armrig_core.control import evaluation
+from armrig_core.control import evaluation, monitor
 from armrig_core.rig.channels import Conversion
 from armrig_daemon.decisions import (
     control,
@@ -60,6 +60,7 @@ _observe, _watched, _reset = output_limits.observe, output_limits._watched, orde
 _law_decide, _law_observe, _law_outputs = evaluation.decide, evaluation.observe, evaluation._outputs
 _begin_control, _control_decide = transitions._begin_control, control.decide
 _advance = evaluation._advance
+_alarm, _monitor_advance = monitor.alarm, monitor.advance
 
 
 def _decode_anyway(stuffed: bytes) -> Any:
@@ -255,6 +256,54 @@ def _as_commanded(law: Any, state: Any, values: Any, r: float, latch: Any) -> An
     return _advance(law, state, values, r, replace(latch, pwm_bits=16))
 
 
+def _with_monitor(law: Any, **fields: Any) -> Any:
+    """Return a law with another monitor; a law without a monitor stays as it is."""
+    return replace(law, monitor=replace(law.monitor, **fields)) if law.monitor else law
+
+
+def _gate_of_the_other_output(watched: Any, state: Any) -> Any:
+    swapped = replace(state, unlike=state.unlike[::-1], astray=state.astray[::-1])
+    return _alarm(watched, swapped)
+
+
+def _no_gate(name: str) -> Any:
+    def advance(*args: Any) -> Any:
+        after = _monitor_advance(*args)
+        return replace(after, **{name: (0,) * len(after.zeros)})
+
+    return advance
+
+
+def _missing_clears(watched: Any, state: Any, y: Any, valid: Any, u_v: float) -> Any:
+    after = _monitor_advance(watched, state, y, valid, u_v)
+    unlike = tuple(n if is_valid else 0 for n, is_valid in zip(after.unlike, valid, strict=True))
+    return replace(after, unlike=unlike)
+
+
+def _no_zero(watched: Any, state: Any, *args: Any) -> Any:
+    zeros = tuple(0.0 for _ in state.zeros)
+    return _monitor_advance(watched, replace(state, zeros=zeros), *args)
+
+
+def _skipped_prelude(law: Any, *args: Any) -> Any:
+    return _law_decide(_with_monitor(law, prelude=0), *args)
+
+
+def _free_prelude(law: Any, state: Any, k: int, *args: Any) -> Any:
+    """Leave the limits and the slew out during the prelude."""
+    is_prelude = law.monitor and k < law.monitor.prelude
+    free = replace(law, lo_code=0, hi_code=65_535, slew=0) if is_prelude else law
+    return _law_decide(free, state, k, *args)
+
+
+def _delay_of_the_law(law: Any, *args: Any) -> Any:
+    return _advance(_with_monitor(law, input_delay=law.input_delay), *args)
+
+
+def _astray_in_the_prelude(law: Any, *args: Any) -> Any:
+    return _advance(_with_monitor(law, prelude=0), *args)
+
+
 def _no_end(*_: Any) -> Any:
     return []
 
@@ -264,9 +313,15 @@ def _one_more(*args: Any) -> Any:
     return state, code + 1, done
 
 
-def _law(name: str, *puts: tuple[Any, str, Any], also: str = "S5") -> Mutant:
+def _law(
+    name: str,
+    *puts: tuple[Any, str, Any],
+    also: str = "S5",
+    faults: tuple[str, ...] = KINDS,
+) -> Mutant:
     """Return a bug of the evaluation of control laws."""
-    return Mutant(name=f"law: {name}", puts=puts, breaks=frozenset({"S5", also}))
+    breaks = frozenset({"S5", also})
+    return Mutant(name=f"law: {name}", puts=puts, breaks=breaks, faults=faults)
 
 
 def _rule(name: str, *puts: tuple[Any, str, Any]) -> Mutant:
@@ -294,6 +349,21 @@ MUTANTS = (
     _law("u as commanded, not as latched", (evaluation, "_advance", _as_commanded)),
     _law("no end by a bound", (control, "_consequences", _no_end)),
     _law("a code that the record does not have", (control, "decide", _one_more)),
+    _law("the monitor off", (monitor, "alarm", lambda *_: None)),
+    _law("the gate of the other output", (monitor, "alarm", _gate_of_the_other_output)),
+    _law("no innovation gate", (monitor, "advance", _no_gate("unlike"))),
+    _law("no simulation gate", (monitor, "advance", _no_gate("astray"))),
+    _law("a gate after 6 samples in a row", (monitor, "IN_A_ROW", 6)),
+    _law("the whole range is allowed", (monitor, "RANGE_SHARE", 1.0)),
+    _law(
+        *("a missing output clears the count of a gate", (monitor, "advance", _missing_clears)),
+        faults=("loss from_device", "flip from_device", "rail"),
+    ),
+    _law("the monitor's zero at 0", (monitor, "advance", _no_zero)),
+    _law("the law's dead time in the monitor", (evaluation, "_advance", _delay_of_the_law)),
+    _law("the prelude skipped", (evaluation, "decide", _skipped_prelude)),
+    _law("a prelude outside the limits", (evaluation, "decide", _free_prelude)),
+    _law("the control error of the prelude", (evaluation, "_advance", _astray_in_the_prelude)),
     _rule("a limit of the wrong channel", (output_limits, "observe", _wrong_channel)),
     _rule("a limit that is outside", (output_limits, "_watched", _strict)),
     _rule("a blind time restarted by an invalid sample", (output_limits, "_watched", _seen_anyway)),
