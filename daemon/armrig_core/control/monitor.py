@@ -5,11 +5,14 @@ The model, with its observer, is
     x[k+1] = A x[k] + B Δu[k-d] + L e[k],    e[k] = y[k] - z - C x[k],    x[0] = x0
 
 The innovation e of a missing output is 0. The zero z of an output is the difference at its first
-valid sample, so that the monitor compares changes. Two gates trip:
+valid sample, so that the monitor compares changes. Two gates trip, each after 5 valid samples in a
+row with a difference beyond its bound:
 
-- innovation: |e| is beyond 6 of its deviations in 5 samples in a row;
-- simulation, for an output that settles: the same model without L differs from y by more than 6
-  deviations, and by more than 25 % of the range that it has simulated, in 5 samples in a row.
+- innovation: the difference e, and 6 of its deviations;
+- simulation, for an output that settles: the difference of y from the same model without L, and 6
+  deviations or 25 % of the range that this model has reached, whichever is larger.
+
+A missing output changes no count. A difference that is not finite is beyond each bound.
 
 The innovation sees a fast change that the input does not explain. The simulation sees a slow one,
 which the observer follows.
@@ -19,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import StrEnum
+from math import inf
 from typing import NamedTuple
 
 import msgspec
@@ -69,7 +73,7 @@ class MonitorState(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
     x: Row
     simulated: Row
-    """State of the model without L."""
+    """State of the model without L; x0 if no output settles."""
     zeros: tuple[float | None, ...]
     """Zero z of each output; None before its first valid sample."""
     low: Row
@@ -104,9 +108,12 @@ def advance(
 
     `u_v` is the voltage that the device latched `input_delay` samples before, in V.
     """
-    expected = products(monitor.predictions, state.x)
-    simulated = products(monitor.predictions, state.simulated)
-    low, high = tuple(map(min, state.low, simulated)), tuple(map(max, state.high, simulated))
+    expected, du = products(monitor.predictions, state.x), u_v - monitor.u0
+    simulated, free, low, high = expected, state.simulated, state.low, state.high
+    if any(monitor.settling):
+        simulated = products(monitor.predictions, free)
+        low, high = tuple(map(min, low, simulated)), tuple(map(max, high, simulated))
+        free = products(monitor.rows, (*free, du, *(0.0,) * len(y)))
     zeros, unlike, astray = [*state.zeros], [*state.unlike], [*state.astray]
     e = [0.0] * len(y)
     for i, is_valid in enumerate(valid):
@@ -116,13 +123,11 @@ def advance(
             zero = zeros[i] = y[i] - expected[i]
         value, most = y[i] - zero, DEVIATIONS * monitor.deviations[i]
         e[i] = value - expected[i]
-        # A difference that is not finite is beyond a gate.
-        unlike[i] = 0 if abs(e[i]) <= most else unlike[i] + 1
+        # A difference from a number that is not finite is beyond each bound.
+        unlike[i] = 0 if abs(e[i]) <= most < inf else unlike[i] + 1
         if monitor.settling[i]:
             most = max(most, RANGE_SHARE * (high[i] - low[i]))
-            astray[i] = 0 if abs(value - simulated[i]) <= most else astray[i] + 1
-    du = u_v - monitor.u0
-    free = products(monitor.rows, (*state.simulated, du, *(0.0,) * len(y)))
+            astray[i] = 0 if abs(value - simulated[i]) <= most < inf else astray[i] + 1
     x = products(monitor.rows, (*state.x, du, *e))
     return MonitorState(x, free, tuple(zeros), low, high, tuple(unlike), tuple(astray))
 

@@ -74,10 +74,10 @@ REMEDIES: dict[Id, str] = {
     Id.LEASE: "let the client send a command at least every 0.1 s or 5 Ts, whichever is longer",
     Id.LIMITS: "keep the input within [limits] of the configuration",
     Id.CONTROL: "rehearse the control law on a model of the rig, and design the law again",
-    Id.INNOVATION: "check this sensor, its wires, and the sign of the input; begin at rest; if the "
-    "rig is as it was, identify the model again, and design the law on it",
+    Id.INNOVATION: "check this sensor, its wires and the sign of the input; begin at rest; if the "
+    "rig is as it was, design the law on a new model",
     Id.SIMULATION: "check this sensor and the actuator; begin at rest; if the rig is as it was, "
-    "identify the model again, and design the law on it",
+    "design the law on a new model",
     Id.OUTPUT: "bring the output back into its limits ([limits], or the rig's description); a "
     "smaller or shorter input may keep it there",
     Id.BLIND: "check the wires of this sensor, and that its reading is not at an end of its range",

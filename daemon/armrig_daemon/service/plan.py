@@ -29,6 +29,8 @@ from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError, OperationError
 from armrig_core.rig.description import Description
 from armrig_core.rig.volts import codes_of
+from msgspec import UNSET, UnsetType
+from msgspec.structs import replace
 from numpy.typing import ArrayLike, NDArray
 
 from armrig_daemon.config import Config, Limits
@@ -53,8 +55,8 @@ class Plan(NamedTuple):
     """Response of the model to the input; None for a rig without a model."""
     zone: timezone
     """Time zone of this host at the time of the plan."""
-    law: ControlLaw | None = None
-    """Law of a run in control."""
+    law: ControlLaw | None | UnsetType = UNSET
+    """Law of a run in control; None if the client sets each voltage, and unset for other runs."""
 
 
 class _Request(RunOptions, frozen=True, kw_only=True):
@@ -167,13 +169,18 @@ def make_control_plan(
     """
     law, limits = request.law, config.limits
     reference = np.asarray(r, dtype=np.float64)
+    if law is None:
+        # The lease of `set` is shorter than any dead-man, and the client's next voltage is unknown.
+        options, source = replace(options_of(request), dead_man=None), reference.astype("<f8")
+        text = one_a_line(_blocks(reference), "r")
+        return _planned(options, source.tobytes(), text, reference.size, None)._replace(law=None)
     law.check_rig(description, round(Ts * 1e6), limits.u_min_v, limits.u_max_v)
     law.check_reference(reference.tolist())
     if law.monitor is None and not request.unmonitored:
         raise InputError(
             "the law has no monitor, so a stuck sensor drives the rig to full input: design the "
-            "law with `armrig design`, or give model= to armrig.control_law; a law without a "
-            "monitor runs only with unmonitored=True (--unmonitored)"
+            "law by `armrig design`, or give model= to armrig.control_law; unmonitored=True "
+            "(--unmonitored) allows this law"
         )
     rehearsal = config.control_rehearsal(
         law, reference, description, start_rad, unstable=request.unstable

@@ -19,7 +19,7 @@ from armrig_core.control.control_law import (
 from armrig_core.errors import FileError, InputError
 from armrig_core.rig.description import Description, shipped
 
-from tests.core.control.laws import arm_law
+from tests.core.control.laws import arm_law, arm_monitor
 
 ARM = shipped("arm")
 REFERENCE = {"name": "velocity", "unit": "rad/s"}
@@ -74,7 +74,60 @@ BAD_LAWS: dict[str, tuple[dict[str, Any], str]] = {
         {"outputs": (LawOutput(name="theta_1", unit="rad", turning=True, y0=1.0), ALPHA)},
         "theta_1 turns, so its y0 must be 0, not 1",
     ),
-    "turning without F": ({"F": None}, "theta_1 turns through a dead band, so the law needs F"),
+    "turning without F": (
+        {"F": None},
+        "theta_1 turns through a dead band, so the law needs F, its prediction of the output, or a "
+        "monitor",
+    ),
+    "monitor's states": (
+        {"monitor": arm_monitor(x0=(0.0,) * 11)},
+        "the monitor has 11 states; at most 10 are allowed: use a model of lower order",
+    ),
+    "monitor.A": (
+        {"monitor": arm_monitor(A=((0.0,) * 5,) * 4)},
+        "monitor.A has 4 x 5 numbers; with 5 states in x0 and 2 outputs it must have 5 x 5",
+    ),
+    "monitor.x0": (
+        {"monitor": arm_monitor(x0=(0.0,) * 4)},
+        "monitor.A has 5 x 5 numbers; with 4 states in x0 and 2 outputs it must have 4 x 4",
+    ),
+    "monitor.B": ({"monitor": arm_monitor(B=(0.0,) * 4)}, "monitor.B has 1 x 4 .* have 1 x 5"),
+    "monitor.C": ({"monitor": arm_monitor(C=((0.0,) * 5,))}, "monitor.C has 1 x 5 .* have 2 x 5"),
+    "monitor.L": (
+        {"monitor": arm_monitor(L=((0.0, 0.0),) * 4 + ((0.0,),))},
+        "monitor.L has 5 x 1 or 2 numbers; .* it must have 5 x 2",
+    ),
+    "monitor.deviations": (
+        {"monitor": arm_monitor(deviations=(1.0,))},
+        "monitor.deviations has 1 x 1 numbers; .* it must have 1 x 2",
+    ),
+    "monitor.settling": (
+        {"monitor": arm_monitor(settling=(True,) * 3)},
+        "monitor.settling has 1 x 3 numbers; .* it must have 1 x 2",
+    ),
+    **{
+        f"deviation {s:g}": (
+            {"monitor": arm_monitor(deviations=(1.0, s))},
+            f"monitor.deviations are 1, {s:g}: each must be above 0",
+        )
+        for s in (0.0, -1.0)
+    },
+    **{
+        f"infinite monitor.{key}": (
+            {"monitor": arm_monitor(**{key: value})},
+            f"monitor.{name} of the law has the number",
+        )
+        for key, name, value in (
+            ("A", "A", ((inf,) * 5,) * 5),
+            ("B", "B", (nan,) * 5),
+            ("C", "C", ((inf,) * 5,) * 2),
+            ("L", "L", ((nan, 0.0),) * 5),
+            ("x0", "x0", (0.0, 0.0, 0.0, 0.0, inf)),
+            ("deviations", "deviations", (1.0, nan)),
+            ("u0", "forward", -inf),
+            ("forward", "forward", (0.0, inf)),
+        )
+    },
 }
 
 
@@ -109,6 +162,37 @@ def test_a_file_with_a_value_that_is_not_allowed_is_refused(
         ControlLaw.of(text)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("prelude", -1, "Expected `int` >= 0 - at `$.monitor.prelude`"),
+        ("prelude", 10_001, "Expected `int` <= 10000 - at `$.monitor.prelude`"),
+        ("input_delay", -1, "Expected `int` >= 0 - at `$.monitor.input_delay`"),
+        ("input_delay", 201, "Expected `int` <= 200 - at `$.monitor.input_delay`"),
+        ("forward", [1.0], "Expected `array` of length 2 - at `$.monitor.forward`"),
+        ("settling", [0, 1], "Expected `bool`, got `int` - at `$.monitor.settling[0]`"),
+        ("gates", 2, "Object contains unknown field `gates` - at `$.monitor`"),
+    ],
+)
+def test_a_file_with_a_monitor_that_is_not_allowed_is_refused(
+    key: str, value: object, sentence: str
+) -> None:
+    fields = msgspec.to_builtins(arm_law(monitor=arm_monitor()))
+    fields["monitor"][key] = value
+
+    with pytest.raises(InputError, match=f"^no control law: {re.escape(sentence)}"):
+        ControlLaw.of(msgspec.json.encode(fields))
+
+
+def test_a_monitor_of_ten_states_and_a_turning_output_without_F_are_allowed() -> None:
+    row = (0.0,) * 10
+    large = {"A": (row,) * 10, "B": row, "C": (row, row), "L": ((0.0, 0.0),) * 10, "x0": row}
+
+    law = arm_law(F=None, monitor=arm_monitor(**large, prelude=10_000, input_delay=200))
+
+    assert ControlLaw.of(law.text) == law
+
+
 @pytest.mark.parametrize("text", [b"", b"[]", b"{}", b"[" * 100_000, b'{"x0": 1e999}'])
 def test_a_text_that_is_no_law_is_refused(text: bytes) -> None:
     with pytest.raises(InputError, match=r"^no control law: "):
@@ -116,13 +200,16 @@ def test_a_text_that_is_no_law_is_refused(text: bytes) -> None:
 
 
 def test_a_law_in_a_file_is_the_law_that_was_written(tmp_path: Path) -> None:
-    law = arm_law(design={"method": "LQG"}, tracking=Tracking(row=(0.0,) * 7, most=1, samples=3))
+    tracking = Tracking(row=(0.0,) * 7, most=1, samples=3)
+    law = arm_law(design={"method": "LQG"}, tracking=tracking, monitor=arm_monitor())
     path = tmp_path / "law.json"
     path.write_bytes(law.text)
 
     assert load_law(path) == law
     assert load_law(path).sha256 == law.sha256
     assert arm_law(u0=1e-9).sha256 != arm_law().sha256
+    watched = [arm_law(monitor=arm_monitor(prelude=n)) for n in (0, 1)]
+    assert len({law.sha256 for law in [*watched, arm_law()]}) == 3
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from armrig_core.rig.description import Description, read_description, require_m
 from armrig_core.rig.firmware_image import WITH_ENABLE_LINE
 from msgspec.structs import replace
 
-from tests.core.control.laws import arm_law
+from tests.core.control.laws import RAD_S_PER_V, arm_law, arm_monitor
 
 ARM = shipped("arm")
 STEP = np.where(np.arange(600) < 300, 2.0, 4.0)
@@ -92,6 +92,47 @@ def test_the_limits_of_the_outputs_hold_between_the_samples() -> None:
 def _with_outputs(rig: Description, outputs: dict[str, Any]) -> Description:
     fields = {name: getattr(rig, name) for name in rig.__slots__}
     return Description(**{**fields, "outputs": outputs})
+
+
+def test_a_monitor_of_the_rigs_model_stays_quiet_after_its_prelude(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Through the converter's steps and the dead band, from rest; the law closes the loop then."""
+    law = arm_law(F=None, monitor=arm_monitor(prelude=50))
+
+    codes, result = _rehearsed_input(monkeypatch, law, reference=STEP, described=ARM)
+
+    assert codes[:50] == [round(2.0 / RAD_S_PER_V * 13107)] * 50
+    assert len({*codes[50:]}) > 50
+    assert result.turned_rad == pytest.approx(18.0, abs=0.6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        (
+            {"settling": (False, False), "L": ((0.0, 0.0),) * 5},
+            "theta_1 differs from the law's monitor (its innovation gate)",
+        ),
+        (
+            {"deviations": (1.0, 7e-3), "L": ((0.5, 0.5),) * 5},
+            "alpha differs from the law's monitor (its innovation gate)",
+        ),
+        ({}, "alpha differs from the law's monitor (its simulation gate)"),
+    ],
+    ids=["theta_1", "alpha", "simulation"],
+)
+def test_a_monitor_of_another_model_than_the_rigs_is_refused(
+    changes: dict[str, Any], sentence: str
+) -> None:
+    law = arm_law(monitor=arm_monitor(B=(0.0,) * 5, **changes))
+
+    with pytest.raises(InputError, match=r"^the rehearsal ends at r.*, because the mon") as err:
+        rehearse_control(law, STEP, ARM)
+    assert sentence in str(err.value)
+    assert "change the reference or the law" in str(err.value)
+
+    rehearse_control(law, STEP, ARM, unstable=True)
 
 
 def test_a_rehearsal_is_faster_than_real_time_by_far() -> None:
