@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.control.evaluation import Program
+from armrig_core.control.monitor import MonitorProgram
 from armrig_core.rig.volts import applied_code, code_of, volts_of
 from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon import pipe
@@ -19,7 +20,7 @@ from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions.faults import Id
 from armrig_daemon.decisions.outcomes import Halt
 from armrig_daemon.decisions.state import Phase, RequestKind, Send, State, Tick
-from armrig_daemon.pipe import Answer, RunEnded, Stop, Trace
+from armrig_daemon.pipe import Answer, Reset, RunEnded, Stop, Trace
 from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
 from msgspec.structs import replace
@@ -192,6 +193,145 @@ def test_numbers_that_are_not_finite_trip(law: Program, cause: str) -> None:
     assert bench.loop.state.fault.id is Id.CONTROL
     assert cause in bench.loop.state.reason
     assert _outcome(bench) is OutcomeCode.FAULT
+
+
+WATCHING = MonitorProgram(
+    outputs=("alpha",),
+    rows=((0.0, 0.0, 0.0),),
+    predictions=((1.0,),),
+    x0=(0.0,),
+    u0=0.0,
+    deviations=(0.01,),
+    settling=(True,),
+    input_delay=0,
+    prelude=0,
+    forward=(0.25, 0.5),
+)
+"""Monitor of α, which is to stay where it is."""
+FOLLOWING = replace(WATCHING, rows=((1.0, 0.0, 1.0),))
+"""Monitor that expects the newest α."""
+
+
+def _noting_codes(bench: Bench) -> list[int]:
+    """Return the codes of all EXCHANGE frames that the bench sends from now on."""
+    codes: list[int] = []
+
+    def carry(data: bytes) -> bytes:
+        codes.extend(m.u for m in feed(b"", data)[1] if isinstance(m, wire.Exchange))
+        return data
+
+    bench.ports.to_device = carry
+    return codes
+
+
+@pytest.mark.parametrize(
+    ("monitor", "fault", "compared"),
+    [(WATCHING, Id.INNOVATION, "prediction"), (FOLLOWING, Id.SIMULATION, "simulation")],
+    ids=["innovation", "simulation"],
+)
+def test_a_gate_of_the_monitor_trips_and_stays_latched(
+    monitor: MonitorProgram, fault: Id, compared: str
+) -> None:
+    """The angle α jumps; the trip is in the step of the fifth sample, and rest follows."""
+    bench = _begun(replace(LAW, monitor=monitor))
+    bench.run_for(10 * TS_MS)
+    n, seen = len(bench.of(pipe.Control)), len(bench.samples)
+    _read(bench, MIDDLE + 4_000)
+    while bench.phase is Phase.ACTIVE:
+        bench.run_for(TS_MS / 10)
+    jumped = [s for s in bench.samples[seen:] if abs(s.value_1) > 0.01]
+    codes = _noting_codes(bench)
+    bench.run_for(300)
+
+    state = bench.loop.state
+    assert bench.phase is Phase.FAULT
+    assert (state.fault.id, state.fault.output) == (fault, "alpha")
+    assert state.fault.value == pytest.approx(jumped[-1].value_1)
+    text = f"alpha differs from the {compared} of the law's monitor in 5 samples in a row"
+    assert state.fault.cause == text
+    assert len(jumped) == 5
+    assert len(bench.of(pipe.Control)) <= n + 6
+    assert {*codes} <= {0}
+    assert _outcome(bench) is OutcomeCode.FAULT
+    assert bench.arm().error
+    assert not bench.ask(Reset).error
+    bench.run_for(300)
+    assert bench.phase is Phase.SAFE
+    assert bench.volts == 0.0
+
+
+def test_four_samples_beyond_a_gate_stop_nothing() -> None:
+    bench = _begun(replace(LAW, monitor=WATCHING))
+    bench.run_for(10 * TS_MS)
+    seen = len(bench.samples)
+    _read(bench, MIDDLE + 4_000)
+    while sum(abs(s.value_1) > 0.01 for s in bench.samples[seen:]) < 4:
+        bench.run_for(TS_MS / 10)
+    assert bench.loop.state.run.control.state.monitor.unlike == (4,)
+    _read(bench, MIDDLE)
+    bench.run_for(50 * TS_MS)
+
+    assert bench.phase is Phase.ACTIVE
+    assert bench.loop.state.run.control.state.monitor.unlike == (0,)
+
+
+@pytest.mark.parametrize(("stuck", "name"), [(0, "theta_1"), (1, "alpha")])
+def test_the_fault_names_the_output_that_differs(stuck: int, name: str) -> None:
+    """The law has its outputs in the other order than the rig."""
+    two = replace(
+        WATCHING,
+        outputs=("alpha", "theta_1"),
+        rows=((0.0,) * 4,),
+        predictions=((1.0,), (1.0,)),
+        deviations=(0.01, 0.01),
+        settling=(False, False),
+    )
+    rows = ((0.5, 0.2, 0.1, -0.4, 0.0),)
+    channels, turning = (1, 0), (False, True)
+    law = replace(LAW, rows=rows, channels=channels, turning=turning, y0=(0.0, 0.0))
+    bench = _begun(replace(law, predictions=None, monitor=two))
+    bench.run_for(5 * TS_MS)
+    board: Any = bench.ports.device.board
+    board.reading = lambda channel, _: MIDDLE + 4_000 * (channel == stuck)
+    bench.run_for(20 * TS_MS)
+
+    fault = bench.loop.state.fault
+    assert (fault.id, fault.output) == (Id.INNOVATION, name)
+    assert fault.cause.startswith(f"{name} differs from the prediction")
+    assert _outcome(bench) is OutcomeCode.FAULT
+
+
+def test_the_prelude_is_sent_before_the_codes_of_the_law() -> None:
+    """Its voltages have the slew of the rig, and its codes are recorded like those of the law."""
+    law = replace(LAW, monitor=replace(WATCHING, prelude=5, forward=(0.5, 1.0)))
+    bench = _begun(law, r=[2.0] * 12, slew_v=1.5)
+    bench.run_for(30 * TS_MS)
+
+    records = bench.of(pipe.Control)
+    sent = {s.k: s.u_cmd_v for s in bench.samples}
+    x = 0.0
+    for i, c in enumerate(records):
+        assert c.v == (2.0 if i < 5 else x + 0.3 * 2.0 + 1.5)
+        assert sent[c.k] == c.u_v
+        x = 0.5 * x + 0.2 * 2.0 + 0.1 * (volts_of(applied_code(code_of(c.u_v), 10)) - 1.5)
+    assert [c.is_slewed for c in records[:3]] == [True, False, False]
+    assert len(records) == 12
+    assert _outcome(bench) is OutcomeCode.COMPLETE
+
+
+def test_a_monitored_run_is_decided_again_from_its_trace() -> None:
+    bench = _begun(replace(LAW, monitor=replace(FOLLOWING, prelude=20)))
+    bench.ports.from_device = _without(wire.Sample, first=1)
+    bench.run_for(50 * TS_MS)
+    _read(bench, MIDDLE + 4_000)
+    bench.run_for(200 * TS_MS)
+
+    chunks = bench.of(Trace)
+    state = trace.restored(chunks[0].state, pack(f"<{len(LONG)}d", *LONG))
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
+    assert state.fault.id is Id.SIMULATION
 
 
 def test_a_code_outside_the_limits_trips_and_is_not_sent() -> None:
