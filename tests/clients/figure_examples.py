@@ -276,6 +276,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_law_steps": lambda e: checked_law().plot(ax=ax()),
     "plot_loop_comparison": lambda e: compared_loop(np.array([10.0, 11.0])).plot(ax=ax()),
     "plot_loop_comparison, one model": lambda e: compared_loop(np.zeros(0)).plot(ax=ax()),
+    "plot_loop_diagram": lambda e: plots.plot_loop_diagram(checked_law().law, ax=ax()),
     "plot_loop": lambda e: plots.plot_loop(checked_law(), ax=ax()),
     "plot_nyquist": lambda e: plots.plot_nyquist(checked_law(), ax=ax()),
     "plot_root_locus": lambda e: plots.plot_root_locus(checked_law(), ax=ax()),

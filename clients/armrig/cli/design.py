@@ -273,17 +273,17 @@ def compare(
     """Show a recorded run in control beside its prediction by the model."""
     import armrig
     from armrig import plots
+    from armrig.control.loop_comparison import model_path
     from armrig.recordings.files.control_run import control_run
 
     check_plot(plot, [file])
     recording = armrig.load(file)
     run = control_run(recording)
-    files = run.law.design.get("files", {}) if run else {}
-    path = model or (Path(files["model"]) if "model" in files else None)
-    if run and path is None:
+    path = model or (model_path(run.law) if run else "")
+    if run and not path:
         raise InputError("the law of this run does not name its model: give --model MODEL.json")
     with spinner("predicting"):
-        found = armrig.compare_loop(recording, path and armrig.load_fit(path), draws=draws)
+        found = armrig.compare_loop(recording, armrig.load_fit(path) if path else None, draws=draws)
     replace(out, plot=plot).show(
         facts=found.facts,
         say=lambda: say_answer(found.verdict),

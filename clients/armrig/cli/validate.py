@@ -44,6 +44,7 @@ from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, Signals
+    from armrig.report.control_sections import ControlStudy
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
@@ -330,6 +331,8 @@ def check(
     def say_after() -> None:
         if not recorded:
             say_next("hints", file=typed(file), given=signals.options())
+        elif signals.read[0].decisions:
+            say_next("control", file=typed(file), given=signals.options())
         elif not signals.read[0].description.arm:
             say_next("report", file=typed(file))
         elif signals.read[0].manifest.kind == "greybox":
@@ -386,7 +389,8 @@ def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
     if isinstance(loop, str):
         return {"feedback": None, "p_value": None, "level": None, "lags": None, "remarks": [loop]}
     lags = None if loop.sims is None else loop.sims.p
-    return fields_of(loop, "feedback p_value level") | {"lags": lags, "remarks": loop.remarks}
+    facts = fields_of(loop, "feedback p_value level") | {"lags": lags, "remarks": loop.remarks}
+    return facts | ({"law_sha256": loop.laws} if loop.laws else {})
 
 
 def _delay_facts(late: Delay | str) -> dict[str, Any]:
@@ -418,6 +422,12 @@ def report(
     ),
     orders: ModelOrders,
     calibration: CalibrationFile = None,
+    model: Path | None = chosen(
+        None,
+        "Model of a run in control.",
+        "the one that the run's law names",
+        names="--model MODEL",
+    ),
     force: bool = chosen(False, "Overwrite an existing PDF."),
     handout: bool = chosen(
         False,
@@ -443,8 +453,12 @@ def report(
     Steps and staircases are not used for the models. Of the other recordings, the first is used for
     estimation and the second for validation. A single other recording is cut into halves.
 
+    The report of a single run in control shows it beside its prediction by the model.
+
     A report always covers complete runs, so there is no option --from or --to.
     """
+    from armrig.report.document import control_report
+
     files, outputs = files or [], ",".join(signal or ())
     if questions is not None:
         _write_questions(questions)
@@ -460,6 +474,8 @@ def report(
         problem: dict[str, Any] = {"amplitude": amplitude, "omega": omega, "orders": orders}
         problem["cases"] = physics.cases(given) if given else None
         recordings, typeset = _handout_report(files, calibration, answers, **problem)
+    elif control := _control_run(files, model):
+        recordings, typeset = [control.run], partial(control_report, control)
     else:
         of_study = recorded_data.names("--signal", outputs)
         recordings, typeset = _study_report(files, calibration, orders, of_study)
@@ -518,6 +534,26 @@ def _write_questions(path: Path) -> None:
             f"--questions {path}: exists and may contain answers; give another name"
         ) from None
     echo(str(path))
+
+
+def _control_run(files: Sequence[Path], model: Path | None) -> ControlStudy | None:
+    """Return the study of a run in control; None if there are other recordings."""
+    from armrig.control.loop_comparison import model_path
+    from armrig.recordings.files.control_run import control_run
+    from armrig.report.control_sections import control_study
+
+    recordings = [armrig.load(file) for file in files] if len(files) == 1 else []
+    run = control_run(recordings[0]) if recordings else None
+    if run is None:
+        if model is not None:
+            raise InputError(f"--model {model}: give one recording of a run in control")
+        return None
+    path = model or model_path(run.law)
+    if not path:
+        raise InputError("the law of this run does not name its model: give --model MODEL.json")
+    inform(f"the model is {path}")
+    with spinner("predicting"):
+        return control_study(_of_files(recordings)[0], armrig.load_fit(path))
 
 
 def _study_report(

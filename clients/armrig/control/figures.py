@@ -22,6 +22,7 @@ from armrig.plots.layout import (
 )
 
 if TYPE_CHECKING:
+    from armrig_core.control.control_law import ControlLaw
     from matplotlib.axes import Axes
 
     from armrig.control.law_check import LawCheck
@@ -181,4 +182,54 @@ def plot_loop_comparison(found: LoopComparison, *, ax: Axes | None = None) -> Ax
     below.set_xlabel("$t$ [s]")
     finish(ax, below, xlim=(0.0, float(t[-1])))
     legend(ax)
+    return ax
+
+
+_BOXES: dict[str, tuple[float, float, str]] = {
+    "law": (1.3, 1.0, "law"),
+    "limits": (2.5, 1.0, "limits\nslew"),
+    "rig": (3.7, 1.0, "rig"),
+    "delay": (2.5, 0.25, "$z^{-1}$"),
+    "monitor": (3.7, 1.85, "monitor"),
+}
+"""Place and text of each box of the diagram."""
+
+
+def plot_loop_diagram(law: ControlLaw, *, ax: Axes | None = None) -> Axes:
+    """Plot the loop of a law and a rig, with its signals."""
+    ax = axes(ax)
+    size = 9.0
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": size}
+    arrow: dict[str, Any] = {"arrowstyle": "->", "color": INK, "shrinkA": 0, "shrinkB": 0}
+    boxes: dict[str, Any] = {}
+    for name, (x, y, text) in _BOXES.items():
+        if name != "monitor" or law.monitor is not None:
+            box = {"boxstyle": "round,pad=0.4", "fc": "white", "ec": BLUE}
+            boxes[name] = ax.text(x, y, text, bbox=box, **style).get_bbox_patch()
+    measured = ", ".join(labelled(output.name) for output in law.outputs)
+    reference = labelled(law.reference.name)
+
+    def connect(begin: tuple[float, float], end: str, label: str, at: tuple[float, float]) -> None:
+        ax.annotate("", _BOXES[end][:2], begin, arrowprops=arrow | {"patchB": boxes[end]})
+        ax.text(*at, label, **style)
+
+    connect((0.3, 1.0), "law", f"$r$ of {reference}", (0.55, 1.15))
+    connect((1.55, 1.0), "limits", "$v$", (1.9, 1.1))
+    connect((2.85, 1.0), "rig", "$u$", (3.1, 1.1))
+    ax.annotate("", (4.7, 1.0), (3.9, 1.0), arrowprops=arrow)
+    ax.text(4.45, 1.13, measured, **style)
+    ax.plot([4.3, 4.3, 2.7], [1.0, 0.25, 0.25], color=INK, lw=0.8)
+    connect((2.75, 0.25), "delay", "", (2.7, 0.25))
+    ax.plot([2.3, 1.3], [0.25, 0.25], color=INK, lw=0.8)
+    connect((1.3, 0.25), "law", "$y[k-1]$", (1.75, 0.37))
+    ax.plot([3.0, 3.0, 1.15], [1.0, 1.5, 1.5], color=INK, lw=0.8)
+    connect((1.15, 1.5), "law", "$u[k-1]$", (1.75, 1.62))
+    if law.monitor is not None:
+        ax.plot([3.0, 3.0], [1.5, 1.85], color=INK, lw=0.8)
+        connect((3.0, 1.85), "monitor", "", (3.2, 1.95))
+        ax.plot([4.3, 4.3], [1.0, 1.85], color=INK, lw=0.8)
+        connect((4.3, 1.85), "monitor", "", (4.1, 1.95))
+    ax.set_xlim(0.1, 4.9)
+    ax.set_ylim(0.0, 2.15)
+    ax.set_axis_off()
     return ax

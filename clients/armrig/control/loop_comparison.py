@@ -303,6 +303,13 @@ def compare_loop(
     )
 
 
+def model_path(law: ControlLaw) -> str:
+    """Return the path of the model that a law was designed on; "" if the law names none."""
+    files = law.design.get("files")
+    name = files.get("model") if isinstance(files, dict) else None
+    return name if isinstance(name, str) else ""
+
+
 def _of_decisions(run: ControlRun) -> tuple[Vector, Vector]:
     """Return r and u of each sample from the first decision on; a skipped one holds the last."""
     at = run.k - run.k[0]

@@ -1,6 +1,7 @@
 from armrig.control.figures import plot_law_steps as plot_law_steps
 from armrig.control.figures import plot_loop as plot_loop
 from armrig.control.figures import plot_loop_comparison as plot_loop_comparison
+from armrig.control.figures import plot_loop_diagram as plot_loop_diagram
 from armrig.control.figures import plot_nyquist as plot_nyquist
 from armrig.control.figures import plot_root_locus as plot_root_locus
 from armrig.data.figures import plot_data as plot_data

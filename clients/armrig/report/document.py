@@ -15,6 +15,7 @@ from armrig_core.errors import OperationError
 from armrig.numerics.quantities import listed, milliseconds, plural
 from armrig.recordings.usability import early_ends, emulation, warnings_of
 from armrig.report.answers import MAX_STUDENTS, QUESTIONS, Answers, Student
+from armrig.report.control_sections import ControlStudy, control_contents
 from armrig.report.figures import write_figures
 from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
@@ -92,6 +93,14 @@ def handout_report(
         The PDF cannot be written.
     """
     return _written(study, output, handout_contents(study, answers or Answers()), source)
+
+
+def control_report(study: ControlStudy, output: str | Path, *, source: Path | None = None) -> Path:
+    """Typeset the report of a run in control at `output`, and return the path.
+
+    The arguments and errors are those of `report`.
+    """
+    return _written(study, output, control_contents(study), source)
 
 
 def handout_contents(study: HandoutStudy, answers: Answers) -> Contents:
@@ -191,7 +200,7 @@ def _front(study: HandoutStudy) -> Section:
 
 
 def _written(
-    study: Study | HandoutStudy,
+    study: Study | HandoutStudy | ControlStudy,
     output: str | Path,
     contents: Contents,
     source: Path | None,

@@ -98,7 +98,8 @@ def handout_study(
             return None
 
     # Complete recordings come first: a recording that ended early is used only if it is needed.
-    recordings = sorted(recordings, key=lambda r: bool(early_end(r)))
+    # Data of a closed loop come last: the OE models of the handout would be biased.
+    recordings = sorted(recordings, key=lambda r: (bool(early_end(r)), r.decisions is not None))
     excited = [r for r in recordings if r.manifest.kind not in OTHERS]
     stepped, alone = _first(recordings, "step"), _first(recordings, "greybox")
     black = tried("black", lambda: best_first(study(excited, orders=orders))) if excited else None

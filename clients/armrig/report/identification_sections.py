@@ -348,6 +348,7 @@ def _loop(_: HandoutStudy, found: OpenLoop) -> Section:
         return _lacking(found.explain(), _BLACKBOX)
     s = found.sims
     verdict = "the data show FEEDBACK" if found.feedback else "nothing speaks against open loop"
+    verdict = found.verdict if found.laws else verdict
     return Section(
         paragraphs=(
             f"p {p_relation(found.p_value)} in Sims' F-test ($F$ = {digits(s.F, 3)} with {s.q} and "

@@ -10,23 +10,20 @@ import os
 import platform
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from contextlib import AbstractContextManager, suppress
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Lock
 from typing import Any, TypeVar
 
 import msgspec
-from armrig_core.errors import InputError, OperationError
+from armrig_core.errors import ArmrigError, InputError, OperationError
 from armrig_core.process.imports import imported
 from armrig_core.recording_file.opening import lock
+from threadpoolctl import threadpool_info
 
 from armrig.recordings.files.recording_summary import shown_path
 from armrig.report.batch.tasks import (
@@ -64,6 +61,11 @@ SUFFIX = ".progress"
 """Suffix of the file with the rows so far; the file's name begins with the name of the table."""
 KEY = b"armrig.batch"
 """Key of the header in the table's metadata."""
+KERNEL = "OPENBLAS_CORETYPE"
+"""Variable that sets the kernel of linear algebra, by default that for the processor."""
+GONE = "the scheduler is gone; results so far are kept: type the same command again to continue"
+_ONE_ROW = Lock()
+"""Lock of each process, because its threads share settings of numpy."""
 
 
 def batch(
@@ -118,7 +120,8 @@ def batch(
                 name: r for name, r in rows.items() if Path(task.folder, str(r["report"])).exists()
             }
         left, done_before = [item for item in items if item.name not in rows], len(rows)
-        came = results(partial(row_of, task), left, open_executor, at_once=at_once)
+        function = partial(_row_in, task, environment())
+        came = results(function, left, open_executor, at_once=at_once)
         for item, row in came:
             if isinstance(row, Exception):
                 row = empty_row(task, item, problem=" ".join(str(row).split()))
@@ -135,34 +138,84 @@ def results(
 ) -> Iterator[tuple[T, R | Exception]]:
     """Yield each item with its result, in the order in which the results arrive.
 
-    No two items are equal, and the function must not raise an exception. The result is an exception
-    if the executor raised one, or if the item was abandoned. If a worker dies, a new executor is
-    opened. The executor does not report which item killed the worker. Therefore all items that ran
-    when the worker died are repeated, one at a time.
+    No two items are equal. The result is an exception if the item was abandoned. If a worker dies,
+    a new executor is opened. The executor does not report which item killed the worker. Therefore
+    all items that ran when the worker died are repeated, one at a time. If the executor itself
+    replaces a worker, only the items that it gives up are repeated.
+
+    Raises
+    ------
+    ArmrigError
+        The executor cancelled its work; a worker cannot load the function; or the function raised
+        the error.
     """
     waiting, alone, deaths = deque(items), deque[T](), Counter[T]()
     while waiting or alone:
         running: dict[Future[R], T] = {}
+        done = SimpleQueue[Future[R]]()
         with open_executor() as workers, suppress(BrokenExecutor):
             while waiting or alone or running:
                 source, most = (alone, 1) if alone else (waiting, at_once)
                 while source and len(running) < most:
                     future = workers.submit(function, source[0])
                     running[future] = source.popleft()
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(done, key=lambda f: isinstance(f.exception(), BrokenExecutor)):
+                    future.add_done_callback(done.put)
+                future = done.get()
+                try:
                     error = future.exception()
-                    if isinstance(error, BrokenExecutor):
-                        raise error
-                    result = error if isinstance(error, Exception) else future.result()
-                    yield running.pop(future), result
-        left = [*running.values()]
-        if len(left) == 1:
-            deaths[left[0]] += 1
-            if deaths[left[0]] >= MOST_DEATHS:
-                text = f"its process died {MOST_DEATHS} times: it was killed or ran out of memory"
-                yield left.pop(), RuntimeError(text)
-        alone.extend(left)
+                except CancelledError as err:
+                    raise OperationError(GONE) from err
+                if isinstance(error, BrokenExecutor | ArmrigError):
+                    raise error
+                item = running.pop(future)
+                if error is None:
+                    yield item, future.result()
+                else:
+                    yield from _after_death([item], deaths, alone)
+        yield from _after_death([*running.values()], deaths, alone)
+
+
+def _after_death(items: list[T], deaths: Counter[T], alone: deque[T]) -> Iterator[tuple[T, Any]]:
+    """Let the items of a dead worker run alone; yield an item that has killed too many workers."""
+    if len(items) == 1:
+        deaths[items[0]] += 1
+        if deaths[items[0]] >= MOST_DEATHS:
+            text = f"its process died {MOST_DEATHS} times: it was killed or ran out of memory"
+            yield items.pop(), RuntimeError(text)
+    alone.extend(items)
+
+
+def _row_in(task: Task, expected: dict[str, str], item: Item) -> Row:
+    """Return the row of an item; refuse to compute it in another environment."""
+    if other := difference(expected):
+        raise OperationError(f"the worker on {platform.node()} {other}")
+    with _ONE_ROW:
+        return row_of(task, item)
+
+
+@cache
+def environment() -> dict[str, str]:
+    """Return what may change the last digits of a result: versions, machine and linear algebra."""
+    return {name: version(name) for name in ("armrig", "numpy", "scipy")} | {
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        KERNEL: " ".join(
+            sorted(
+                {
+                    str(lib.get("architecture"))
+                    for lib in threadpool_info()
+                    if lib["user_api"] == "blas"
+                }
+            )
+        ),
+    }
+
+
+def difference(expected: dict[str, str]) -> str:
+    """Return how this process differs from the `expected` environment, or "" if it is equal."""
+    own = environment()
+    others = [f"{k} {own.get(k)} instead of {v}" for k, v in expected.items() if own.get(k) != v]
+    return f"has {' and '.join(others)}; give all machines the same" if others else ""
 
 
 def header_of(
@@ -178,11 +231,7 @@ def header_of(
         "folder": shown_path(folder.resolve()),
         "rigs": " ".join(sorted(rigs)),
         "kinds": " ".join(sorted(kinds)),
-        "armrig": version("armrig"),
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
-        "python": platform.python_version(),
-        "machine": f"{platform.system()} {platform.machine()}",
+        **{k: v for k, v in environment().items() if k != KERNEL},
     }
 
 
