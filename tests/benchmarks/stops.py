@@ -51,7 +51,7 @@ with Rig(connect=sys.argv[1]) as rig:
             reference=Reference(name="u", unit="V", low=0, high=5),
             A=(), B=(), C=(), D=1.0, x0=(), F=((),),
         )
-        rig.control(law, [1.0, 4.0] * 2000)
+        rig.control(law, [1.0, 4.0] * 2000, unmonitored=True)
     pacing = "exchange" if mode == "exchange" else "scheduled"
     rig.run([1.0, 4.0] * 2000, pacing=pacing, dead_man=1.0 if mode == "dead-man" else None)
 """

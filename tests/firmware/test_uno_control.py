@@ -11,7 +11,7 @@ from armrig_core.commands.commands import Control
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
-from tests.core.control.laws import arm_law
+from tests.core.control.laws import arm_law, arm_monitor
 from tests.firmware.uno_host import switch_on
 from tests.sampling import sampled
 from tests.tools import needs
@@ -27,7 +27,8 @@ def test_the_speed_of_the_arm_is_controlled_and_the_run_is_replayed(
     service = VirtualService(Config(), tmp_path, seed=seed, switch_on=switch_on)
     reference = [2.0] * 100 + [3.0 + 0.1 * seed] * 150
 
-    path = service.record(Control(lease=LEASE, n=0, law=arm_law(), reference=reference))
+    law = arm_law(monitor=arm_monitor(prelude=25))
+    path = service.record(Control(lease=LEASE, n=0, law=law, reference=reference))
 
     theta_1 = armrig.load(path).theta_1
     assert theta_1[-1] - theta_1[-51] == pytest.approx(reference[-1] / 2, abs=0.05)

@@ -26,7 +26,7 @@ law = ControlLaw(
 )
 with Rig(connect=sys.argv[1]) as rig:
     rig.arm("a test", Ts=0.01)
-    rig.control(law, [1.0, 4.0] * int(sys.argv[2]), dead_man=float(sys.argv[3]))
+    rig.control(law, [1.0, 4.0] * int(sys.argv[2]), dead_man=float(sys.argv[3]), unmonitored=True)
 """
 
 

@@ -21,9 +21,12 @@ from armrig_daemon.service.plan import Plan, plan_of
 from armrig_daemon.service.virtual_service import LEASE, VirtualService, requests_of
 
 from tests.clients.recordings.test_exchanged_attachments import rewritten
-from tests.core.control.laws import arm_law
+from tests.core.control.laws import arm_law, arm_monitor
 
 STEP = [2.0] * 150 + [4.0] * 150
+
+
+MONITORED = arm_law(monitor=arm_monitor(prelude=50))
 
 
 def request(law: ControlLaw, reference: list[float] = STEP, **changes: object) -> Control:
@@ -34,7 +37,7 @@ def request(law: ControlLaw, reference: list[float] = STEP, **changes: object) -
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a recording of the arm's speed under a law of order 5."""
     service = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=1)
-    return service.record(request(arm_law()))
+    return service.record(request(MONITORED))
 
 
 def test_the_speed_of_the_emulated_arm_follows_its_reference(path: Path) -> None:
@@ -48,12 +51,29 @@ def test_a_recording_contains_law_reference_and_each_decision(path: Path) -> Non
     recording, run = armrig.load(path), control_run(armrig.load(path))
 
     assert run is not None
-    assert run.law == arm_law()
+    assert run.law == MONITORED
     assert recording.manifest.controller_sha256 == run.law.sha256
     np.testing.assert_array_equal(run.r, STEP)
     np.testing.assert_array_equal(run.u, recording.samples["u_cmd_v"])
     assert not run.predicted.any()
     assert run.facts()["decisions"] == len(STEP)
+    assert run.facts()["monitored"]
+
+
+def test_a_run_without_a_monitor_says_so(tmp_path: Path) -> None:
+    """A program reads the fact, and a person the words."""
+    service = VirtualService(Config(), tmp_path, seed=1)
+    unwatched = service.record(request(arm_law(), [2.0, 2.5], unmonitored=True))
+
+    recordings = [armrig.load(unwatched), armrig.load(service.record(request(MONITORED)))]
+    runs = [control_run(recording) for recording in recordings]
+
+    assert [run.facts()["monitored"] for run in runs if run] == [False, True]
+    text = ", velocity 2 to 2.5 rad/s, without a monitor; input at its limit in 0 % of samples"
+    assert runs[0] is not None
+    assert runs[0].summary == f"law {arm_law().sha256[:12]}{text}"
+    assert runs[1] is not None
+    assert "monitor" not in runs[1].summary
 
 
 def test_a_control_run_is_replayed_to_the_last_bit(path: Path) -> None:
@@ -114,7 +134,23 @@ def test_the_same_law_has_the_same_hash_for_whole_and_decimal_numbers() -> None:
         (arm_law(Ts=0.02), STEP, "the law has Ts = 0.02 s, and the run 0.01 s"),
         (arm_law(hi=4.9), STEP, "the law's limits are 0 to 4.9 V; the rig allows 0 to 4.5 V"),
         (arm_law(hi=4.0), [9.0], r"r[0] = 9 rad/s: the law allows 0 to 8"),
-        (arm_law(gain=40.0, hi=4.0), STEP, "unstable"),
+        (
+            arm_law(gain=40.0, hi=4.0, monitor=arm_monitor()),
+            STEP,
+            "the closed loop of the law and the rig's model is unstable",
+        ),
+        (
+            arm_law(hi=4.0, monitor=arm_monitor(B=(0.0,) * 5)),
+            STEP,
+            "alpha differs from the law's monitor (its simulation gate)",
+        ),
+        (
+            arm_law(hi=4.0),
+            STEP,
+            "the law has no monitor, so a stuck sensor drives the rig to full input: design the "
+            "law by `armrig design`, or give model= to armrig.control_law; unmonitored=True "
+            "(--unmonitored) allows this law",
+        ),
         (arm_law(hi=4.0, input="power"), STEP, "the rig's input is u"),
     ],
 )

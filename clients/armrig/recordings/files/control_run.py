@@ -47,10 +47,11 @@ class ControlRun:
     """Number of samples that had not arrived, and that the law predicted."""
 
     def facts(self) -> dict[str, Any]:
-        """Return hash, reference and shares of the run, by name, for programs."""
+        """Return hash, monitor, reference and shares of the run, by name, for programs."""
         count, is_limited = max(self.k.size, 1), self.is_low | self.is_high
         return {
             "law_sha256": self.law.sha256,
+            "monitored": self.law.monitor is not None,
             "method": printable(str(self.law.design.get("method", ""))[:_MAX_METHOD]),
             "reference": [float(self.r.min()), float(self.r.max())] if self.k.size else [],
             "decisions": int(self.k.size),
@@ -79,7 +80,7 @@ class ControlRun:
         if self.k.size:
             low, high = facts["reference"]
             text += f", {r.name} {low:.4g} to {high:.4g} {r.unit}"
-        return f"{text}; {self.shares}"
+        return f"{text}{'' if facts['monitored'] else ', without a monitor'}; {self.shares}"
 
 
 def law_of(attachments: Mapping[str, bytes]) -> ControlLaw | None:
