@@ -92,11 +92,17 @@ REMEDIES: dict[Id, str] = {
 }
 """Remedy of each fault; after the remedy, `armrig reset` clears the fault."""
 
+_EMULATOR_MODEL = (
+    "check [emulator] and the description of the rig; begin at rest; if the rig is as it was, design "
+    "the law on a new model"
+)
 EMULATOR_REMEDY = "continue the emulator if its process is stopped, or start `armrig lab` again"
 REMEDIES_OF_EMULATED: dict[Id, str] = {
     Id.LINK: EMULATOR_REMEDY,
     Id.STALE: f"{EMULATOR_REMEDY}; if this host was late, close other programs (`armrig doctor`)",
     Id.RESET: "wait until the emulator, which was started again, answers",
+    Id.INNOVATION: _EMULATOR_MODEL,
+    Id.SIMULATION: _EMULATOR_MODEL,
     Id.BLIND: "check the description of the rig and [emulator]: this reading is at an end of its "
     "range",
     Id.APPLIED: "start `armrig lab` again, and report this bug of the emulator",
