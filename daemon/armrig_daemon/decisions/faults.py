@@ -93,8 +93,8 @@ REMEDIES: dict[Id, str] = {
 """Remedy of each fault; after the remedy, `armrig reset` clears the fault."""
 
 _EMULATOR_MODEL = (
-    "check [emulator] and the description of the rig; begin at rest; if the rig is as it was, design "
-    "the law on a new model"
+    "check [emulator] and the description of the rig; begin at rest; if the rig is as it was, "
+    "design the law on a new model"
 )
 EMULATOR_REMEDY = "continue the emulator if its process is stopped, or start `armrig lab` again"
 REMEDIES_OF_EMULATED: dict[Id, str] = {
