@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.numerics.checks import real_copy
+from armrig.numerics.checks import column, real_copy
 from armrig.numerics.quantities import digits, plural
 from armrig.numerics.rounding import is_constant
 from armrig.numerics.stretches import Mask
@@ -99,6 +99,18 @@ def validity(valid: Any, shape: tuple[int, ...]) -> Mask:
     if given.shape != shape:
         raise InputError(f"valid has shape {given.shape}, y has {shape}; give one bool per value")
     return given
+
+
+def reference_of(r: ArrayLike, N: int) -> Vector:
+    """Return a copy of a reference (N,); refuse another size, and values that are not finite."""
+    known = column("r", r)
+    if known.size != N:
+        raise InputError(
+            f"r has {plural(known.size, 'sample')} and the data have {N}; give each sample"
+        )
+    if (at := np.flatnonzero(~np.isfinite(known))).size:
+        raise InputError(f"r[{at[0]}] is {known[at[0]]}: r must be known at each sample")
+    return known
 
 
 def names_of(what: str, names: Names | None, values: Any, letter: str, n: int) -> tuple[str, ...]:

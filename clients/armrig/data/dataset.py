@@ -23,6 +23,7 @@ from armrig.data.columns import (
     listed,
     names_of,
     plain,
+    reference_of,
     require_finite,
     require_size,
     sampling,
@@ -79,12 +80,15 @@ class Signals(Experiments):
         Steps of the treatment so far, one sentence for each.
     trends : sequence of Trend, default ()
         Means and lines that `detrend` removed from each experiment; `retrend` restores them.
+    r : array_like, shape (N,), optional
+        Reference of a closed loop, or another signal that excites the loop. Filters and `resample`
+        drop r, and no other treatment changes it.
 
     Raises
     ------
     ValueError
-        A shape is wrong, names repeat, an input is not finite, a valid output is infinite, one of
-        several outputs has no valid sample, or the times are not equidistant.
+        A shape is wrong, names repeat, an input or r is not finite, a valid output is infinite, one
+        of several outputs has no valid sample, or the times are not equidistant.
 
     Examples
     --------
@@ -112,6 +116,8 @@ class Signals(Experiments):
     source: str
     history: tuple[str, ...]
     trends: tuple[Trend, ...]
+    r: Vector | None
+    """Reference (N,) in the unit of the law that controlled the rig; None without a reference."""
 
     @checked_call
     def __init__(
@@ -132,6 +138,7 @@ class Signals(Experiments):
         source: str = "",
         history: Sequence[str] = (),
         trends: Sequence[Trend] = (),
+        r: ArrayLike | None = None,
     ) -> None:
         u_, y_ = columns("u", u), columns("y", y)
         (N, nu), ny = u_.shape, y_.shape[1]
@@ -168,7 +175,8 @@ class Signals(Experiments):
                 "one for each, or none"
             )
         y_[~valid_] = np.nan
-        for array in (u_, y_, valid_):
+        r_ = None if r is None else reference_of(r, N)
+        for array in (u_, y_, valid_, *([] if r_ is None else [r_])):
             array.flags.writeable = False
         values = {
             "u": u_,
@@ -188,6 +196,7 @@ class Signals(Experiments):
                 t.each(lambda x: np.broadcast_to(x, nu), lambda x: np.broadcast_to(x, ny))
                 for t in trends
             ),
+            "r": r_,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)  # the fields of a frozen dataclass
@@ -359,7 +368,7 @@ class Dataset(Experiments):
         Name of y, its unit, the unit of u, and the name of u.
     input_scale : (float, float), optional
         Value of u at 0 V at a rig's pin, and its change per volt; default: volts.
-    starts, source, history, trends
+    starts, source, history, trends, r
         As for `Signals`.
 
     Raises
@@ -397,6 +406,7 @@ class Dataset(Experiments):
         source: str = "",
         history: Sequence[str] = (),
         trends: Sequence[Trend] = (),
+        r: ArrayLike | None = None,
     ) -> None:
         y = plain("y", y)
         u_, y_ = column("u", plain("u", u)), column("y", y)
@@ -417,6 +427,7 @@ class Dataset(Experiments):
             source=source,
             history=history,
             trends=trends,
+            r=r,
         )
 
     def signals(self) -> Signals:
@@ -434,7 +445,7 @@ class Dataset(Experiments):
 
     def _values(self) -> dict[str, Any]:
         names = ("u", "y", "Ts", "valid", "starts", "output", "unit", "input_unit", "input")
-        more = ("input_scale", "source", "history", "trends")
+        more = ("input_scale", "source", "history", "trends", "r")
         return {name: getattr(self, name) for name in (*names, *more)}
 
     u = _column(lambda data: data.u[:, 0], "Input (N,), in `input_unit`.")
@@ -454,6 +465,10 @@ class Dataset(Experiments):
     trends = _column(
         lambda data: tuple(t.each(np.ndarray.item, np.ndarray.item) for t in data.trends),
         "Trend removed from each experiment; () if there is no trend that can be restored.",
+    )
+
+    r = _column(
+        lambda data: data.r, "Reference (N,) of a closed loop, or None; not part of `digest`."
     )
 
     def origin(self) -> dict[str, Any]:

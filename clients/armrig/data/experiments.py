@@ -164,6 +164,7 @@ class Experiments:
                 u=data.u[a:b],
                 y=data.y[a:b],
                 valid=data.valid[a:b],
+                r=None if data.r is None else data.r[a:b],
                 starts=starts,
                 trends=tuple(
                     data.trends[k].later(data.Ts * (first - data.starts[k]))
@@ -245,6 +246,7 @@ class Experiments:
                 u=data.u[rows],
                 y=data.y[rows],
                 valid=data.valid[rows],
+                r=None if data.r is None else data.r[rows],
                 starts=np.cumsum([0, *(part.size for part in parts[:-1])]).tolist(),
                 trends=[data.trends[i] for i in which if data.trends],
             )

@@ -35,7 +35,8 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
     Returns
     -------
     Dataset or Signals
-        All samples in the order given, with the starts and the trends of all experiments.
+        All samples in the order given, with the starts and the trends of all experiments. The
+        reference r is kept if all parts have one.
 
     Raises
     ------
@@ -67,12 +68,14 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
                 "the same treatment to all before merging"
             )
     trends = [t for data in each for t in data.trends or [Trend() for _ in data.starts]]
+    references = [data.r for data in each if data.r is not None]
     offsets = np.cumsum([0, *(data.N for data in each[:-1])])
     merged = each[0].replaced(
         step=None,
         u=np.concatenate([data.u for data in each]),
         y=np.concatenate([data.y for data in each]),
         valid=np.concatenate([data.valid for data in each]),
+        r=np.concatenate(references) if len(references) == len(each) else None,
         starts=[int(o) + s for o, data in zip(offsets, each, strict=True) for s in data.starts],
         source="+".join(dict.fromkeys(data.source for data in each if data.source)),
         history=_joined_history(each),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import inf
 from typing import Self
 
@@ -15,10 +15,17 @@ DOUBT = "doubt"
 OTHER_INPUTS = "inputs"
 """Code of a step that names columns that switch like an input, and are not in the data."""
 
+CONTROLLED = "controlled"
+"""First word of the code of a step that names the law of a run; the law's SHA-256 follows."""
+TWO_STAGE = "two_stage"
+"""Code of a step that replaced the input by its part that a reference causes."""
+
 _PART = "part"
 """First word of the code of a step that selected a part; the part's start and end in s follow."""
 _SEVERAL_PARTS = "parts"
 """Code of a step that selected a part, after this part was merged with other data."""
+_SHOWN_DIGITS = 12
+_CONTROLLED_BY = "controlled by "
 
 
 class Step(str):
@@ -42,6 +49,46 @@ def codes_of(history: Iterable[str]) -> list[str]:
 def took(text: str, start: float, stop: float) -> Step:
     """Return the history step of a selection from `start` to `stop`, in s from the first sample."""
     return Step(text, f"{_PART} {start:.9g} {stop:.9g}")
+
+
+def controlled(law_sha256: str) -> Step:
+    """Return the history step of data that were recorded under the law of this hash.
+
+    The hash is "" if a client's program computed the input from the samples.
+    """
+    return Step(_CONTROLLED_BY + laws_text([law_sha256]), f"{CONTROLLED} {law_sha256}")
+
+
+def laws_of(history: Iterable[str]) -> tuple[str, ...]:
+    """Return the SHA-256 of the laws that controlled the data, each once; () without feedback."""
+    words = (code.split(" ") for code in codes_of(history))
+    return tuple(dict.fromkeys(word[1] for word in words if word[0] == CONTROLLED))
+
+
+def laws_text(laws: Iterable[str]) -> str:
+    """Return laws by their short hashes as text, such as: the law 4e361ae2a1fe."""
+    names = [f"the law {law[:_SHOWN_DIGITS]}" if law else "a client's controller" for law in laws]
+    return " and ".join(names)
+
+
+def loop_notes(history: Sequence[str], line: str = "armrig.bj(data, …)") -> tuple[str, ...]:
+    """Return the note on the bias of an estimate without a noise model, from data under a law.
+
+    `line` is an unbiased estimate to type. Without a law, or in the second of two stages, there is
+    no note.
+    """
+    if not (laws := laws_of(history)) or TWO_STAGE in codes_of(history):
+        return ()
+    text = f"{_CONTROLLED_BY}{laws_text(laws)}: coloured noise in the loop biases this estimate"
+    return (f"{text}; use BJ or ARMAX, {line}, or armrig.two_stage (--two-stage)",)
+
+
+def with_notes(lines: Iterable[str], notes: Iterable[str], mark: str) -> str:
+    """Return the lines as text, then the notes; a note of `loop_notes` is the first line."""
+    first, last = list[str](), list[str]()
+    for note in notes:
+        (first if note.startswith(_CONTROLLED_BY) else last).append(f"{mark}: {note}")
+    return "\n".join([*first, *lines, *(f"  {note}" for note in last)])
 
 
 def in_merged(code: str) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from armrig.data.step import with_notes
 from armrig.models.estimate import Estimate
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.confidence_regions import Band
@@ -39,7 +40,7 @@ def described(fit: Fit) -> str:
             for q in fit.quality
         ]
         lines += _starts_lines(fit)
-    return "\n".join([*lines, *(f"  warning: {w}" for w in fit.warnings)])
+    return with_notes(lines, fit.warnings, "warning")
 
 
 def _starts_lines(fit: Fit, squared_unit: str = "") -> Iterator[str]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import OfDataset
+from armrig.data.step import with_notes
 from armrig.data.treatment.integrating import rate_name
 from armrig.models.state_space import Complex, Vector
 from armrig.numerics.confidence_regions import HALF_WIDTH
@@ -134,7 +135,7 @@ class SpectralEstimate(OfDataset):
                 f"  {w[i]:9.4g} rad/s  |G| {abs(self.G[i]):.4g}{known}, "
                 f"arg G {np.degrees(np.angle(self.G[i])):.1f}{degrees}°{coherence}"
             )
-        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+        return with_notes(lines, self.notes, "note")
 
 
 def log_slope(omega: Vector, magnitude: Vector) -> float:

@@ -101,7 +101,7 @@ def prefilter(data: Signals, *, band: tuple[float, float], order: int = 4) -> Si
         "missing, within the "
     )
     step += f"filter's memory of {plural(memory, 'sample')} after the start or a gap"
-    return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
+    return data.replaced(u=u, y=y, valid=valid, trends=(), r=None, step=step)
 
 
 @treats_signals
@@ -180,6 +180,7 @@ def resample(data: Signals, Ts: float) -> Signals:
         valid=valid,
         starts=np.cumsum([0, *(len(part[0]) for part in parts[:-1])]).tolist(),
         trends=[trend.later(half * old) for trend in data.trends],
+        r=None,
         Ts=factor * old,
         step=step,
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
+from armrig.data.step import loop_notes, with_notes
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.numerics.checks import require_integers
@@ -74,7 +75,7 @@ class Correlation(OfDataset):
             f"{plural(np.count_nonzero(~positive), 'negative lag')}"
             " outside (feedback, if more than chance)",
         ]
-        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+        return with_notes(lines, self.notes, "note")
 
 
 @takes_recordings
@@ -152,7 +153,7 @@ def correlation(data: Dataset, lags: int = 20, *, integrator: bool | None = None
         rate=integrates,
         N=N,
         **labels(treated),
-        notes=decided.notes,
+        notes=(*loop_notes(data.history), *decided.notes),
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, labels
 from armrig.data.merging import merge
+from armrig.data.step import loop_notes
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.models.spectral_estimate import SpectralEstimate
@@ -114,7 +115,7 @@ def etfe(
         integrates=integrates,
         method=f"ETFE, {words}",
         N=data.N - data.missing,
-        notes=decided.notes,
+        notes=(*loop_notes(data.history), *decided.notes),
     )
 
 
@@ -298,7 +299,7 @@ def bla(
         method=f"best linear approximation, {R} realisations of {min(counts)} … {max(counts)} "
         f"periods of {plural(P, 'sample')}",
         N=sum(int(n_k.sum()) for _, _, n_k in pairs),
-        notes=(*decided.notes, *_notes(R, counts, noise, total)),
+        notes=(*loop_notes(joint.history), *decided.notes, *_notes(R, counts, noise, total)),
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
+from armrig.data.step import loop_notes, with_notes
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.kernels import (
     KERNELS,
@@ -182,7 +183,7 @@ class ImpulseResponse(OfDataset):
             f"first outside its 99 % {self.band_name} band is at lag {self.first_lag()}"
         )
         lines.append(f"  residuals: variance {self.noise_variance:.4g}, {self.white}")
-        return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
+        return with_notes(lines, self.warnings, "warning")
 
 
 @takes_recordings
@@ -273,7 +274,8 @@ def impulse_response(
         )
     estimate = _plain(rows) if kernel is None else _regularised(rows, kernel)
     found = _response(data, rows, n, estimate, kernel, integrates=integrates)
-    return replace(found, warnings=(*decided.notes, *found.warnings))
+    notes = (*loop_notes(data.history), *decided.notes)
+    return replace(found, warnings=(*notes, *found.warnings))
 
 
 def _response(

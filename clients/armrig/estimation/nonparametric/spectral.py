@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, labels
 from armrig.data.merging import merge
+from armrig.data.step import loop_notes
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.spectra import (
@@ -123,7 +124,7 @@ def spa(
     if integrates:  # the rate is not known at the first sample of an experiment
         whole = merge([difference(part)[1:] for part in whole.experiments() if part.N > 1])
     spectra = blackman_tukey(whole, gamma, w, N)
-    notes = [*decided.notes]
+    notes = [*loop_notes(data.history), *decided.notes]
     if not isinstance(window, str):
         notes += blunted(whole, spectra, int(gamma[0]), w, N)
     size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
@@ -144,7 +145,11 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     return merge(
         [
             part.replaced(
-                u=part.u[: part.N - delay], y=part.y[delay:], valid=part.valid[delay:], step=None
+                u=part.u[: part.N - delay],
+                y=part.y[delay:],
+                valid=part.valid[delay:],
+                r=None,
+                step=None,
             )
             for part in parts
         ]
