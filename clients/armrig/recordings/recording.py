@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from armrig.data.columns import Vector as Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files import IMPORTED
-from armrig.data.step import took
+from armrig.data.step import Step, controlled, took
 from armrig.data.treatment import difference
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
@@ -91,6 +91,14 @@ class Recording:
     of the code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
     record, or NaN without a gap record.
     """
+    r: Vector | None = None
+    """Reference of the run in control, (N,) in the law's unit; None for other runs.
+
+    The reference of a missing sample is known, and the last value is held after its end. The first
+    part of a run contains the reference of a law, so a later part has None.
+    """
+    decisions: Callable[[], Mapping[str, Vector]] | None = None
+    """Function that reads the decisions of a run in control from the files; None for other runs."""
     channels: Mapping[str, Channel]
     """Channels of the rig by name, in the order of the device's readings.
 
@@ -264,11 +272,18 @@ class Recording:
             input_unit=given.unit,
             input_scale=(given.offset, given.per_volt),
             source=self.sha256,
-            history=[took("took {:g} to {:g} s of the run".format(*self.part), *self.part)]
-            if self.part
-            else (),
+            history=self._history(),
+            r=None if self.r is None else self.r[at][known],
         )
         return difference(data) if output == measured.rate else data
+
+    def _history(self) -> list[Step]:
+        """Return the steps of the data's history: the law of the run, and the loaded part."""
+        law = self.manifest.controller_sha256
+        steps = [controlled(law)] if isinstance(law, str) else []
+        if self.part:
+            steps.append(took("took {:g} to {:g} s of the run".format(*self.part), *self.part))
+        return steps
 
     def _instants(self) -> tuple[NDArray[np.int_], Mask]:
         """Return the rows of the instants of the client's sampling time.
@@ -322,6 +337,7 @@ class Recording:
             units=[data.unit for data in each],
             source=self.sha256,
             history=list(history),
+            r=each[0].r,
         )
 
     def to_pandas(self) -> DataFrame:
@@ -391,7 +407,9 @@ class Recording:
 def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
     """Return the columns (N,) of an export: k, t, the input, the channels, masks, and present.
 
-    `raw` adds columns of the recorded readings and times, with 0 for a missing sample.
+    A run under a control law also has r, v and is_limited, the reference, the voltage before the
+    limits, NaN without a decision, and whether the voltage was limited. `raw` adds columns of the
+    recorded readings and times, with 0 for a missing sample.
     """
     channels = [(c, recording.channel(c.name)) for c in recording.description.channels]
     given = recording.description.input
@@ -403,6 +421,8 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
         **{c.valid: shown.valid for c, shown in channels},
         "present": recording.present,
     }
+    own = _law_columns(recording)  # a channel of the rig keeps its name
+    found |= {f"law_{name}" if name in found else name: column for name, column in own.items()}
     counts = (c.counts_field for c, _ in channels)
     names = (*counts, "flags", "t_device_us", "t_host_ns", "t_sched_ns")
     for name in names if raw else ():
@@ -410,6 +430,20 @@ def export_columns(recording: Recording, *, raw: bool = False) -> dict[str, NDAr
         column[recording.present] = recording.samples[name]
         found[name] = column
     return found
+
+
+def _law_columns(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Return the columns (N,) of a run under a control law, by name; {} without a law."""
+    if recording.decisions is None:
+        return {}
+    found = recording.decisions()
+    row = found["k"].astype(np.int64) - recording.k_first
+    own = (row >= 0) & (row < recording.N)
+    v, is_limited = np.full(recording.N, np.nan), np.zeros(recording.N, np.bool_)
+    v[row[own]] = found["v"][own]
+    is_limited[row[own]] = (found["is_low"] + found["is_high"] + found["is_slewed"])[own] > 0
+    r = {} if recording.r is None else {"r": recording.r}
+    return r | {"v": v, "is_limited": is_limited}
 
 
 def export_metadata(recording: Recording) -> dict[str, str]:
@@ -426,4 +460,5 @@ def export_metadata(recording: Recording) -> dict[str, str]:
 
 def _units(recording: Recording) -> dict[str, str]:
     given, channels = recording.description.input, recording.description.channels
-    return {"t": "s", given.name: given.unit} | {c.name: c.unit for c in channels}
+    law = {"v": "V"} if recording.decisions else {}
+    return {**law, "t": "s", given.name: given.unit} | {c.name: c.unit for c in channels}

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,10 +22,11 @@ from armrig_core.telemetry import protobuf
 from armrig_core.telemetry.channels import CHANNELS
 from armrig_core.telemetry.telemetry import Sample, encode_sample
 from armrig_core.telemetry.topics import STREAMS, alive_key, schema_key, stream_key
+from msgspec import UNSET
 from numpy.typing import NDArray
 
 from armrig.recordings.daemon_reports import Clock
-from armrig.recordings.files.container import Content
+from armrig.recordings.files.container import Content, streamed
 from armrig.recordings.files.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
 from armrig.rig.session import RigError
 
@@ -95,8 +97,12 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
     Raises FileError if the file cannot be loaded (see `armrig.load`), or the range contains no
     message. Raises OSError if the file cannot be opened or read.
     """
-    found = run_content(files_of(path), start, stop, digest=False)
+    paths = files_of(path)
+    found = run_content(paths, start, stop, digest=False)
     content, manifest = found.content, found.manifest
+    if manifest.controller_sha256 is not UNSET:
+        decisions = chain.from_iterable(streamed(one, "control") for one in paths)
+        content.messages["control"] = [*decisions]
     clock = clock_of(content, manifest, origin_of(content, manifest))
     first, end = found.between
     k = content.samples["k"]

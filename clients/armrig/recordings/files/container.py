@@ -8,8 +8,9 @@ then read by the index, so that one damaged record does not cost the other recor
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -63,6 +64,7 @@ _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # costs in the budget; measur
 # Bytes that a parsed message takes in addition to its payload; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 _OVERHEADS |= {"control": 900}
+_DECISION = ("k", "r", "v", "u_v", "is_low", "is_high", "is_slewed", "predicted")
 READ = tuple(stream for stream in STREAMS if stream != "control")
 """Streams read by default. A replay also needs the stream `trace`, the core's steps, and `control`
 has a message for each sample."""
@@ -155,6 +157,16 @@ def streamed(path: Path, stream: str) -> Iterator[Any]:
         for _ in _walked(source, reader, None):
             yield from reader.content.messages.pop(stream, ())
             reader.budget.regain(KEPT)
+
+
+def law_decisions(paths: Sequence[Path]) -> dict[str, NDArray[np.float64]]:
+    """Return the decisions of a law in the files of a run: numbers (n,) by name, in their order.
+
+    Raises the exceptions of `read`.
+    """
+    messages = chain.from_iterable(streamed(path, "control") for path in paths)
+    table = np.array([[getattr(m, name) for name in _DECISION] for m in messages], np.float64)
+    return dict(zip(_DECISION, table.reshape(-1, len(_DECISION)).T, strict=True))
 
 
 def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[None]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
 from itertools import chain, pairwise
 from math import ceil, inf
 from pathlib import Path
@@ -34,8 +36,9 @@ from armrig.numerics.quantities import plural
 from armrig.recordings.channels import channels_of
 from armrig.recordings.daemon_reports import Clock, Gap, reports_of
 from armrig.recordings.files.attachment_hashes import attachment_fault, without_hash
-from armrig.recordings.files.container import Content, Part, read
+from armrig.recordings.files.container import Content, Part, law_decisions, read
 from armrig.recordings.files.imports import imported_data, recording_of
+from armrig.recordings.files.input_attachment import recorded_input
 from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import is_foreign, is_recording
 from armrig.recordings.grid import Grid, check_sampling_time, grid
@@ -126,7 +129,7 @@ def load(
         return recording_of(name, str(given[0]), data)
     found = run_content(paths, start, stop)
     called = str(given[0]) if str(given[0]).startswith("@") and len(given) == 1 else name.name
-    recording = _assembled(name, called, found, calibration or found.calibration)
+    recording = _assembled(name, called, found, calibration or found.calibration, paths)
     if found.between != EVERYTHING and not recording.N:
         msg = f"{name}: it contains no sample from {start or 0:g} s"
         msg += f" to {stop:g} s" if stop is not None else " on"
@@ -318,7 +321,11 @@ def _recovered(content: Content) -> Recovered | None:
 
 
 def _assembled(
-    path: Path, name: str, found: RunContent, calibration: Calibration | None
+    path: Path,
+    name: str,
+    found: RunContent,
+    calibration: Calibration | None,
+    paths: Sequence[Path],
 ) -> Recording:
     content, manifest, outcome, _, between = found
     try:
@@ -363,6 +370,10 @@ def _assembled(
         k_first=rows.k_first,
         t=t,
         u=np.where(u == 0, 0.0, driver.gain * u + driver.offset_v),  # 0 V remains 0 V
+        r=_reference(paths, content, manifest, rows),
+        decisions=None
+        if manifest.controller_sha256 is msgspec.UNSET
+        else partial(law_decisions, tuple(paths)),
         description=description,
         **channels_of(
             samples,
@@ -384,10 +395,35 @@ def _assembled(
         **reports,
     )
     shown = (recording.channel(channel.name) for channel in description.channels)
-    arrays = (recording.t, recording.u, *chain.from_iterable(shown), recording.present, samples)
+    r = () if recording.r is None else (recording.r,)
+    arrays = (*r, recording.t, recording.u, *chain.from_iterable(shown), recording.present, samples)
     for array in arrays:
         array.flags.writeable = False
     return recording
+
+
+def _reference(
+    paths: Sequence[Path], content: Content, manifest: Manifest, rows: Grid
+) -> Vector | None:
+    """Return the reference at each row of a run in control; None if the reference is not known.
+
+    The reference of a law is attached; that of a client's controller is in its decisions.
+    """
+    if manifest.controller_sha256 is msgspec.UNSET:
+        return None
+    k = rows.k_first + np.arange(rows.N)
+    with suppress(DamageError):
+        if manifest.controller_sha256 == "":
+            found = law_decisions(paths)
+            r, row = found["r"], np.searchsorted(found["k"], k, side="right") - 1
+        elif content.input and content.input_sha256:
+            r = recorded_input(paths[0], content.input, manifest.samples)
+            row = k - max(manifest.k_first, 0)
+        else:
+            return None
+        if r.size and np.isfinite(r).all():
+            return np.asarray(r[np.clip(row, 0, r.size - 1)])
+    return None
 
 
 def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:

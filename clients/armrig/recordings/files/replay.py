@@ -21,10 +21,10 @@ from armrig_protocol.frame import Spoilt, Unknown, decode
 from armrig.numerics.quantities import plural
 from armrig.recordings.files.container import Content, read, streamed
 from armrig.recordings.files.control_run import law_of
+from armrig.recordings.files.input_attachment import recorded_input
 from armrig.recordings.files.loading import check_attachments, files_of, run_content
 from armrig.recordings.files.recording_summary import is_foreign
 from armrig.recordings.files.sample_rows import SAMPLE_DTYPE
-from armrig.recordings.files.verification import recorded_input
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,24 +7,19 @@ attachment is refused by `load`, and so by `verify`.
 from __future__ import annotations
 
 import hashlib
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from io import BytesIO
-from itertools import islice, pairwise
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
 import numpy as np
 from armrig_core.commands.codes import OutcomeCode
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.file_records import Place
 from armrig_core.recording_file.manifest import CONFIG
-from armrig_core.recording_file.opening import regular_file
 from armrig_core.recording_file.part_names import part_number
 from armrig_core.rig.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE
-from numpy.typing import NDArray
 
 from armrig.data.columns import Vector
 from armrig.data.files.imported_file import ImportedData
@@ -33,6 +28,7 @@ from armrig.numerics.quantities import NBSP, digits, listed, plural
 from armrig.recordings.files.attachment_hashes import attachment_fault, attachment_names
 from armrig.recordings.files.control_run import ControlRun, control_run
 from armrig.recordings.files.imports import imported_data
+from armrig.recordings.files.input_attachment import recorded_input
 from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import REMOTE
@@ -44,9 +40,6 @@ _CODE_V = U_MAX_V / CODE_FULL_SCALE
 MAX_DRIFT_PPM = 6_000.0
 """Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
 _MAX_JUMP_SIGMAS = 6.0
-_TIMES_BYTES = 8 + 8  # B; two times precede the name in an attachment
-_MAX_HEAD_BYTES = 1 << 10  # B; times, name, media type, and the heading of the voltages
-_MAX_LINE_BYTES = 64  # B; the text of a voltage has at most 24 B
 
 
 RESULTS: Mapping[str, str] = {"good": "passed", "warning": "not checked", "unusable": "failed"}
@@ -373,35 +366,3 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
     yield "sha256", found.sha256
     for check in found.checks:
         yield check.about, f"{RESULTS[check.level]}: {check.text}"
-
-
-def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
-    """Read the attachment at `place`, and return its voltages, (n,) in V.
-
-    Raises DamageError if the attachment is not a list of voltages, its checksum is wrong, or it
-    contains more than `most` voltages.
-    """
-    with regular_file(path) as file:
-        file.seek(place.at)
-        content = file.read(min(place.length, _MAX_HEAD_BYTES + most * _MAX_LINE_BYTES))
-    at = _TIMES_BYTES
-    for _ in range(2):  # name and media type
-        at += 4 + int.from_bytes(content[at : at + 4], "little")
-    if at + 8 + int.from_bytes(content[at : at + 8], "little") + 4 != place.length:
-        raise DamageError("the attached input does not have the form of an input")
-    too_long = DamageError(
-        f"the attached input is longer than the {plural(most, 'sample')} of the run"
-    )
-    if len(content) < place.length:
-        raise too_long
-    expected = int.from_bytes(content[-4:], "little")
-    if expected and expected != zlib.crc32(content[:-4]):
-        raise DamageError("the checksum of the attached input is wrong")
-    lines = islice(BytesIO(content[at + 8 : -4]), 1, None)  # without the heading
-    try:
-        u = np.fromiter((float(line) for line in lines if line.strip()), np.float64)
-    except ValueError as err:
-        raise DamageError(f"the attached input is not a list of voltages ({err})") from err
-    if u.size > most:
-        raise too_long
-    return u
