@@ -23,8 +23,11 @@ from armrig.numerics.quantities import listed
 Given = dict[str, Any]
 """Values of the estimation's options by name; None or False for options that were not given."""
 _SEARCHED = ("structure", "nk", "integrator", "offset")
-_NOT_SEARCHED = {"stable": "whose models are always stable"}
-_NOT_WITH = {"stable": "; not with --search"}
+_NOT_SEARCHED = {
+    "stable": "whose models are always stable",
+    "two_stage": "which tries structures with a noise model in a closed loop",
+}
+_NOT_WITH = dict.fromkeys(_NOT_SEARCHED, "; not with --search")
 _MAX_OTHERS = 3  # structures without an option that its help names
 _COUNTED_AS = {"nf": "; an integrator counts as one"}
 _WAY_OUT = {

@@ -7,7 +7,17 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Remedy = Literal[
-    "", "check", "integrator", "level", "nk", "order", "outliers", "rails", "search", "structure"
+    "",
+    "check",
+    "integrator",
+    "level",
+    "nk",
+    "noise",
+    "order",
+    "outliers",
+    "rails",
+    "search",
+    "structure",
 ]
 """Change of the next estimation; "" if no change is known.
 
@@ -15,6 +25,7 @@ Remedy = Literal[
 - integrator: fix a pole at 1
 - level: estimate the constant level of y, or remove it from the data
 - nk: begin at the first lag with an effect in the data
+- noise: take a structure with a noise model, or two stages, since a law controlled the run
 - order: lower the orders
 - outliers, rails: mark these samples missing
 - search: search other orders and noise models

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from armrig.data.finding import Finding, warning
+from armrig.data.step import laws_of, loop_notes
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
+from armrig.models.structure_table import DESCRIBED
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import digits, plural
@@ -54,6 +56,21 @@ def parameter_warnings(W: Array, C: Array) -> Iterator[Finding]:
 
 
 def with_doubts(fit: Fit) -> Fit:
-    """Return the fit with warnings of standard deviations that cannot be trusted."""
+    """Return the fit with warnings of a loop, and of standard deviations not to be trusted."""
     notes = [warning(name, text, curvature=fit.curvature) for name, text in fit.doubts]
-    return replace(fit, findings=(*fit.findings, *notes))
+    return replace(fit, findings=(*loop_warnings(fit), *fit.findings, *notes))
+
+
+def loop_warnings(fit: Fit) -> Iterator[Finding]:
+    """Yield a warning if a law controlled the run, and the structure has no noise model."""
+    row = DESCRIBED[fit.structure]
+    if not laws_of(fit.history) or row.closed_loop:
+        return
+    options = "ss"
+    if (fit.ny, fit.nu) == (1, 1):
+        n = fit.denominator.size - 1
+        nb = fit.orders["nb"] if "nb" in row.orders else n
+        options = f"bj --nb {nb} --nc 1 --nd 1 --nf {n}"
+        options += " --integrator" * bool(fit.integrator)
+    line = f"`armrig identify F --structure {options}`"
+    yield from (warning("feedback", text, "noise") for text in loop_notes(fit.history, line))

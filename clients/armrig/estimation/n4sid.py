@@ -15,6 +15,7 @@ from armrig.data.treatment.integrating import integrating, known_to_integrate, m
 from armrig.estimation.data_faults import NO_OPTION, data_faults, require_informative
 from armrig.estimation.error_process import error_process
 from armrig.estimation.estimated_outputs import origin
+from armrig.estimation.fit_warnings import loop_warnings
 from armrig.estimation.orders import as_text
 from armrig.estimation.stability import REFLECT, instability, reflection_warnings, unstable
 from armrig.estimation.state_space_fit import (
@@ -285,7 +286,7 @@ def _fit(
         inferred = inferred.transformed(T)
         notes = [*notes, *instability(form), *_poor_fits(data, inferred.quality)]
         specification = as_text(order=len(form.A), nk=delays)
-    return Fit(
+    fit = Fit(
         structure="n4sid",
         specification=specification,
         form=form,
@@ -300,6 +301,7 @@ def _fit(
         **inferred.fields(),
         **facts,
     )
+    return replace(fit, findings=(*loop_warnings(fit), *fit.findings))
 
 
 def _observer_form(

@@ -70,6 +70,10 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
     replicates: int | None = None
     """Number of replicates from which the covariance of a subspace model is computed."""
     delay: Annotated[str | None, Option('Delay from u to y, in s, or "estimate"', "0")] = None
+    two_stage: Annotated[
+        bool, Option("Estimate from the part of u that the recorded reference of the loop causes")
+    ] = False
+    """True to call `armrig.two_stage` with this structure, and with the reference in the data."""
     form: Annotated[
         str | None,
         Option(
@@ -128,7 +132,10 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
 
     def estimated(self, data: Dataset | Signals) -> Fit:
         """Return the model estimated from the data."""
-        return estimator(self.structure)(data, **self.arguments(data))
+        arguments = self.arguments(data)
+        if arguments.pop("two_stage", False):
+            return estimator("two_stage")(data, structure=self.structure, **arguments)
+        return estimator(self.structure)(data, **arguments)
 
     def of_fit(self, fit: Fit) -> Self:
         """Return this request with the orders, the integrator and the offset of the model `fit`.
@@ -150,8 +157,8 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
 
     def of_structure(self, structure: OfferedName, orders: dict[str, int]) -> Self:
         """Return this request for another structure, without options that `structure` lacks."""
-        takes = STRUCTURES[structure].takes
-        dropped = {name: DEFAULTS[name] for name in self.asked if name not in takes}
+        options = STRUCTURES[structure].options
+        dropped = {name: DEFAULTS[name] for name in self.asked if name not in options}
         return msgspec.structs.replace(self, structure=structure, orders=orders, **dropped)
 
 

@@ -11,8 +11,10 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.argument import takes_data
+from armrig.data.columns import reference_of
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
+from armrig.data.step import TWO_STAGE, Step
 from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import with_integrator
@@ -20,23 +22,26 @@ from armrig.estimation.request import estimator
 from armrig.models.fit import Fit
 from armrig.models.prediction import structure_of
 from armrig.models.predictor import prediction_errors
-from armrig.numerics.checks import column, require_known
+from armrig.numerics.checks import require_known
 from armrig.numerics.covariance import joint_score
 from armrig.numerics.criteria import mdl
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
-from armrig.numerics.quantities import plural
 
 StageTwo = Literal["oe", "tf", "process"]
 
 _LENGTHS = (0, 8, 16, 32, 64, 128, 256)  # numbers of lags of r that are tried
 _SAMPLES_PER_LAG = 5
-_STEP = "u replaced by its part that r causes"
+_STEP = Step("u replaced by its part that r causes", TWO_STAGE)
 
 
 @takes_data  # type: ignore[arg-type]  # any option may follow `data`
 def two_stage(
-    data: Dataset | Signals, r: ArrayLike, *, structure: StageTwo = "oe", **options: Any
+    data: Dataset | Signals,
+    r: ArrayLike | None = None,
+    *,
+    structure: StageTwo = "oe",
+    **options: Any,
 ) -> Fit:
     """Estimate the plant of a closed loop from the part of u that the signal r causes.
 
@@ -52,8 +57,9 @@ def two_stage(
     ----------
     data : Dataset or Signals
         N samples of u and y of one input and one output.
-    r : array_like (N,)
-        Set point, or a signal that was added to u. It must not depend on the noise.
+    r : array_like (N,), optional
+        Set point, or a signal that was added to u. It must not depend on the noise. The default is
+        `data.r`, the reference of a run under a control law.
     structure : {"oe", "tf", "process"}, default "oe"
         Estimator of the second stage.
     **options
@@ -67,8 +73,8 @@ def two_stage(
     Raises
     ------
     ValueError
-        r has another size than u, is not known everywhere, or does not affect u. There are too few
-        samples, or the estimator refuses an option.
+        r is missing, has another size than u, is not known everywhere, or does not affect u. There
+        are too few samples, or the estimator refuses an option.
 
     References
     ----------
@@ -86,8 +92,8 @@ def two_stage(
     ...     x[t] = 0.8 * x[t - 1] + 0.4 * u[t - 1]
     ...     y[t] = x[t] + 0.3 * e()
     ...     u[t] = 2 * (r[t] - y[t])
-    >>> data = armrig.Dataset(u=u, y=y, Ts=0.1)
-    >>> fit = armrig.two_stage(data, r, nb=1, nf=1)
+    >>> data = armrig.Dataset(u=u, y=y, Ts=0.1, r=r)
+    >>> fit = armrig.two_stage(data, nb=1, nf=1)
     >>> fit.theta.round(2)
     array([ 0.4, -0.8])
     """
@@ -100,7 +106,14 @@ def two_stage(
         )
     data = signals.dataset()
     parts = list(data.experiments())
-    references = _references(r, data)
+    reference = data.r if r is None else r
+    if reference is None:
+        raise InputError(
+            "two_stage needs the reference, and the data have none: give the set point, or a "
+            "signal that was added to u, as r; a recording has it only if a control law drove the "
+            "rig, and resample and prefilter drop it"
+        )
+    references = np.split(reference_of(reference, data.N), data.starts[1:])
     count = _count(parts, references)
     Phi = [_lags(x, count) for x in references]
     first = orthonormal(np.vstack(Phi))
@@ -117,18 +130,6 @@ def two_stage(
     return replace(
         fit, covariance=P, covariance_robust=P, free=(), digest=data.digest, findings=findings
     )
-
-
-def _references(r: ArrayLike, data: Dataset) -> list[Array]:
-    """Return r of each experiment."""
-    known = column("r", r)
-    if known.size != data.N:
-        raise InputError(
-            f"r has {plural(known.size, 'sample')} and the data have {data.N}; give each sample"
-        )
-    if (at := np.flatnonzero(~np.isfinite(known))).size:
-        raise InputError(f"r[{at[0]}] is {known[at[0]]}: r must be known at each sample")
-    return np.split(known, data.starts[1:])
 
 
 def _lags(r: Array, count: int) -> Array:

@@ -55,11 +55,18 @@ class RegisteredStructure:
     """True if a search with several signals tries this structure."""
     continuous: bool = False
     """True if the model is in continuous time, without nk."""
+    second_stage: bool = False
+    """True if the structure can be the second of two stages, which is an option of the commands."""
 
     @property
     def counts(self) -> tuple[str, ...]:
         """Names of the orders, with nk."""
         return tuple(self.orders) if self.continuous else (*self.orders, "nk")
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the options of the commands, except the orders."""
+        return (*self.takes, *["two_stage"] * self.second_stage)
 
     @property
     def poles(self) -> str:
@@ -101,7 +108,7 @@ _row = RegisteredStructure
 _ROWS = (
     _row("arx", "A y = B u + e", _ARX, ("stable",), closed_loop=True),
     _row("armax", "A y = B u + C e", _ARX | {"nc": _N}, _SEARCHED, closed_loop=True),
-    _row("oe", "y = B/F u + e", _OE, _SEARCHED, searched_of_several=True),
+    _row("oe", "y = B/F u + e", _OE, _SEARCHED, searched_of_several=True, second_stage=True),
     _row("bj", "y = B/F u + C/D e", _BJ, _SEARCHED, closed_loop=True),
     _row("iv4", "A y = B u + v, v of any colour", _ARX, ("stable",), several=False),
     _row("n4sid", "a state space", _STATE_SPACE, _OF_N4SID, searched_of_several=True),
@@ -125,6 +132,7 @@ _ROWS = (
         several=False,
         searched=False,
         continuous=True,
+        second_stage=True,
     ),
     _row(
         "process",
@@ -134,6 +142,7 @@ _ROWS = (
         several=False,
         searched=False,
         continuous=True,
+        second_stage=True,
     ),
     _row("pem", "A y = B/F u + C/D e", _PEM, _SEARCHED[1:], closed_loop=True),
 )
@@ -149,5 +158,5 @@ OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for na
 
 
 def users(argument: str) -> list[OfferedName]:
-    """Return the offered structures whose estimators have an order or argument of this name."""
-    return [name for name, row in OFFERED.items() if argument in (*row.counts, *row.takes)]
+    """Return the offered structures that have an order or an option of this name."""
+    return [name for name, row in OFFERED.items() if argument in (*row.counts, *row.options)]
