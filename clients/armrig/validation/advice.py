@@ -13,7 +13,7 @@ from armrig.data.columns import constancy
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
 from armrig.data.finding import Finding, few_samples, good, lines_of, warning
-from armrig.data.step import LINE, MEAN, codes_of
+from armrig.data.step import LINE, MEAN, codes_of, laws_text
 from armrig.data.treatment import drift, hampel, known_to_integrate
 from armrig.data.treatment.integrating import Integration, integration, may_be_one
 from armrig.estimation.data_faults import (
@@ -278,8 +278,8 @@ class Tested:
 
     @property
     def together(self) -> bool:
-        """True if feedback or a direct term is found with p < 0.1 %."""
-        return self.loop is not None and self.loop.p_value < CHANCE_LEVEL
+        """True if a law controlled the run, or feedback or a direct term has p < 0.1 %."""
+        return self.loop is not None and self.loop.sure
 
 
 def tested(data: Dataset, integrator: bool | None, whole: Signals | None) -> Tested:
@@ -352,7 +352,7 @@ def examine_fit_of(
     """
     yield from few_samples(data.N)
     if (fit.ny, fit.nu) != (1, 1):
-        yield from doubts_of_channels(data.signals())
+        yield from (f for f in doubts_of_channels(data.signals()) if f.remedy != "noise")
         return
     data = data.signals().dataset()
     known = tested(data, fit.integrator or integrator, None)
@@ -369,7 +369,7 @@ def examine_fit_of(
     if known.integration.notes and not fit.integrator and not (fit.converged and apart):
         found = _about_integrator(known.integration)
         yield replace(found, level="warning", remedy=found.remedy or "integrator")
-    if known.together:
+    if known.together and not (known.loop and known.loop.laws):  # the fit has a finding on laws
         yield from about_feedback(known)
     late = known.late
     if isinstance(late, str):
@@ -456,12 +456,17 @@ def about_feedback(known: Tested) -> list[Finding]:
     """Return the result of the test for feedback; [] without a test."""
     if (loop := known.loop) is None:
         return []
+    able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
+    if loop.laws:
+        text = f"controlled by {laws_text(loop.laws)}: coloured noise in the loop biases OE, "
+        text += f"spectra and correlations; use {able} with nk >= 1, or armrig.two_stage"
+        tested = f"Sims' test: p {p_relation(loop.p_value)}" if loop.sims else "no test"
+        return [warning("feedback", f"{text} ({tested})", "noise")]
     if loop.feedback is None:
         return [good("feedback", f"not tested: {'; '.join(loop.remarks)}")]
     p = f"p {p_relation(loop.p_value)}"
     if not loop.feedback:
         return [good("feedback", f"none is found ({p})")]
-    able = "ARMAX or ARX" if known.integration.unstable else "ARMAX or BJ"
     what = f"the data look as if u depends on {loop.output}"
     if loop.may_be_direct_term:
         what += f", or {loop.output} on u of the same sample"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.data.finding import FEW_SAMPLES
+from armrig.data.step import TWO_STAGE, codes_of
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import listed
@@ -52,8 +53,13 @@ def answer(
     remedy = _DATA_FIRST if doubted else COLOURED
     if any(f.about == "samples" for f in doubts):
         remedy = f"record {FEW_SAMPLES} samples or more first"
+    if TWO_STAGE in codes_of(fit.history):
+        remedy = "the deviations of two stages are valid for any colour"
     said += f"; {remedy}." if fit.trusts_robust else "."
-    if any(f.about == "feedback" for f in doubts):
+    feedback = [f for f in (*fit.findings, *doubts) if f.about == "feedback"]
+    if laws := [f.text for f in feedback if f.remedy == "noise"]:
+        said = f"{laws[0][0].upper()}{laws[0][1:]}.\n{said}"
+    elif feedback:
         said += " But the data show feedback, or a direct term: see below."
     if validation is None or tests is None:
         untested = all(isnan(q.white.p_value) for q in fit.quality)

@@ -13,6 +13,7 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_data
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files.column_faults import rails_of
+from armrig.data.step import laws_of
 from armrig.data.treatment import hampel
 from armrig.data.treatment.integrating import pole_test
 from armrig.estimation.data_faults import CONSTANT_INPUT, looking_wrong, require_moving_output
@@ -103,7 +104,8 @@ class Linearity:
     remarks: tuple[str, ...]
     """Limits of the answer."""
     closed: bool
-    """True if feedback or a direct term is found with p < 0.1 %, so that u(t) may contain e(t)."""
+    """True if feedback or a direct term is found with p < 0.1 %, so that u(t) may contain e(t).
+    False under a known control law, whose u(t) depends on y(t - 1) and earlier."""
     output: str
     """Name of y."""
     input: str
@@ -240,12 +242,13 @@ def _tested(data: Signals, level: float, loop: OpenLoop | None) -> Linearity:
     with suppress(InputError):
         loop = loop or open_loop(channel)
         exact = loop.exact
-        together, direct = loop.p_value < CHANCE_LEVEL, loop.may_be_direct_term
+        together, direct = loop.sure and not loop.laws, loop.may_be_direct_term
         closed = together and not loop.few_levels
     if exact:
         raise InputError(EXACT)
-    # In closed loop, u(t) contains e(t).
-    first = int(closed and not direct)
+    # In closed loop, u(t) contains e(t). Under a known law it contains e(t - 1) and earlier only:
+    # the test is valid, and lag 0 has no effect.
+    first = int(bool(laws_of(data.history)) or (closed and not direct))
     model = _long_model(data, first)
     p, (at, rails) = _p_value(model), rails_of(channel.y)
     if not model.has_errors:  # a linear rig that settles stays at its last value, too

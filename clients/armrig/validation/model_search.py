@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import as_dataset, takes_data
 from armrig.data.dataset import Dataset, Signals, Vector
 from armrig.data.finding import Finding, few_samples
+from armrig.data.step import laws_of
 from armrig.data.treatment import known_to_integrate
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.data_faults import (
@@ -160,8 +161,9 @@ def search(
         estimated with `focus="simulation"`. In closed loop the default for one input and output is
         1, because a model that is biased by feedback would have the best simulation.
     open_loop : bool, default False
-        True if u(t) was not computed from y(t). Otherwise this counts as shown only for a u that
-        is held in two of three samples, and whose changes y does not explain.
+        True if u(t) was not computed from y(t); without effect for a run under a control law.
+        Otherwise this counts as shown only for a u that is held in two of three samples, and whose
+        changes y does not explain.
     executor : concurrent.futures.Executor, optional
         Executor of the estimates, such as ``ProcessPoolExecutor``; by default the caller's thread.
     progress : callable, optional
@@ -293,6 +295,7 @@ def _planned(
 ) -> tuple[list[Candidate], int | None, list[Finding], list[str]]:
     """Test the data, and return the candidates, the horizon, the doubts, and the notes."""
     notes: list[str] = []
+    laws = laws_of(whole.history)
     poles: tuple[bool | tuple[str, ...], ...]
     if isinstance(data, Dataset):
         (mark,) = (None,) if integrator is None else integrating_outputs(integrator, data)
@@ -303,7 +306,8 @@ def _planned(
         decided, late = known.integration, known.late
         likely = [max(late.nk, 1)] if isinstance(late, Delay) else [1]
         direct = isinstance(late, Delay) and late.interval[0] == 0
-        may_be_0 = direct and (open_loop or not may_follow_output(as_dataset(whole)))
+        open_loop = open_loop and not laws
+        may_be_0 = direct and (open_loop or not (laws or may_follow_output(as_dataset(whole))))
         likely = [0, *likely] if may_be_0 else likely
         both = integration(as_dataset(whole), mark).undecided
         poles = (False, True) if both else (decided.integrates,)
@@ -319,7 +323,8 @@ def _planned(
         offered = several_of("families", families, _SEARCHABLE)
         if not decided.integrates:
             offset, notes = _offset(data, validation, offset, offered)
-        left_out = {"level": offset, "feedback": not known.together}
+        unbiased = laws and all(OFFERED[name].closed_loop for name in offered)
+        left_out = {"level": offset, "feedback": unbiased or not known.together}
         doubted = (f for f in examine_experiment(data, known) if f.level != "good")
         against = [f for f in doubted if not left_out.get(f.about)]
         untried = [_NO_DIRECT_TERM] * (direct and not may_be_0 and nk is None)
@@ -333,10 +338,12 @@ def _planned(
         fixed = tuple(name for name, mark in zip(data.outputs, marks, strict=True) if mark)
         poles = (fixed or False,)
         likely, allowed = [1], [name for name, row in OFFERED.items() if row.searched_of_several]
-        offered = several_of("families", allowed if families is None else families, allowed)
+        default = [name for name in allowed if OFFERED[name].closed_loop or not laws]
+        offered = several_of("families", default if families is None else families, allowed)
         offset, notes = (offset, []) if poles[0] else _offset(data, validation, offset, offered)
         offered = ["oe"] if poles[0] or (offset and "oe" in offered) else offered
-        against = [*doubts_of_channels(data)]
+        unbiased = laws and all(OFFERED[name].closed_loop for name in offered)
+        against = [f for f in doubts_of_channels(data) if not (unbiased and f.remedy == "noise")]
     delays = likely if nk is None else several("nk", nk) if isinstance(nk, Iterable) else [nk]
     for n in orders:
         require_integers(MAX_ORDER, orders=(n, 1))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.finding import Finding, good, unusable, warning
+from armrig.data.step import laws_text
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import digits, listed, p_relation, plural
 from armrig.numerics.whiteness import BAND_99_PERCENT, WHITE_LEVEL, Whiteness
@@ -102,6 +103,8 @@ class ResidualTest:
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
     """Hash of the recording, or ""."""
+    laws: tuple[str, ...] = ()
+    """SHA-256 of the laws that controlled the run; under a law, `feedback` rejects no model."""
     findings: tuple[Finding, ...] = ()
     """Warnings, with the code "overlap" if the model was also estimated from a part of these data.
     """
@@ -114,7 +117,8 @@ class ResidualTest:
     @property
     def rejects(self) -> bool:
         """True if a joint test rejects the model."""
-        p = self.whiteness, self.missing_dynamics, self.feedback, self.larger_errors
+        p = [self.whiteness, self.missing_dynamics, self.larger_errors]
+        p += [] if self.laws else [self.feedback]
         return any(value < WHITE_LEVEL for value in p)
 
     @property
@@ -205,7 +209,7 @@ class ResidualTest:
         if self.missing_dynamics_by_pair.size == 1:
             return
         tests = {"dynamics": self.missing_dynamics_by_pair}
-        if not self.missing_dynamics < WHITE_LEVEL:
+        if not (self.laws or self.missing_dynamics < WHITE_LEVEL):
             tests["feedback"] = self.feedback_by_pair
         for about, p in tests.items():
             for (i, j), value in np.ndenumerate(p):
@@ -230,8 +234,11 @@ def results(tests: ResidualTest) -> Iterator[Finding]:
         yield warning("dynamics", f"{UNKNOWN}: {tests.blind}")
     else:
         yield _result("linear dynamics" if white.doubtful else "dynamics", dynamics)
+    if tests.laws:
+        p, text = f"p {p_relation(tests.feedback)}", f"feedback, by {laws_text(tests.laws)}"
+        yield good("feedback", f"{text} ({p})" if tests.feedback >= 0 else text)
     # If u is not white, missing dynamics also affect the lags at which feedback is tested.
-    if dynamics < WHITE_LEVEL and tests.feedback < WHITE_LEVEL:
+    elif dynamics < WHITE_LEVEL and tests.feedback < WHITE_LEVEL:
         yield warning("feedback", _NOT_VALID.format(p_relation(tests.feedback)))
     else:
         yield _result("feedback", tests.feedback)

@@ -11,6 +11,7 @@ from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset, Signals
+from armrig.data.step import laws_of
 from armrig.models.fit import Fit
 from armrig.models.polynomials import Polynomials
 from armrig.models.prediction import findings_on_own_data, require_same_signals
@@ -217,6 +218,7 @@ def residuals(
         noise_of_estimation=known,
         on_estimation_data=own,
         source=data.source,
+        laws=laws_of(data.history),
         findings=() if own else tuple(findings_on_own_data([(fit.label, fit)], data)),
     )
 

@@ -13,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector, labels
+from armrig.data.step import laws_of, laws_text
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.data_faults import require_moving_output
@@ -75,9 +76,9 @@ def delay(
     (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
-    nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, which
-    causes a coefficient at lag 0, the model begins at lag 1. If the data do not distinguish
-    feedback from a direct term, `interval` begins at 0.
+    nk = 0, is claimed only if lag 0 itself is significant. If a control law drove the rig, or if
+    `open_loop` finds feedback, which causes a coefficient at lag 0, the model begins at lag 1. If
+    the data do not distinguish feedback from a direct term, `interval` begins at 0.
 
     Parameters
     ----------
@@ -188,7 +189,7 @@ def _tests(
         n = lags
         response = impulse_response(part, n, kernel=None, integrator=integrates)
         tests = lag_tests(part, response, determined)
-        zero = None if tests.shown else _lag_zero(part)
+        zero = None if tests.shown and not laws_of(part.history) else _lag_zero(part)
         if zero is not None and zero.controller:
             later = lag_tests(part, response, determined, first=1)
             tests = tests if zero.rig and later.none_shown else later
@@ -230,6 +231,13 @@ def _lag_zero(data: Dataset) -> _LagZero:
         msg = f"u(t) is a multiple of {data.output}(t) in every sample, as under a P controller "
         msg += "with a constant set point: such data do not determine a delay; change the set "
         raise InputError(msg + "point")
+    if loop.laws:
+        return _LagZero(
+            rig=False,
+            controller=True,
+            remark=f"{laws_text(loop.laws)} computed u(t) from {data.output} up to t - 1, so the "
+            "lags from 1 on were tested",
+        )
     if not loop.may_be_direct_term or data.output in SECOND_ORDER_OUTPUTS:
         return _LagZero(
             rig=False,

@@ -9,6 +9,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, OfDataset, labels
+from armrig.data.step import laws_of, laws_text
 from armrig.estimation.data_faults import require_moving_output
 from armrig.numerics.quantities import digits, p_relation, percent
 from armrig.plots.layout import drawn_by
@@ -33,7 +34,7 @@ class OpenLoop(OfDataset):
     """Result of the test for feedback from y to u."""
 
     feedback: bool | None
-    """True if p_value < level; None if the data do not decide."""
+    """True if a law controlled the run, or if p_value < level; None if the data do not decide."""
     p_value: float
     """p value of Sims' test; H0: u(t), u(t + 1), … do not depend on y(t). NaN if the data do not
     decide."""
@@ -49,25 +50,37 @@ class OpenLoop(OfDataset):
     """Limits of the answer, or the reason why there is no answer."""
     few_levels: bool
     """True if u has at most 20 levels; then only a relay can carry the noise of y into u."""
+    laws: tuple[str, ...] = ()
+    """SHA-256 of the laws that controlled the run, from the data's history; () without a law."""
 
     @property
     def verdict(self) -> str:
         """Answer in a few words."""
+        if self.laws:
+            return f"FEEDBACK, known without the test: controlled by {laws_text(self.laws)}"
         if self.feedback is None:
             return "no decision on feedback"
         direct = ", or a direct term" * self.may_be_direct_term
         return f"FEEDBACK{direct}" if self.feedback else "open loop: no feedback found"
 
     @property
+    def sure(self) -> bool:
+        """True if a law controlled the run, or if p < 0.1 %, whatever the level is."""
+        return bool(self.laws) or self.p_value < CHANCE_LEVEL
+
+    @property
     def may_be_direct_term(self) -> bool:
         """True if u(t) depends on y(t), but u(t + 1), … do not: a direct term looks the same."""
         s = self.sims
+        if self.laws:  # u(t) depends on y(t - 1) and earlier
+            return False
         return s is not None and not self.exact and s.p_value < self.level <= s.p_later
 
     def explain(self) -> str:
         """Return the question, the finding, and its meaning and limits."""
         if self.sims is None:
-            return "\n".join([f"{self.verdict}.", *(f"{r}." for r in self.remarks)])
+            consequences = self._so() if self.feedback else []
+            return "\n".join([f"{self.verdict}.", *consequences, *(f"{r}." for r in self.remarks)])
         s, y = self.sims, self.output
         lines = [
             f"{self.verdict}.",
@@ -97,6 +110,11 @@ class OpenLoop(OfDataset):
 
     def _so(self) -> list[str]:
         """Return the consequences of feedback."""
+        if self.laws:
+            return [
+                "So coloured noise in the loop biases OE, spectral analysis and correlation. "
+                "Estimate BJ or ARMAX with nk >= 1, or armrig.two_stage with the reference."
+            ]
         lines = [
             f"So the data look like feedback, at a level of {100 * self.level:g} %. A model of an "
             "input free of the noise (OE, spectral analysis, correlation) would be biased. "
@@ -134,7 +152,8 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     """Test whether the rig ran in open loop: u(t), u(t + 1), … do not depend on y(t).
 
     The test (`sims`) finds feedback only by the noise that the controller carries from y into u.
-    Without noise, closed and open loop look the same.
+    Without noise, closed and open loop look the same. If a control law drove the rig, the data's
+    history names the law, and the answer is feedback, whatever the test finds.
 
     Parameters
     ----------
@@ -149,7 +168,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     Returns
     -------
     OpenLoop
-        .feedback (None if u follows from its own past, or if y has no noise), .p_value,
+        .feedback (None if u follows from its own past, or if y has no noise), .p_value, .laws,
         .explain(), .plot(). For Signals with several channels, the result is `ByChannel`:
         `found["y", "u"]` is the `OpenLoop` of one channel.
 
@@ -174,21 +193,24 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     require_moving_output(data)
     found: Sims | None = None
     remarks: tuple[str, ...] = ()
+    exact, laws = _is_exact(data), laws_of(data.history)
     try:
         found = sims(data)
-    except CannotTellError as err:
+    except InputError as err:
+        if not (laws or isinstance(err, CannotTellError)):
+            raise
         remarks = (str(err),)
-    exact = _is_exact(data)
-    if found is not None and found.p_value < level:
+    if found is not None and found.p_value < level and (exact or not laws):
         remarks = _remarks(found, level, exact=exact)
     return OpenLoop(
-        feedback=None if found is None else found.p_value < level,
+        feedback=bool(laws) or (None if found is None else found.p_value < level),
         p_value=float("nan") if found is None else found.p_value,
         level=level,
         sims=found,
         exact=exact,
         few_levels=np.unique(data.u).size <= _MAX_FEW_LEVELS,
         remarks=remarks,
+        laws=laws,
         **labels(data),
     )
 
