@@ -14,7 +14,7 @@ import typer
 from armrig_core.errors import FileError
 from armrig_core.process.options import Commands, argument, chosen, group, option
 from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS
-from msgspec import structs
+from msgspec import UNSET, structs
 from msgspec.structs import asdict
 
 import armrig
@@ -237,7 +237,7 @@ def hints(
 def _options(found: Sequence[StructureHints], *, level: bool) -> str:
     """Return the options of `armrig identify` for hints, and for outputs with a level."""
     offset = " --offset" * level
-    if [one.process for one in found] == [_FIRST_ORDER]:
+    if [one.process for one in found if not one.doubts] == [_FIRST_ORDER]:
         return f"--structure process --form {_FIRST_ORDER}{offset}"
     nf = max(one.nf for one in found)
     # With one denominator, each channel of a sampled plant has a numerator of its order.
@@ -314,7 +314,8 @@ def identify(
     # An estimation may take minutes: find errors in the validation data before it.
     other = None if validate is None else signals.of(validate)
     if isinstance(wanted, _Search) and signals.read:
-        played = all(recording.manifest.samples > 0 for recording in signals.read)
+        runs = [recording.manifest for recording in signals.read]
+        played = all(run.samples > 0 and run.controller_sha256 is UNSET for run in runs)
         wanted = replace(wanted, open_loop=wanted.open_loop or played)
     wanted = _for_outputs(wanted, data, integrator=given["integrator"])
     decides = (signals.assume or searching.search) and not (given["integrator"] or out.json)

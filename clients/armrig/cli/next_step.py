@@ -56,6 +56,8 @@ NEXT: Mapping[str, str] = {
     "sampling": "armrig sampling {file} -o sampling.png",
     "hints": "armrig hints {file}{given} -o hints.png",
     "identify": "armrig identify {file} {options}{validate} --save {model}",
+    "control": "armrig identify {file} --structure bj --search{given} --save loop.json",
+    "compare laws": "armrig compare {file} --model {model} --model {design} -o compare.png",
     "validate": "armrig validate {validation} --model {model}{given} -o validate.png",
     "compare": "armrig compare {estimation} {file} --model {model} -o compare.png",
     "simulate": "armrig simulate {file} --model {model}{part} -o simulate.png",
@@ -68,7 +70,7 @@ NEXT: Mapping[str, str] = {
     "questions": "armrig report --handout{files} --questions {questions}",
 }
 """Commands that the line `next:` names; names in braces are replaced by values."""
-OF_KIND: Mapping[str, str] = {"step": "sampling", "greybox": "greybox"}
+OF_KIND: Mapping[str, str] = {"step": "sampling", "greybox": "greybox", "control": "control"}
 """Name of the command after a recording of a kind, if the kind has such a command."""
 REASONS = Path("reasons.toml")
 """Usual file with the answers to the handout's questions."""
@@ -325,11 +327,32 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     elif found.validate is not None and found.validation is not None and known:
         tests = found.validation.tests
         after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)
+    elif one and signals.read and (design := designed_on(signals.read[0].path)):
+        say_next("compare laws", **values | {"design": design})
     elif validation:
         # `armrig validate` has no option --assume.
         say_next("validate", **values | {"given": replace(signals, assume=None).options()})
     elif signals.read:  # other data end here: `check` would lead to hints, and to this model again
         say_next("collect blackbox", signals.origin, **values)
+
+
+def designed_on(recording: Path) -> str:
+    """Return the quoted file of the model on which the law of a run was designed, if it exists.
+
+    The hash of the model in the law must be that of the file. Otherwise the result is "".
+    """
+    from armrig.control.plant import design_model
+    from armrig.models.model_file import load_fit
+    from armrig.recordings.files.control_run import law_of
+    from armrig.recordings.files.loading import beginning
+
+    with suppress(ArmrigError, OSError, ValueError):
+        law = law_of(beginning(recording)[1].attachments)
+        if law is not None and isinstance(law.design.get("files"), dict):
+            file = str(law.design["files"]["model"])
+            design = design_model(load_fit(Path(file)), Ts=law.Ts_us / 1e6)
+            return quote(file) if design.sha256 == law.design.get("model_sha256") else ""
+    return ""
 
 
 def _original(file: Path) -> str:
@@ -381,9 +404,17 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
     """
     fit, request = found.fit, found.request
     if (fit.ny, fit.nu) != (1, 1):
+        if found.search is None and any(f.remedy == "noise" for f in findings):
+            return "--structure ss"
         return _of_several(found, {f.about for f in findings})
     kind = STRUCTURES[fit.structure]
     remedies = {f.remedy for f in findings}
+    if "noise" in remedies and found.search is None:
+        if kind.continuous:
+            return options_of(structs.replace(request, two_stage=True))
+        n = fit.denominator.size - 1
+        orders = {"nb": fit.orders["nb"] if "nb" in kind.orders else n, "nc": 1, "nd": 1, "nf": n}
+        return options_of(request.of_structure("bj", orders))
     checked = {f.about for f in findings if f.remedy == "check"}
     # A noise model prevents the bias by feedback.
     must_check = bool(checked - {"feedback"} or (checked and not kind.closed_loop))
@@ -415,7 +446,7 @@ def options_after(found: Found, findings: Sequence[Finding]) -> str:
         return options
     if must_check:
         return CHECK
-    if "search" in remedies and fit.structure != "pem":
+    if "search" in remedies and fit.structure != "pem" and not request.two_stage:
         # The noise of a process model has no parameters: its colour is no reason for a pole more.
         if form and not _misses_dynamics(found):
             return options
