@@ -1,8 +1,8 @@
-"""docs/tutorial.md: its lines run in their order, and print what the page shows.
+"""docs/tutorial.md and docs/close-the-loop.md: their lines run in their order.
 
-Lines that collect run once on an emulated rig in real time, with the shorter runs of the page's own
-markers. Lines that read data use the recordings of the page's figures. Only the installation does
-not run here.
+They print what the pages show. Lines that collect run once on an emulated rig in real time, with
+the shorter runs of the pages' own markers. Lines that read data use the recordings of the page's
+figures, those of the closed loop what was collected. Only the installation does not run here.
 """
 
 from __future__ import annotations
@@ -159,9 +159,29 @@ def test_every_line_that_needs_a_rig_is_a_valid_command(lab: Lab) -> None:
     ]
 
 
-def _run(line: str) -> str:
-    """Run a command and return its output."""
+@pytest.mark.timed
+def test_every_line_of_the_closed_loop_prints_what_the_page_shows(lab: Lab) -> None:
+    """A line of the page is one that the emulated rig gave; its words are the same each time."""
+    text = (pages.DOCS / "close-the-loop.md").read_text(encoding="utf-8")
+    shorter = dict(re.findall(r'<!-- the test has "(.+?)" as "(.+?)" -->', text))
+    said: list[str] = []
+
+    lab.start("armrig lab --no-dashboard")
+    for language, block in re.findall(r"```(sh|text)\n(.*?)```", text, re.DOTALL):
+        for line in block.splitlines():
+            for long, short in shorter.items():
+                line = line.replace(long, short)
+            if language == "sh":
+                said += [pages.without_numbers(x) for x in _run(line, both=True).splitlines()]
+            else:
+                assert pages.without_numbers(line) in said
+
+    assert re.search(rb"/Type/Pages/Count [1-6]\b", Path("loop.pdf").read_bytes())
+
+
+def _run(line: str, *, both: bool = False) -> str:
+    """Run a command and return its output, with `both` also that on standard error."""
     command = [sys.executable, "-m", *shlex.split(line)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, f"{line}: {done.stderr}"
-    return done.stdout
+    return done.stdout + done.stderr if both else done.stdout

@@ -486,7 +486,8 @@ def report(
     )
     if json:
         return
-    if answers or not all(r.description.arm for r in recordings):
+    is_control = any(r.manifest.controller_sha256 for r in recordings)
+    if answers or is_control or not all(r.description.arm for r in recordings):
         say_next("open", file=quote(str(output)))
     else:
         _say_next_answers(files, REASONS)
