@@ -1,0 +1,165 @@
+"""Deviation of the emulated rig's true output from the prediction of its closed loop.
+
+For each seed, a rig is recorded in virtual time, identified, and controlled by a law of this model.
+The prediction of `armrig.compare_loop` is compared with the true output of the emulator, without
+the noise of the converter. `python -m tests.benchmarks.loop_study [seeds] [arm|friction|heater …]`
+prints a line for each run: deviation in percent of the step, and overshoot, true and predicted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import armrig
+import numpy as np
+from armrig.control.loop_comparison import _rate
+from armrig.models.fit import Fit
+from armrig_core.commands.commands import Control, Run
+from armrig_core.control.control_law import ControlLaw
+from armrig_core.rig.description import Description, shipped
+from armrig_daemon.config import Config, Timing
+from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+POLES = (-18 + 18j, -18 - 18j, -42)
+FRICTION_V = 0.12
+
+
+class Case(NamedTuple):
+    """A rig, its experiment, and its law."""
+
+    Ts: float
+    settings: EmulatorSettings
+    description: Description | None
+    u: Callable[[int], NDArray[np.float64]]
+    fit: Callable[[armrig.Recording], Fit]
+    law: Callable[[Fit], ControlLaw]
+    reference: tuple[float, float, int]
+    """r before and after the step, in the unit of the law, and the samples of each level."""
+    true: Callable[[tuple[float, ...]], float]
+    """Function of the emulator's state that returns the output that follows r, or its angle."""
+    is_rate: bool
+
+
+def _arm(friction_v: float) -> Case:
+    orders: dict[str, Any] = {"nb": [[4], [3]], "nf": 3, "shared": "denominator"}
+    return Case(
+        Ts=0.01,
+        settings=EmulatorSettings(friction_v=friction_v) if friction_v else EmulatorSettings(),
+        description=None,
+        u=lambda seed: armrig.telegraph(3000, 0.1, low=0.5, high=4.5, seed=seed),
+        fit=lambda run: armrig.oe(run.signals(), integrator="theta_1", **orders),
+        law=lambda fit: armrig.place(fit, POLES),
+        reference=(2.0, 4.0, 150),
+        true=lambda state: state[0],
+        is_rate=True,
+    )
+
+
+def _heater() -> Case:
+    rig = shipped("tclab")
+    hotter = {name: replace(output, high=90.0) for name, output in rig.outputs.items()}
+    rig = dataclasses.replace(rig, outputs=hotter)
+    assert rig.model is not None
+    offset = rig.model.offset[0]
+
+    def law(fit: Fit) -> ControlLaw:
+        return armrig.pid(fit, time_constant=60, rig=rig)
+
+    return Case(
+        Ts=1.0,
+        settings=EmulatorSettings(),
+        description=rig,
+        u=lambda seed: np.repeat(np.random.default_rng(seed).choice([0.3, 1.8], 40), 60),
+        fit=lambda run: armrig.process(run.dataset("T1"), "P1D", offset=True),
+        law=law,
+        reference=(35.0, 50.0, 900),
+        true=lambda state: state[0] + offset,
+        is_rate=False,
+    )
+
+
+CASES = {"arm": lambda: _arm(0.0), "friction": lambda: _arm(FRICTION_V), "heater": _heater}
+
+
+def study(case: Case, seed: int, folder: Path) -> tuple[float, float, float]:
+    """Return the deviation in percent of the step, and the true and the predicted overshoot."""
+    config = replace(Config(), timing=replace(Timing(), Ts=case.Ts), emulator=case.settings)
+
+    def service() -> VirtualService:
+        switch_on = partial(Device, description=case.description)
+        return VirtualService(
+            config, folder, seed=seed, switch_on=switch_on, description=case.description
+        )
+
+    run = Run(lease=LEASE, n=0, u=case.u(seed).tolist(), pacing="exchange")
+    fit = case.fit(armrig.load(service().record(run)))
+    law = case.law(fit)
+    low, high, length = case.reference
+    rig, seen = service(), []
+    board = rig._rig.ports.device.board
+    reading = board.reading
+
+    def watched(channel: int, now_ns: int) -> int:
+        counts = reading(channel, now_ns)
+        if channel == 0:
+            seen.append(case.true(board.motion(now_ns)))
+        return counts
+
+    board.reading = watched
+    reference = [low] * length + [high] * length
+    path = rig.record(Control(lease=LEASE, n=0, law=law, reference=reference))
+    recording = armrig.load(path)
+    found = armrig.compare_loop(recording, fit, draws=0)
+    true = _aligned(np.array(seen), recording[recording.first])
+    z = _rate(true, case.Ts) if case.is_rate else true
+    after = slice(length - 50, None)
+    error = (z - found.predicted[0])[after]
+    error = error[np.isfinite(error)]
+
+    def overshoot(x: NDArray[np.float64]) -> float:
+        return 100 * max(float(np.nanmax(x[length:]) - high) / (high - low), 0.0)
+
+    deviation = 100 * float(np.sqrt(np.mean(error**2))) / (high - low)
+    return deviation, overshoot(z), overshoot(found.predicted[0])
+
+
+def _aligned(seen: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the true outputs of the samples of a run; readings before and after it are left out.
+
+    The emulator's angle has its turns, and another zero than the measured one.
+    """
+    shifts = range(seen.size - measured.size + 1)
+    parts = [seen[s : s + measured.size] - measured for s in shifts]
+    first = int(np.argmin([np.nanstd(part) for part in parts]))
+    return seen[first : first + measured.size]
+
+
+def main() -> None:
+    """Print a line for each run, and the largest deviations of each case."""
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    for name in sys.argv[2:] or CASES:
+        rows = []
+        for seed in range(1, seeds + 1):
+            with TemporaryDirectory() as folder:
+                rows.append(study(CASES[name](), seed, Path(folder)))
+            print(name, seed, *(f"{x:.2f}" for x in rows[-1]), flush=True)
+        deviation, true, predicted = np.array(rows).T
+        print(
+            f"{name}, n {seeds}: deviation median {np.median(deviation):.2f} %, most "
+            f"{deviation.max():.2f} % of the step; overshoot differs by at most "
+            f"{np.abs(true - predicted).max():.2f} points"
+        )
+
+
+if __name__ == "__main__":
+    main()
