@@ -59,7 +59,9 @@ class Settings:
     u0: float | None = chosen(
         None, "Voltage of the operating point of a model of deviations, in V.", names="--u0 V"
     )
-    y0: float = chosen(0.0, "Output at the operating point.", "0", names="--y0 Y")
+    y0: list[float] | None = chosen(
+        None, "Output at the operating point; repeat it for two outputs.", "0", names="--y0 Y"
+    )
     Ts: float | None = chosen(
         None,
         "Sampling time of the law for a model in s, in s.",
@@ -70,7 +72,7 @@ class Settings:
 
     def of_model(self) -> dict[str, Any]:
         """Return the arguments that `check_law` has, too."""
-        return {"rig": _rig(self.rig_file), "u0": self.u0, "y0": self.y0}
+        return {"rig": _rig(self.rig_file), "u0": self.u0, "y0": self.y0 or 0.0}
 
     def of_design(self) -> dict[str, Any]:
         """Return the arguments of a design other than the model."""
@@ -330,6 +332,7 @@ def _show(judged: LawCheck, law: ControlLaw, out: Output, output: Path | None = 
         names = "stable Ms gain least_gain phase_deg delay_s"
         found: dict[str, Any] = {"law": str(output)} if output else {}
         found |= {"verdict": judged.verdict, "worst_Ms": judged.worst_Ms}
+        found |= {"has_monitor": law.monitor is not None}
         found |= {"unstable_share": judged.unstable_share, "doubts": judged.doubts}
         found |= {"nominal": fields_of(judged.nominal, names)}
         found |= {"bands": {name: judged.band(name) for name in bands}}
@@ -341,10 +344,13 @@ def _show(judged: LawCheck, law: ControlLaw, out: Output, output: Path | None = 
 
         say_answer(judged.verdict)
         r, method = law.reference, law.design.get("method", "law")
+        monitor = "no monitor (--unmonitored)"
+        if law.monitor:
+            monitor = f"monitor of {' and '.join(o.name for o in law.outputs)}"
         limits = f"{r.low:.4g} to {r.high:.4g} {r.unit}".rstrip()
         say(
             f"{method}, {plural(law.order, 'state')} at {judged.Ts:g} s; r is {r.name} from "
-            f"{limits}, u from {law.lo:g} to {law.hi:g} V.",
+            f"{limits}, u from {law.lo:g} to {law.hi:g} V; {monitor}.",
             dim=True,
         )
         if out.verbose:

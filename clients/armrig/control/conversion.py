@@ -9,9 +9,7 @@ delayed ::
     v[k] = C x_c + D_r r[k] + D_y y_d[k] + u0
 
 K is the gain of the anti-windup in Åström's observer form: if the voltage is not limited, the term
-is 0. The prediction F x of a turning output is that of an observer ::
-
-    x_o[k+1] = A_p x_o + B_p Δu[k-d] + L (y[k] - C_p x_o)
+is 0. With a model, the law has a monitor, which also predicts a missing output.
 
 References
 ----------
@@ -42,6 +40,9 @@ from armrig_core.telemetry.channels import SYMBOLS
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, eigvals, schur
 
+from armrig.control.law_monitor import monitor_of, rows_of
+from armrig.control.law_monitor import most_blind as blind_samples
+from armrig.control.loop import LawMatrices
 from armrig.control.plant import DesignModel, design_model
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.quantities import digits, plural
@@ -52,14 +53,10 @@ _ROUNDING = 1e-9
 """Share of the largest number that is rounding."""
 _PART_US = 1e-3
 """Largest part of 1 µs in a sampling time that is rounding."""
-_LEAST_NOISE = 1e-6
-"""Least deviation of a measurement, as a share of the change of y by the range of the input."""
 _TRACKING_SAMPLES = 10
 """Tracking time of a controller without a zero, in samples."""
 _LEAST_SAMPLES = 2
 """Least tracking time by default, in samples."""
-_INPUT_NOISE = 0.02
-"""Deviation of the input's noise for the observer, as a share of the range of the input."""
 
 
 @checked_call
@@ -79,7 +76,7 @@ def control_law(
     model: Any = None,
     tracking_time: float | None = None,
     K: ArrayLike | None = None,
-    most_blind: int = 20,
+    most_blind: int | None = None,
     most_limited: int = 0,
 ) -> ControlLaw:
     """Return a controller of python-control as a control law, with anti-windup.
@@ -115,15 +112,16 @@ def control_law(
     slew : float, default 0
         Largest change of the input in one sample; 0 is no limit.
     model : Fit, GreyFit or python-control system, optional
-        Model of the outputs, whose observer predicts them if a sample is missing. It is required
-        for a turning output.
+        Model of the outputs, of which the law gets its monitor. The monitor also predicts an output
+        if a sample is missing, so a turning output requires a model.
     tracking_time : float, optional
         Time constant, in s, with which slow modes of the controller follow the latched voltage. The
         default is the time constant of the controller's slowest zero.
     K : array_like, shape (n,), optional
         Gain of the anti-windup, in place of `tracking_time`.
-    most_blind, most_limited : int, default 20 and 0
-        Fields of the law.
+    most_blind, most_limited : int, optional
+        Fields of the law. The defaults are the samples in 0.2 s, or 10 samples and 0.1 s if that is
+        longer, and no limit.
 
     Raises
     ------
@@ -152,7 +150,7 @@ def control_law(
     scale, offset = _scale(rig, unit)
     controller = _controller(C, Ts, names).scaled(scale)
     operating = _operating_outputs(y0, law_outputs)
-    design = None
+    design = monitor = None
     if model is not None:
         design = _design_of(model, rig, controller.Ts, names)
     elif turning := [o.name for o in law_outputs if o.turning]:
@@ -176,13 +174,10 @@ def control_law(
         )
     gain = _gain(controller, tracking_time, K, scale)
     parts = _with_anti_windup(controller, gain, operating, x0)
-    if design is not None:
-        parts = _with_observer(parts, design, names)
     if parts.x0.size > MAX_STATES:
         raise InputError(
             f"the law would have {plural(parts.x0.size, 'state')}, {x0.size} of them of C; at most "
             f"{MAX_STATES} are allowed: reduce the order of C"
-            + (" or of the model" if design is not None else "")
         )
     limits = sorted(
         default if value is None else (value - offset) / scale
@@ -193,24 +188,27 @@ def control_law(
             f"lo and hi are {limits[0]:g} and {limits[1]:g} V at the pin: the rig allows 0 to "
             f"{rig.input.u_max_v:g} V"
         )
+    if design is not None:
+        used = [[o.name for o in design.outputs].index(name) for name in names]
+        matrices = LawMatrices.of_arrays(parts.A, parts.B, parts.C, parts.D, 0, used)
+        monitor = monitor_of(design, matrices)
     law = ControlLaw(
         Ts_us=round(controller.Ts * 1e6),
         input=rig.input.name,
         outputs=law_outputs,
         reference=r,
-        A=_rows(parts.A),
-        B=_rows(parts.B),
+        A=rows_of(parts.A),
+        B=rows_of(parts.B),
         C=tuple(parts.C.tolist()),
         D=float(parts.D),
-        F=None if parts.F is None else _rows(parts.F),
         x0=tuple(parts.x0.tolist()),
         u0=float(u0_v),
         lo=float(limits[0]),
         hi=float(limits[1]),
         slew=float(abs(slew / scale)),
-        input_delay=parts.delay,
-        most_blind=most_blind,
+        most_blind=blind_samples(controller.Ts) if most_blind is None else most_blind,
         most_limited=most_limited,
+        monitor=monitor,
         design={"method": "conversion", "anti_windup": gain.tolist()},
     )
     return ControlLaw.of(msgspec.json.encode(law))  # with the checks of a file
@@ -264,9 +262,7 @@ class LawParts:
     B: Matrix
     C: Vector
     D: float
-    F: Matrix | None
     x0: Vector
-    delay: int = 0
 
 
 def _outputs(
@@ -503,7 +499,7 @@ def _with_anti_windup(controller: Controller, K: Vector, y: Vector, x0: Vector) 
     B_r, B_y = controller.B_r - K * controller.D_r, controller.B_y - np.outer(K, controller.D_y)
     if not controller.D_y.any():
         B = np.column_stack([B_r, drive, B_y])
-        return LawParts(A=A, B=B, C=C, D=controller.D_r, F=None, x0=x0)
+        return LawParts(A=A, B=B, C=C, D=controller.D_r, x0=x0)
     B = np.zeros((n + ny, 2 + ny))
     B[:n, 0], B[:n, 1], B[n:, 2:] = B_r, drive, np.eye(ny)
     return LawParts(
@@ -511,50 +507,5 @@ def _with_anti_windup(controller: Controller, K: Vector, y: Vector, x0: Vector) 
         B=B,
         C=np.concatenate([C, controller.D_y]),
         D=controller.D_r,
-        F=np.eye(ny, n + ny, k=n),
         x0=np.concatenate([x0, y]),
     )
-
-
-def _with_observer(parts: LawParts, design: DesignModel, names: list[str]) -> LawParts:
-    """Return the law with an observer of the model as further states, which predict y."""
-    import control
-
-    known = [o.name for o in design.outputs]
-    rows = [known.index(name) for name in names]
-    plant, delay = design.plant, design.plant.delay
-    A, B, C = plant.A, plant.B, plant.C[rows]
-    start: Vector = np.zeros(B.size)
-    if not plant.integrator:  # the states at rest
-        at_rest = np.linalg.solve(np.eye(B.size) - A, B * (design.rest - design.u0))
-        start = np.asarray(at_rest, np.float64)
-    if delay and parts.B[:, 1].any():
-        # The anti-windup needs the newest u, so the dead time is a chain of states.
-        A = np.block(
-            [
-                [A, np.zeros((B.size, delay - 1)), B[:, None]],
-                [np.zeros((delay, B.size)), np.eye(delay, k=-1)],
-            ]
-        )
-        C = np.hstack([C, np.zeros((len(C), delay))])
-        start = np.concatenate([start, np.full(delay, design.rest - design.u0)])
-        B, delay = np.eye(1, len(A), k=plant.B.size)[0], 0
-    span = design.hi - design.lo
-    noise = design.noise[np.ix_(rows, rows)]
-    least = np.diag((_LEAST_NOISE * span * np.abs(plant.C[rows] @ np.abs(plant.B))) ** 2)
-    Q = np.array([[(_INPUT_NOISE * span) ** 2]])
-    L, _, _ = control.dlqe(A, B[:, None], C, Q, noise + least)
-    n, ny = parts.x0.size, len(names)
-    return LawParts(
-        A=block_diag(parts.A, A - L @ C) if n else A - L @ C,
-        B=np.vstack([parts.B, np.column_stack([np.zeros(B.size), B, L])]),
-        C=np.concatenate([parts.C, np.zeros(B.size)]),
-        D=parts.D,
-        F=np.hstack([np.zeros((ny, n)), C]),
-        x0=np.concatenate([parts.x0, start]),
-        delay=delay,
-    )
-
-
-def _rows(M: Matrix) -> tuple[tuple[float, ...], ...]:
-    return tuple(map(tuple, M.tolist()))

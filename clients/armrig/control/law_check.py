@@ -217,7 +217,7 @@ def check_law(
     height: float | None = None,
     rig: Description | None = None,
     u0: float | None = None,
-    y0: float = 0.0,
+    y0: float | Sequence[float] = 0.0,
     validation: Any = None,
 ) -> LawCheck:
     """Return what a law will do: margins, steps and their bands over draws of the model.
@@ -272,6 +272,8 @@ def check_law(
     doubts = design.doubts
     if law.design.get("model_sha256", design.sha256) != design.sha256:
         doubts += ("the law was designed on another model",)
+    if law.monitor is None:
+        doubts += ("the law has no monitor: it runs only with unmonitored=True (--unmonitored)",)
     plants = [p for p in design.draw(draws) if np.isfinite(p.A).all() and np.isfinite(p.B).all()]
     omega = frequency_grid(matrices, design.plant, Ts)
     hidden = hidden_modes(closed_loop(matrices, [design.plant]))

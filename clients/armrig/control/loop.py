@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import InputError
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eig
 from scipy.optimize import brentq, minimize_scalar
 
@@ -91,17 +91,31 @@ class LawMatrices:
                 f"the law uses {', '.join(missing)}, and the model has {', '.join(outputs)}: give "
                 "the model that the law was designed on"
             )
-        n, ny = law.order, len(law.outputs)
-        B = np.array(law.B, dtype=np.float64).reshape(n, 2 + ny)
+        used = [outputs.index(o.name) for o in law.outputs]
+        return cls.of_arrays(law.A, law.B, law.C, law.D, law.input_delay, used)
+
+    @classmethod
+    def of_arrays(
+        cls,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: float,
+        delay: int,
+        outputs: Sequence[int],
+    ) -> LawMatrices:
+        """Return the matrices of a law from the fields of its file."""
+        row = np.asarray(C, dtype=np.float64)
+        columns = np.asarray(B, dtype=np.float64).reshape(row.size, 2 + len(outputs))
         return cls(
-            np.array(law.A, dtype=np.float64).reshape(n, n),
-            B[:, 0],
-            B[:, 1],
-            B[:, 2:],
-            np.array(law.C, dtype=np.float64),
-            law.D,
-            law.input_delay,
-            tuple(outputs.index(o.name) for o in law.outputs),
+            np.asarray(A, dtype=np.float64).reshape(row.size, row.size),
+            columns[:, 0],
+            columns[:, 1],
+            columns[:, 2:],
+            row,
+            D,
+            delay,
+            tuple(outputs),
         )
 
     def response(self, z: Complex) -> Complex:

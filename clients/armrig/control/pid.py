@@ -13,6 +13,7 @@ P(z)/z: the delay of the law is counted once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def pid(
     rate: bool | None = None,
     reference: tuple[float, float] | None = None,
     u0: float | None = None,
-    y0: float = 0.0,
+    y0: float | Sequence[float] = 0.0,
     rig: Description | None = None,
     Ts: float | None = None,
     validation: Any = None,
@@ -100,11 +101,9 @@ def pid(
     >>> law.order, law.design["gains"]["k_i"]
     (2, 0.00180...)
     """
-    design = design_model(model, rig=rig, Ts=Ts, u0=u0, y0=y0, validation=validation)
+    design = design_model(model, rig=rig, Ts=Ts, u0=u0, y0=y0, output=output, validation=validation)
     goal = Goal.of(design, output, rate, reference)
-    require_finite(
-        time_constant=time_constant, ms=ms, filter_time=filter_time, weight=weight, y0=y0
-    )
+    require_finite(time_constant=time_constant, ms=ms, filter_time=filter_time, weight=weight)
     _check(design, time_constant, ms, filter_time)
     poles = np.abs(np.linalg.eigvals(design.plant.A))
     if derivative is None:
@@ -264,14 +263,14 @@ def _pid_law(
     if goal.is_rate:  # I, the newest y, the filtered rate
         A = np.array([[1.0, k_i, 0.0], [0.0, 0.0, 0.0], [0.0, -share / Ts, 1 - share]])
         B_r, B_y = np.array([k_i * Ts, 0.0, 0.0]), np.array([-k_i, 1.0, share / Ts])
-        C, F, x0 = np.array([1.0, 0.0, -k_p]), np.array([0.0, 1.0, Ts]), np.zeros(3)
+        C, x0 = np.array([1.0, 0.0, -k_p]), np.zeros(3)
     else:  # I, the newest y, the filtered y
         A = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, share, 1 - share]])
         B_r, B_y = np.array([k_i * Ts, 0.0, 0.0]), np.array([-k_i * Ts, 1.0, 0.0])
-        C, F = np.array([1.0, -k_p - slope, slope]), np.array([0.0, 1.0, 0.0])
+        C = np.array([1.0, -k_p - slope, slope])
         x0 = np.array([I_0, start, start])
     n = 3 if goal.is_rate or k_d else 2
-    A, B_r, B_y, C, F, x0 = A[:n, :n], B_r[:n], B_y[:n], C[:n], F[:n], x0[:n]
+    A, B_r, B_y, C, x0 = A[:n, :n], B_r[:n], B_y[:n], C[:n], x0[:n]
     D = b * k_p
     # The integral part follows the voltage that was applied (Åström's observer form).
     T_i = abs(k_p / k_i) if k_i else np.inf
@@ -286,7 +285,7 @@ def _pid_law(
         B=np.column_stack([B_r - K * D, K, B_y]),
         C=C,
         D=D,
-        F=F[None, :],
+        F=None,
         x0=x0,
         outputs=(i,),
         settings=settings | {"gains": named},

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from armrig_core.control.control_law import MAX_TS_US, MIN_TS_US, LawOutput
 from armrig_core.errors import InputError, InputTypeError
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.channels import COUNTS
+from armrig_core.rig.description import Description, Output, shipped
 from armrig_core.rig.volts import U_MAX_V
 from armrig_core.telemetry.channels import INTEGRATING_OUTPUTS, SYMBOLS
 from scipy.linalg import block_diag
@@ -28,7 +29,7 @@ from armrig.data.step import LINE, MEAN, codes_of
 from armrig.models.fit import Fit
 from armrig.models.matrices import Matrices
 from armrig.models.polynomials import Polynomials
-from armrig.models.state_space import Matrix, Vector, freeze
+from armrig.models.state_space import Matrix, StateSpace, Vector, freeze
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.quantities import digits, plural
 from armrig.physics.grey_box.fit import GreyFit
@@ -36,6 +37,9 @@ from armrig.physics.grey_box.physical_models import Physics
 from armrig.validation.residuals import residuals
 
 SEED = 1
+_STEPS = 1024
+"""Number of steps of the converter."""
+_STEP = COUNTS // _STEPS
 _EXACT = 1e-9
 """Largest distance from 1 of a pole that counts as exactly 1."""
 _STDS = 3.0
@@ -78,8 +82,8 @@ class Plant:
         """Return the plant with another gain and a longer dead time."""
         return Plant(
             A=self.A,
-            B=gain * self.B,
-            C=self.C,
+            B=self.B,
+            C=gain * self.C,
             delay=self.delay + delay,
             integrator=self.integrator,
         )
@@ -97,7 +101,11 @@ class DesignModel:
     input: str
     outputs: tuple[LawOutput, ...]
     noise: Matrix
-    """Covariance of the measurement noise, (ny, ny)."""
+    """Covariance of the measurement noise, (ny, ny); that of e with a `noise_model`."""
+    noise_model: StateSpace | None
+    """Model of the noise from its innovations e by C and K; None if the noise is white."""
+    reading_noise: Matrix
+    """Covariance of the readings, with the steps of a converter of 10 bits, (ny, ny)."""
     u0: float
     """Voltage at which y is 0, or at which an integrating y rests, in V."""
     lo: float
@@ -129,12 +137,14 @@ def design_model(
     rig: Description | None = None,
     Ts: float | None = None,
     u0: float | None = None,
-    y0: float = 0.0,
+    y0: float | Sequence[float] = 0.0,
+    output: str | None = None,
     validation: Any = None,
 ) -> DesignModel:
     """Return a model for design; refuse a model that no law can be designed on.
 
-    The arguments are those of `armrig.pid`.
+    The arguments are those of `armrig.pid`. With an operating point, the zeros of the other outputs
+    are their values at the voltage at which `output` is 0.
     """
     if isinstance(model, Fit):
         facts = _of_fit(model, Ts, rig)
@@ -156,14 +166,15 @@ def design_model(
             f"Ts={Ts:g} s, and the model has {facts['Ts']:g} s; leave out Ts, or identify a model "
             "in s: armrig.tf, armrig.process"
         )
-    return _on_rig(facts, rig, u0, y0, _validation_doubts(model, validation))
+    return _on_rig(facts, rig, u0, y0, output, _validation_doubts(model, validation))
 
 
 def _on_rig(
     facts: dict[str, Any],
     rig: Description | None,
     u0: float | None,
-    y0: float,
+    y0: float | Sequence[float],
+    output: str | None,
     doubts: list[str],
 ) -> DesignModel:
     """Return the model with the input in V and the limits of its rig."""
@@ -191,6 +202,13 @@ def _on_rig(
             "rig, such as rig='tclab' (--rig-file tclab)"
         )
     plant: Plant = facts["plant"].rescaled(scale)
+    noise = np.asarray(facts["noise"])
+    if rig is None:
+        steps = [abs(plant.gain(i)) * hi / _STEPS for i in range(len(names))]
+    else:
+        steps = [_converter_step(o) for o in described]
+    # Without data, the noise is that of a converter whose last bit is not sure.
+    reading = noise + np.diag(np.square(steps)) * (1 / 12 if facts["covariance"] else 1)
     if not facts["covariance"]:
         doubts.insert(0, "the model has no covariance, so that nothing is known about its errors")
     if MEAN in facts["treatment"] or LINE in facts["treatment"]:
@@ -199,19 +217,21 @@ def _on_rig(
             doubts.append(
                 "the model is of deviations from means: give the means as u0= (in V) and y0="
             )
+    zeros = np.zeros(len(names))
     if u0 is not None:
-        # At u0 the output is y0: on the line of the model, y is 0 at this voltage.
-        offset = u0 if plant.integrator else u0 - y0 / plant.gain(0)
+        offset, zeros = _zeros(plant, u0, y0, names.index(output) if output in names else 0)
     design = DesignModel(
         plant=plant,
         draw=lambda n: [x.rescaled(scale) for x in facts["draw"](n)] if facts["covariance"] else [],
         Ts=facts["Ts"],
         input=input,
         outputs=tuple(
-            LawOutput(name=name, unit=unit, turning=turns)
-            for name, unit, turns in zip(names, units, turning, strict=True)
+            LawOutput(name=name, unit=unit, turning=turns, y0=0.0 if turns else float(zero))
+            for name, unit, turns, zero in zip(names, units, turning, zeros, strict=True)
         ),
-        noise=np.asarray(facts["noise"]),
+        noise=noise,
+        noise_model=facts.get("noise_model"),
+        reading_noise=reading,
         u0=offset,
         lo=0.0,
         hi=hi,
@@ -227,6 +247,30 @@ def _on_rig(
         **{name: getattr(design, name) for name in design.__slots__ if name != "doubts"},
         doubts=tuple(doubts),
     )
+
+
+def _zeros(plant: Plant, u0: float, y0: float | Sequence[float], i: int) -> tuple[float, Vector]:
+    """Return the voltage at which output i is 0 on the line of the model, and all outputs there.
+
+    At u0 the outputs are y0; a single y0 is that of the first output.
+    """
+    given, ny = np.atleast_1d(np.asarray(y0, np.float64)), len(plant.C)
+    if given.shape not in ((1,), (ny,)) or not np.isfinite(given).all():
+        raise InputError(f"y0={y0}: give a finite number for each of {plural(ny, 'output')}")
+    values = np.append(given, np.zeros(ny - given.size))
+    if plant.integrator:
+        return u0, np.where(plant.C[:, 0] != 0, 0.0, values)
+    gains = np.array([plant.gain(j) for j in range(ny)])
+    change = values[i] / gains[i]
+    zeros = values - gains * change
+    zeros[i] = 0.0
+    return float(u0 - change), zeros
+
+
+def _converter_step(output: Output) -> float:
+    """Return the largest step of a reading of 10 bits, in the output's unit."""
+    values = output.conversion.value
+    return max(abs(values(c + _STEP) - values(c)) for c in range(0, COUNTS, _STEP))
 
 
 def _check_rig(facts: dict[str, Any], rig: Description) -> None:
@@ -289,6 +333,7 @@ def _of_fit(fit: Fit, Ts: float | None, rig: Description | None) -> dict[str, An
         "outputs": fit.outputs,
         "units": fit.units,
         "noise": fit.noise_covariance,
+        "noise_model": form.realised() if form.realised().K.any() else None,
         "offset": offset,
         "covariance": bool(P.any() and np.isfinite(P).all()),
         "treatment": codes_of(fit.history),

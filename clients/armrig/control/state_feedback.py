@@ -22,6 +22,14 @@ from numpy.typing import ArrayLike
 from scipy.linalg import schur, solve_discrete_lyapunov
 from scipy.optimize import minimize
 
+from armrig.control.law_monitor import (
+    kalman_predictor,
+    monitor_of,
+    most_blind,
+    rest_state,
+    rows_of,
+    with_disturbance,
+)
 from armrig.control.loop import (
     LawMatrices,
     are_stable,
@@ -34,12 +42,6 @@ from armrig.control.plant import DesignModel, Plant, design_model, require_finit
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
 
-INPUT_NOISE = 0.02
-"""Deviation of the input's noise, as a share of the range of the input."""
-DRIFT = 0.002
-"""Deviation of the drift of the disturbance in a sample, as a share of the range of the input."""
-_LEAST_NOISE = 1e-6
-"""Least deviation of a measurement, as a share of the change of y by the range of the input."""
 _FAST = 0.02
 """Modulus below which a pole of the plant belongs to a dead time: it is not moved."""
 _GAIN_DRAWS, _STDS, _EXACT = 100, 3.0, 1e-6
@@ -59,7 +61,7 @@ def place(
     drift: float | None = None,
     reference: tuple[float, float] | None = None,
     u0: float | None = None,
-    y0: float = 0.0,
+    y0: float | Sequence[float] = 0.0,
     rig: Description | None = None,
     Ts: float | None = None,
     validation: Any = None,
@@ -92,7 +94,8 @@ def place(
     reference : tuple of float, optional
         Lowest and highest r that a run may request; by default what the input's range reaches.
     u0, y0 : float, optional
-        Operating point of a model of deviations: voltage in V, and the first output there.
+        Operating point of a model of deviations: voltage in V, and the output there. `y0` is a
+        sequence for two outputs.
     rig : Description, optional
         Description of the rig, `armrig_core.rig.description.read_description`. The default is the
         arm for models of its outputs, otherwise an input of 0 to 5 V.
@@ -118,7 +121,7 @@ def place(
     >>> law.order, law.reference.name
     (5, 'velocity')
     """
-    design = design_model(model, rig=rig, Ts=Ts, u0=u0, y0=y0, validation=validation)
+    design = design_model(model, rig=rig, Ts=Ts, u0=u0, y0=y0, output=output, validation=validation)
     goal = Goal.of(design, output, rate, reference)
     s = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
     plant = _with_chain(design.plant)
@@ -151,7 +154,7 @@ def lqg(
     drift: float | None = None,
     reference: tuple[float, float] | None = None,
     u0: float | None = None,
-    y0: float = 0.0,
+    y0: float | Sequence[float] = 0.0,
     rig: Description | None = None,
     Ts: float | None = None,
     validation: Any = None,
@@ -186,7 +189,7 @@ def lqg(
     >>> law.order, law.design["method"]
     (5, 'lqg')
     """
-    design = design_model(model, rig=rig, Ts=Ts, u0=u0, y0=y0, validation=validation)
+    design = design_model(model, rig=rig, Ts=Ts, u0=u0, y0=y0, output=output, validation=validation)
     goal = Goal.of(design, output, rate, reference)
     require_finite(effort=effort)
     if not effort > 0:
@@ -427,33 +430,19 @@ def _observer(
     """Return the gain L (n + 1, ny) of the predictor of the state and the input's disturbance."""
     import control
 
-    span = design.hi - design.lo
-    input_noise = INPUT_NOISE * span if input_noise is None else input_noise
-    drift = DRIFT * span if drift is None else drift
     require_finite(input_noise=input_noise, drift=drift)
-    if not (input_noise > 0 and drift > 0):
+    if not all(x is None or x > 0 for x in (input_noise, drift)):
         raise InputError("input_noise and drift are deviations above 0, in V")
-    n, ny = plant.order, len(plant.C)
-    A, C = _with_disturbance(plant)
     if poles is not None:
+        A, C = with_disturbance(plant)
         s = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
         _check_poles("observer", s, design.plant.order + 1, design.Ts)
-        z = np.append(np.exp(s * design.Ts), np.zeros(n - design.plant.order))
-        if ny > 1:
+        z = np.append(np.exp(s * design.Ts), np.zeros(plant.order - design.plant.order))
+        if len(C) > 1:
             return np.asarray(control.place(A.T, C.T, z)).T
         return _place_poles(A.T, C[0], z)[:, None]
-    G = np.zeros((n + 1, 2))
-    G[:n, 0], G[n, 1] = plant.B, 1.0
-    least = np.diag((_LEAST_NOISE * span * np.abs(plant.C @ np.abs(plant.B))) ** 2)
-    L, _, _ = control.dlqe(A, G, C, np.diag([input_noise**2, drift**2]), design.noise + least)
-    return np.asarray(L)
-
-
-def _with_disturbance(plant: Plant) -> tuple[Matrix, Matrix]:
-    """Return A and C of the plant with a constant disturbance of its input as last state."""
-    n = plant.order
-    A = np.block([[plant.A, plant.B[:, None]], [np.zeros((1, n)), np.ones((1, 1))]])
-    return A, np.hstack([plant.C, np.zeros((len(plant.C), 1))])
+    span = design.hi - design.lo
+    return kalman_predictor(plant, design.noise, span, input_noise=input_noise, drift=drift)[0]
 
 
 def _law(
@@ -471,13 +460,8 @@ def _law(
             f"the law would have {plural(n + 1, 'state')}, at most {MAX_STATES} are allowed: lower "
             'the orders, or estimate with shared="denominator"'
         )
-    A, C = _with_disturbance(plant)
+    A, C = with_disturbance(plant)
     N_x, N_u = goal.steady_state(plant, design.Ts)
-    start: Vector = np.zeros(n)
-    if not plant.integrator:  # the state at rest
-        start = np.asarray(
-            np.linalg.solve(np.eye(n) - plant.A, plant.B * (design.rest - design.u0))
-        )
     law = make_law(
         design,
         goal.law_reference,
@@ -486,7 +470,7 @@ def _law(
         C=-np.append(K, 1.0),
         D=N_u + float(K @ N_x),
         F=C,
-        x0=np.append(start, 0.0),
+        x0=np.append(rest_state(design, plant), 0.0),
         input_delay=plant.delay,
         settings=settings,
     )
@@ -507,29 +491,28 @@ def make_law(
     outputs: Sequence[int] | None = None,
     settings: dict[str, Any],
 ) -> ControlLaw:
-    """Return the law of a design with the limits of the rig."""
-    used = range(len(design.outputs)) if outputs is None else outputs
+    """Return the law of a design with the limits of the rig, and its monitor."""
+    used = [*range(len(design.outputs))] if outputs is None else outputs
+    matrices = LawMatrices.of_arrays(A, B, C, D, input_delay, used)
     return ControlLaw(
         Ts_us=round(design.Ts * 1e6),
         input=design.input,
         outputs=tuple(design.outputs[i] for i in used),
         reference=reference,
-        A=_rows(A),
-        B=_rows(B),
+        A=rows_of(A),
+        B=rows_of(B),
         C=tuple(np.asarray(C, np.float64).tolist()),
         D=float(D),
-        F=None if F is None else _rows(F),
+        F=None if F is None else rows_of(F),
         x0=tuple(np.asarray(x0, np.float64).tolist()),
         u0=design.u0,
         lo=design.lo,
         hi=design.hi,
         input_delay=input_delay,
+        most_blind=most_blind(design.Ts),
+        monitor=monitor_of(design, matrices),
         design=settings | {"model_sha256": design.sha256, "doubts": [*design.doubts]},
     )
-
-
-def _rows(M: ArrayLike) -> tuple[tuple[float, ...], ...]:
-    return tuple(map(tuple, np.asarray(M, np.float64).tolist()))
 
 
 def require_margins(law: ControlLaw, design: DesignModel) -> ControlLaw:

@@ -13,6 +13,7 @@ from armrig_core.control.control_law import ControlLaw, Reference
 from armrig_core.control.evaluation import Latch, begin, decide, observe
 from armrig_core.errors import InputError, InputTypeError
 from armrig_core.rig.description import Description, shipped
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 TS = 0.01
@@ -273,8 +274,8 @@ def _arm(*names: str) -> Any:
     return control.sample_system(part, TS)
 
 
-def test_an_observer_of_the_model_predicts_a_turning_output() -> None:
-    """A PI of the rate, by differences of the angle; in the dead band the angle is F x."""
+def test_the_monitor_of_the_model_predicts_a_turning_output() -> None:
+    """A PI of the rate, by differences of the angle; the monitor bridges the dead band."""
     k_p, k_i = 0.1, 1.0
     rate = control.tf([1, -1], [TS, 0], TS)
     C = control.tf([k_p + k_i * TS, -k_p], [1, -1], TS)
@@ -288,8 +289,8 @@ def test_an_observer_of_the_model_predicts_a_turning_output() -> None:
 
     law = armrig.control_law(system, outputs="theta_1", reference=reference, model=_arm("theta_1"))
 
-    assert law.order <= 8
-    assert law.F is not None
+    assert law.order == 3  # those of C, and the newest angle
+    assert law.monitor is not None
     turned = [
         rehearse_control(law, np.full(N, 3.0), shipped("arm")).turned_rad for N in (800, 1200)
     ]
@@ -429,7 +430,7 @@ def test_what_is_no_law_is_refused(
         _heater(C, **options)
 
 
-def test_the_observer_of_a_model_begins_at_rest() -> None:
+def test_the_monitor_of_a_model_begins_at_rest() -> None:
     """The rig rests at 1 V, and the model has 10 cm per volt."""
     text = """
         rig = {name = "tank"}
@@ -441,7 +442,8 @@ def test_the_observer_of_a_model_begins_at_rest() -> None:
 
     law = _heater(PI, outputs="level", rig=Description.of(text.encode()), unit=None, model=model)
 
-    assert np.dot(law.F[0], law.x0) == pytest.approx(10.0)
+    assert law.monitor is not None
+    assert np.dot(law.monitor.C[0], law.monitor.x0) == pytest.approx(10.0)
 
 
 def test_a_turning_output_needs_a_model() -> None:
@@ -451,29 +453,12 @@ def test_a_turning_output_needs_a_model() -> None:
         armrig.control_law(PI, outputs="theta_1", reference=(0, 8), y0=1.0)
 
 
-def test_a_dead_time_of_the_model_is_a_chain_of_states_beside_an_anti_windup() -> None:
-    """The anti-windup needs the newest u, and the observer that of two samples ago."""
-    plant = control.ss([[0.9, 1, 0], [0, 0, 1], [0, 0, 0]], [[0], [0], [1]], [[1, 0, 0]], 0, TS)
+def test_a_model_adds_no_states_to_a_law() -> None:
+    """The monitor has the dead time of 2 samples as a number, and predicts without the law."""
+    law, bare = (_heater(PI, model=model) for model in (MODEL, None))
 
-    law = _heater(PI, model=MODEL)
-    bare = _heater(control.ss([], [], [], [[0.01]], TS), model=MODEL)
-
-    assert (law.order, law.input_delay) == (5, 0)
-    assert (bare.order, bare.input_delay) == (2, 2)
-    v = _step(law, plant, R)
-    np.testing.assert_allclose(v, _simulated(control.ss(PI), plant, R, 1), atol=1e-12)
-    # The prediction of the observer is exact for its own model.
-    assert law.F is not None
-    assert _predicted(law, plant, v)[-1] < 1e-12
-
-
-def _predicted(law: ControlLaw, plant: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return |y - F x| (N,) of a law whose input is v."""
-    A, B, F = (np.array(M).reshape(-1, law.order) for M in (law.A, np.array(law.B).T, law.F))
-    x, z, errors = np.array(law.x0), np.zeros(plant.nstates), []
-    for r, u in zip(R, v, strict=True):
-        y = plant.C @ z
-        errors.append(abs(float((y - F @ x)[0])))
-        x = A @ x + B.T @ np.array([r, u, y[0]])
-        z = plant.A @ z + plant.B[:, 0] * u
-    return np.array(errors)
+    assert law.monitor is not None
+    assert bare.monitor is None
+    assert law.monitor.input_delay == 2
+    assert law.monitor.forward[0] == pytest.approx(0.1)  # 10 K/V
+    assert replace(law, monitor=None) == replace(bare, monitor=None)
