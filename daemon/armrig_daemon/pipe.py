@@ -167,7 +167,7 @@ class Host(Tagged, frozen=True, kw_only=True):
 
 
 class Control(Tagged, frozen=True, kw_only=True):
-    """Decision of a control law for one sample."""
+    """Decision of a control law, or of a controller of the client's own, for one sample."""
 
     t_host_ns: int
     k: int
@@ -184,7 +184,10 @@ class Control(Tagged, frozen=True, kw_only=True):
     is_slewed: bool
     """True if the change of the voltage was limited."""
     predicted: int
-    """Number of samples that had not arrived, and that the law predicted."""
+    """Number of samples that had not arrived, and that the law predicted.
+
+    Of a controller of the client's own: number of deadlines that it has missed in this run.
+    """
 
 
 Record = (
@@ -238,7 +241,10 @@ class Run(Leased, frozen=True, kw_only=True):
     law: Program | UnsetType = UNSET
     """Law that determines the code of each sample, in exchange mode."""
     reference: bytes | UnsetType = UNSET
-    """Reference of the law: one float64, little-endian, for each sample."""
+    """Reference of the law: one float64, little-endian, for each sample.
+
+    Without a law, `Set` of the same lease determines the code of each sample.
+    """
 
 
 class Stop(Order, frozen=True, kw_only=True):

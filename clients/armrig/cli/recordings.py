@@ -213,7 +213,7 @@ TIMING_HEIGHT = 2.8  # of a figure, in inches
 
 def info(file: File, part: Part, out: Shown) -> None:
     """Show what a recording contains and how well it was sampled."""
-    from armrig.recordings.files.control_run import control_run
+    from armrig.recordings.files.control_run import control_run, own_control_run
     from armrig.recordings.files.imports import imported_data
     from armrig.recordings.overview import contents_facts, contents_rows
 
@@ -230,7 +230,7 @@ def info(file: File, part: Part, out: Shown) -> None:
         return
     recording = named(armrig.load(file, part.calibration, start=part.start, stop=part.stop))
     name_runs(recording)
-    run = control_run(recording)
+    run = control_run(recording) or own_control_run(recording)
 
     def say_next_command() -> None:
         if recording.N:

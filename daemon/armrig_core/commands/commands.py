@@ -157,8 +157,8 @@ class ControlOptions(RunOptions, frozen=True, kw_only=True):
     pacing: Literal["exchange"] = "exchange"
     experiment: Name = "control"
     dead_man: Annotated[float, Meta(ge=0.5, le=60, description="s")] = 1.0
-    law: ControlLaw
-    """Law, as in its file."""
+    law: ControlLaw | None = None
+    """Law, as in its file; without a law, the client sets each voltage with `set`."""
     unstable: bool = False
     """True to allow a closed loop whose rehearsal is unstable, inside the limits of the outputs."""
     unmonitored: bool = False
@@ -166,7 +166,7 @@ class ControlOptions(RunOptions, frozen=True, kw_only=True):
 
 
 class Control(ControlOptions, frozen=True, kw_only=True):
-    """Control the rig by a law, and record the run; the reply is a `RunAccepted`.
+    """Control the rig by a law or by the client, and record it; the reply is a `RunAccepted`.
 
     The reply may take long, as that of `run`, because the closed loop is rehearsed.
     """

@@ -110,7 +110,8 @@ class Manifest(_Record, frozen=True, kw_only=True):
     input_sha256: str = ""
     """SHA-256 of the attached input or reference, which only the first part of a run contains."""
     controller_sha256: str | UnsetType = UNSET
-    """SHA-256 of the attached law; absent for a run whose input was known before."""
+    """SHA-256 of the attached law; absent for a run whose input was known before, and empty for a
+    run whose client set each voltage."""
     rehearsal: Rehearsal | None = None
     """Response of the rig's model to the input, computed before the run."""
 
@@ -127,7 +128,7 @@ class Manifest(_Record, frozen=True, kw_only=True):
     @property
     def source(self) -> str:
         """Name of the attachment that determines the input: the input itself, or a reference."""
-        return REFERENCE if self.controller_sha256 else INPUT
+        return INPUT if self.controller_sha256 is UNSET else REFERENCE
 
     @property
     def attachment_hashes(self) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from armrig_core.commands.codes import OutcomeCode, RefusalCode
-from armrig_core.control.evaluation import Program
 from armrig_core.rig.volts import volts_of
 from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
@@ -205,7 +204,7 @@ def _refusal(state: State, order: pipe.Leased) -> list[Action]:
     """Return the refusal of an order of the lease's holder; [] for an allowed order."""
     match order:
         case pipe.Set():
-            if state.run is not None:
+            if state.run is not None and not state.run.own:
                 text = f"the experiment {state.run.run_id} is running: stop it first"
                 return refuse(order, text, RefusalCode.RUNNING)
             if state.lease is not None and state.ts_us != state.lease.ts_us:
@@ -221,23 +220,24 @@ def _refusal(state: State, order: pipe.Leased) -> list[Action]:
                 return refusal
             # Each code is checked when it is sent, because the check of a million codes would delay
             # the tick.
-            if order.law:
-                return _refuse_law(state, order, order.law)
+            if order.law or order.reference:
+                return _refuse_control(state, order)
             return [] if order.codes else refuse(order, "the experiment is empty")
     return []
 
 
-def _refuse_law(state: State, order: pipe.Run, law: Program) -> list[Action]:
-    """Return the refusal of a law; [] for an allowed law."""
-    rules, ts_us = state.rules, state.ts_us
+def _refuse_control(state: State, order: pipe.Run) -> list[Action]:
+    """Return the refusal of a run in control; [] for an allowed run."""
+    rules, ts_us, law = state.rules, state.ts_us, order.law
     if order.scheduled:
         text = "a control law runs in exchange mode: request exchange mode"
         return refuse(order, text, RefusalCode.CANNOT_PACE)
-    if law.Ts_us != ts_us:
+    if law and law.Ts_us != ts_us:
         text = f"the law has Ts={law.Ts_us / 1e6:g} s, and the rig {ts_us / 1e6:g} s"
         return refuse(order, text)
-    if not rules.code_min <= law.lo_code <= rules.rest_code <= law.hi_code <= rules.code_max:
-        codes = law.lo_code, law.hi_code, rules.code_min, rules.code_max
+    lowest, rest, highest = rules.code_min, rules.rest_code, rules.code_max
+    if law and not lowest <= law.lo_code <= rest <= law.hi_code <= highest:
+        codes = law.lo_code, law.hi_code, lowest, highest
         low, high, least, most = (f"{volts_of(code):.4g}" for code in codes)
         text = f"the law has {low} … {high} V; allowed are {least} … {most} V, with {rules.rest}"
         return refuse(order, text)
@@ -270,6 +270,8 @@ def _refuse_as_too_short(state: State, order: pipe.Order) -> list[Action]:
 def _out_of_range(state: State, order: pipe.Set) -> list[Action]:
     """Return the refusal of a voltage outside the limits; [] for an allowed voltage."""
     rules, before, code = state.rules, state.code, order.code
+    if state.run is not None and state.run.own:
+        before = state.run.own.code  # of several voltages before a tick, the last one acts
     low, high = volts_of(rules.code_min), volts_of(rules.code_max)
     if not rules.code_min <= code <= rules.code_max:
         return refuse(order, f"u={volts_of(code):.4g} V is outside {low:.4g} … {high:.4g} V")

@@ -289,6 +289,18 @@ class Control(msgspec.Struct, frozen=True, gc=False):
         return memoryview(self.reference).cast("d")
 
 
+class OwnControl(msgspec.Struct, frozen=True, gc=False):
+    """Run whose voltages its client sets: the reference, and the state at the newest tick."""
+
+    reference: bytes
+    """One float64, little-endian, for each sample."""
+    code: int
+    n: int
+    """Number of the newest command of the lease."""
+    missed: int = 0
+    """Number of ticks so far without a new command."""
+
+
 class ActiveRun(msgspec.Struct, frozen=True, gc=False):
     """Experiment that is planned or running."""
 
@@ -305,11 +317,14 @@ class ActiveRun(msgspec.Struct, frozen=True, gc=False):
     """In a scheduled run: the host's estimate of the time at which sample 0 was due."""
     control: Control | UnsetType = UNSET
     """Law that determines each code of the run; without it, the code is one of `codes`."""
+    own: OwnControl | UnsetType = UNSET
+    """Set if each code is that of a `set` of the client."""
 
     @property
     def samples(self) -> int:
         """Return the length of the experiment in samples."""
-        return len(self.control.reference) // 8 if self.control else len(self.codes) // 2
+        controlled = self.control or self.own
+        return len(controlled.reference) // 8 if controlled else len(self.codes) // 2
 
     def code(self, i: int) -> int:
         """Return u[i]."""

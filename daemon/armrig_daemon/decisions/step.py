@@ -26,6 +26,7 @@ from armrig_daemon.decisions import (
     orders,
     outcomes,
     output_limits,
+    own_control,
     replies,
     requests,
     sampling,
@@ -58,8 +59,6 @@ from armrig_daemon.decisions.state import (
 )
 from armrig_daemon.pipe import RunStarted
 
-ARMED_NS = 10_000_000_000
-"""Longest time for which the rig stays armed, at 0 V, without a command, in ns."""
 _NEVER = 1 << 62
 _NOISE = (Spoilt, Unknown)
 # Names at module level: the lookup of a member in its enum takes 0.08 µs each time.
@@ -286,13 +285,7 @@ def _lapsed(state: State, now_ns: int) -> bool:
         state.ts_us, scheduled=_is_self_paced(state)
     ):
         return True
-    return state.run is None and state.phase is _ACTIVE and _has_run_out(state, now_ns)
-
-
-def _has_run_out(state: State, now_ns: int) -> bool:
-    """Return whether the newest command of the lease's holder is too old (S2)."""
-    lease = state.lease
-    return lease is not None and now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us)
+    return state.run is None and state.phase is _ACTIVE and own_control.has_run_out(state, now_ns)
 
 
 def _is_self_paced(state: State) -> bool:
@@ -375,13 +368,13 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcome
     lease, rest = state.lease, state.rules.rest_code
     if lease is None or (state.asked is not None and state.asked.want is RequestKind.STOP):
         return state, rest, []
-    if state.phase is _ARMED and now_ns - lease.renewed_ns > ARMED_NS:
+    if state.phase is _ARMED and now_ns - lease.renewed_ns > own_control.ARMED_NS:
         text = "armed for 10 s without a command: disarmed"
         return state, rest, [log(now_ns, "info", text), outcomes.Halt("")]
     if state.phase is not _ACTIVE:
         return state, rest, []
     if state.run is None:
-        if _has_run_out(state, now_ns):
+        if own_control.has_run_out(state, now_ns):
             cause = "the lease ran out: no command from its holder"
             return state, rest, [outcomes.Trip(Fault(Id.LEASE, cause))]
         return state, state.code, []
@@ -398,6 +391,9 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[outcome
         return state, rest, [*done, outcomes.Halt("complete", code=OutcomeCode.COMPLETE)]
     if run.control:
         state, code, more = control.decide(state, now_ns, run, run.control, i)
+        return state, code, [*done, *more]
+    if run.own:
+        state, code, more = own_control.decide(state, now_ns, lease.n, run, run.own, i)
         return state, code, [*done, *more]
     code = run.code(i)
     if not state.rules.allows(run.code_before(i, rest), code):

@@ -136,6 +136,8 @@ def written_state(state: State) -> bytes:
     run, lease = state.run, state.lease
     if run and run.control:
         run = replace(run, control=replace(run.control, reference=b""))
+    if run and run.own:
+        run = replace(run, own=replace(run.own, reference=b""))
     return _ENCODER.encode(
         replace(
             state,
@@ -162,6 +164,8 @@ def restored(data: bytes, source: bytes, version: int = VERSION) -> State:
     if run.control:
         control = replace(run.control, reference=source)
         return replace(state, run=replace(run, control=control))
+    if run.own:
+        return replace(state, run=replace(run, own=replace(run.own, reference=source)))
     return replace(state, run=replace(run, codes=source))
 
 

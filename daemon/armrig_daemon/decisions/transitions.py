@@ -25,6 +25,7 @@ from armrig_daemon.decisions.state import (
     Control,
     Emit,
     Lease,
+    OwnControl,
     PendingRequest,
     Phase,
     RequestKind,
@@ -172,7 +173,9 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     if isinstance(order, Set):
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
-        run = ActiveRun(order.run_id, order.codes, -1, control=_begin_control(state, order))
+        control = _begin_control(state, order)
+        own = order.reference and not control and OwnControl(order.reference, state.code, order.n)
+        run = ActiveRun(order.run_id, order.codes, -1, control=control, own=own or UNSET)
         return replace(state, run=run), done
     # The device takes its first sample one Ts after it received START.
     heard_ns = (asked.sent_ns + now_ns) // 2

@@ -55,7 +55,7 @@ class Plan(NamedTuple):
     """Response of the model to the input; None for a rig without a model."""
     zone: timezone
     """Time zone of this host at the time of the plan."""
-    law: ControlLaw | None | UnsetType = UNSET
+    law: ControlLaw | UnsetType | None = UNSET
     """Law of a run in control; None if the client sets each voltage, and unset for other runs."""
 
 
@@ -170,10 +170,11 @@ def make_control_plan(
     law, limits = request.law, config.limits
     reference = np.asarray(r, dtype=np.float64)
     if law is None:
-        # The lease of `set` is shorter than any dead-man, and the client's next voltage is unknown.
-        options, source = replace(options_of(request), dead_man=None), reference.astype("<f8")
-        text = one_a_line(_blocks(reference), "r")
-        return _planned(options, source.tobytes(), text, reference.size, None)._replace(law=None)
+        # The lease of `set` is shorter than any dead-man. No model knows the client's voltages.
+        options = replace(options_of(request), dead_man=None)
+        source, text = reference.astype("<f8").tobytes(), one_a_line(_blocks(reference), "r")
+        plan = _planned(options, source, text, reference.size, None)
+        return plan._replace(law=None)
     law.check_rig(description, round(Ts * 1e6), limits.u_min_v, limits.u_max_v)
     law.check_reference(reference.tolist())
     if law.monitor is None and not request.unmonitored:

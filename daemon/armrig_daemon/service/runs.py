@@ -169,11 +169,11 @@ class Runs:
         """
         if objection := self.objection():
             raise CommandRefusedError(objection)
-        options = plan.options
+        options, is_control = plan.options, plan.law is not UNSET
         run_id = self._circumstances.run_id(plan.source)
         stamp = self._circumstances.now(plan.zone).strftime("%Y%m%dT%H%M%S")
         name = f"{self._config.rig.id}-{options.experiment}-{stamp}-{run_id}.mcap"
-        each = _BYTES_PER_SAMPLE + (_BYTES_PER_DECISION if plan.law else 0)
+        each = _BYTES_PER_SAMPLE + (_BYTES_PER_DECISION if is_control else 0)
         needed = round(plan.samples * (each + _BYTES_PER_SECOND * Ts)) + _BASE_BYTES
         recording = Recording(
             self._directory / name,
@@ -191,10 +191,10 @@ class Runs:
             lease=options.lease,
             n=options.n,
             run_id=run_id,
-            codes=b"" if plan.law else plan.source,
+            codes=b"" if is_control else plan.source,
             scheduled=options.pacing == "scheduled",
             law=plan.law.program(self.description) if plan.law else UNSET,
-            reference=plan.source if plan.law else UNSET,
+            reference=plan.source if is_control else UNSET,
         )
         path = str(recording.path)
         return order, RunAccepted(run_id=run_id, recording=path, rehearsal=plan.rehearsal)
@@ -366,6 +366,7 @@ class Runs:
         clock_offset_ns: int,
     ) -> Manifest:
         config, options, raw = self._config, planned.plan.options, self._calibration_raw
+        law = planned.plan.law
         return Manifest(
             rig=config.rig.id,
             run_id=planned.run_id,
@@ -393,7 +394,7 @@ class Runs:
             description_sha256=self.description.sha256,
             calibration_raw_sha256=hashlib.sha256(raw).hexdigest() if raw else "",
             input_sha256=planned.plan.text_sha256,
-            controller_sha256=planned.plan.law.sha256 if planned.plan.law else UNSET,
+            controller_sha256="" if law is None else law.sha256 if law else UNSET,
             rehearsal=planned.plan.rehearsal,
         )
 

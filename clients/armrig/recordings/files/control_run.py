@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -83,6 +83,26 @@ class ControlRun:
         return f"{text}{'' if facts['monitored'] else ', without a monitor'}; {self.shares}"
 
 
+class OwnControlRun(NamedTuple):
+    """Voltages that the client of a run set; element i of an array (N,) belongs to sample k[i]."""
+
+    k: NDArray[np.int64]
+    r: Vector
+    u: Vector
+    """Commanded voltage, in V."""
+    missed: NDArray[np.int64]
+    """Number of missed deadlines, up to this sample."""
+
+    def facts(self) -> dict[str, Any]:
+        """Return the numbers of deadlines and of missed deadlines, by name, for programs."""
+        return {"deadlines": max(0, self.k.size - 1), "missed": int(self.missed.max(initial=0))}
+
+    @property
+    def summary(self) -> str:
+        """Return the share of missed deadlines as text."""
+        return "own controller: {missed} of {deadlines} deadlines missed".format(**self.facts())
+
+
 def law_of(attachments: Mapping[str, bytes]) -> ControlLaw | None:
     """Return the attached law; None without one. Raises InputError if it is no law."""
     text = attachments.get(CONTROLLER)
@@ -99,9 +119,7 @@ def control_run(recording: Recording) -> ControlRun | None:
     law = law_of(beginning(recording.path)[1].attachments)
     if law is None:
         return None
-    messages = chain.from_iterable(streamed(path, "control") for path in files_of(recording.path))
-    table = np.array([[getattr(m, name) for name in _NUMBERS] for m in messages])
-    k, r, v, u, *bits, predicted = table.reshape(-1, len(_NUMBERS)).T
+    k, r, v, u, *bits, predicted = _decisions(recording)
     low, high, slewed = (bit.astype(np.bool_) for bit in bits)
     return ControlRun(
         law=law,
@@ -114,3 +132,18 @@ def control_run(recording: Recording) -> ControlRun | None:
         is_slewed=slewed,
         predicted=predicted.astype(np.int64),
     )
+
+
+def own_control_run(recording: Recording) -> OwnControlRun | None:
+    """Return the voltages that the client of a run in control set; None for another run."""
+    if recording.manifest.controller_sha256 != "":
+        return None
+    k, r, _, u, *_, missed = _decisions(recording)
+    return OwnControlRun(k.astype(np.int64), r, u, missed.astype(np.int64))
+
+
+def _decisions(recording: Recording) -> Vector:
+    """Return the numbers of each decision, (n, N)."""
+    messages = chain.from_iterable(streamed(path, "control") for path in files_of(recording.path))
+    table = np.array([[getattr(m, name) for name in _NUMBERS] for m in messages])
+    return table.reshape(-1, len(_NUMBERS)).T

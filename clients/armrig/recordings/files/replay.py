@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from armrig_core.errors import FileError, InputError
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.manifest import RUN, Manifest, description_of
+from armrig_core.recording_file.manifest import INPUT, RUN, Manifest, description_of
 from armrig_core.rig.volts import codes_of
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
@@ -113,7 +113,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
         raise InputError("no input is attached")
     u = recorded_input(paths[0], content.input, manifest.samples)
     law = law_of(content.attachments)
-    source = codes_of(u.tolist()) if law is None else u.astype("<f8").tobytes()
+    source = codes_of(u.tolist()) if manifest.source == INPUT else u.astype("<f8").tobytes()
     state = trace.restored(begin.state, source, begin.version)
     if law is not None:
         _check_law(state, law, description_of(content.attachments))

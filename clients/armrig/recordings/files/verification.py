@@ -26,7 +26,12 @@ from armrig.data.files.imported_file import ImportedData
 from armrig.data.finding import Finding, good, unusable, warning
 from armrig.numerics.quantities import NBSP, digits, listed, plural
 from armrig.recordings.files.attachment_hashes import attachment_fault, attachment_names
-from armrig.recordings.files.control_run import ControlRun, control_run
+from armrig.recordings.files.control_run import (
+    ControlRun,
+    OwnControlRun,
+    control_run,
+    own_control_run,
+)
 from armrig.recordings.files.imports import imported_data
 from armrig.recordings.files.input_attachment import recorded_input
 from armrig.recordings.files.loading import beginning, load
@@ -284,11 +289,11 @@ def _check_attached_input(r: Recording) -> Finding:
         u = recorded_input(path, content.input, r.manifest.samples)
     except DamageError as err:
         return unusable("input", str(err))
-    run = control_run(r)
+    run = control_run(r) or own_control_run(r)
     return check_input(r, u) if run is None else check_control(r, run, u)
 
 
-def check_control(r: Recording, run: ControlRun, reference: Vector) -> Finding:
+def check_control(r: Recording, run: ControlRun | OwnControlRun, reference: Vector) -> Finding:
     """Check that reference and input of each decision agree with the attachment and the samples."""
     at = run.k - r.manifest.k_first
     if reference.size != r.manifest.samples or ((at < 0) | (at >= reference.size)).any():
@@ -302,6 +307,8 @@ def check_control(r: Recording, run: ControlRun, reference: Vector) -> Finding:
     if (other := run.u[decisions] != r.samples["u_cmd_v"][samples]).any():
         k = r.samples["k"][samples[other.argmax()]]
         return unusable("input", f"the voltage at k={k} is not that of the law")
+    if isinstance(run, OwnControlRun):
+        return good("input", run.summary)
     return good("input", f"by the law in {plural(run.k.size, 'decision')}, {run.shares}")
 
 

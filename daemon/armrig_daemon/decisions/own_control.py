@@ -1,0 +1,52 @@
+"""Voltages that the client sets, in a run or by hand: their lease, and the code of each sample."""
+
+from __future__ import annotations
+
+from armrig_core.commands.codes import OutcomeCode
+from armrig_core.rig.volts import volts_of
+from msgspec.structs import replace
+
+from armrig_daemon import pipe
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.outcomes import Halt, Outcome, Trip
+from armrig_daemon.decisions.state import ActiveRun, Emit, OwnControl, State
+
+ARMED_NS = 10_000_000_000
+"""Longest time at rest without a command of the lease's holder, in ns."""
+
+
+def has_run_out(state: State, now_ns: int) -> bool:
+    """Return whether the newest command of the lease's holder is too old (S2)."""
+    lease, rules = state.lease, state.rules
+    # A run begins at rest, and its client may take long to set the first voltage.
+    rests = state.run is not None and state.code == rules.rest_code
+    limit_ns = ARMED_NS if rests else rules.lease_ns(state.ts_us)
+    return lease is not None and now_ns - lease.renewed_ns > limit_ns
+
+
+def decide(
+    state: State, now_ns: int, n: int, run: ActiveRun, own: OwnControl, i: int
+) -> tuple[State, int, list[Outcome]]:
+    """Return the code of the newest `set` for sample `i`; rest if the client is gone (S2, S5).
+
+    `n` is the number of the newest command of the lease.
+    """
+    code, rest = state.code, state.rules.rest_code
+    if has_run_out(state, now_ns):
+        text = "its client went away: it set no voltage in time"
+        return state, rest, [Halt(text, code=OutcomeCode.CLIENT_GONE)]
+    if code != rest and not state.rules.allows(own.code, code):
+        return state, rest, [Trip(Fault(Id.LIMITS, f"u[{i}] is not within the limits"))]
+    own = OwnControl(own.reference, code, n, own.missed + (i > 0 and n == own.n))
+    record = pipe.Control(
+        t_host_ns=now_ns,
+        k=run.k_first + i,
+        r=memoryview(own.reference).cast("d")[i],
+        v=volts_of(code),
+        u_v=volts_of(code),
+        is_low=False,
+        is_high=False,
+        is_slewed=False,
+        predicted=own.missed,
+    )
+    return replace(state, run=replace(run, due=i + 1, own=own)), code, [Emit(record)]
