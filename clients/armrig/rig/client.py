@@ -51,6 +51,8 @@ if TYPE_CHECKING:  # a stop waits for all imports of this module
     from armrig_core.rig.description import Input
     from numpy.typing import ArrayLike, NDArray
 
+    from armrig.rig.control_loop import ControlLoop
+
 REPLY_S = 5.0  # longest wait for a reply
 _SAMPLE_S, _REMOTE_SAMPLE_S = 5e-6, 2e-5  # time to send a sample: 20 B, over a network 1 MB/s
 _SIGN_S = 1.0  # between two signs of life while a run is rehearsed
@@ -387,6 +389,77 @@ class Rig:
             dead_man=dead_man,
         )
         return self._play(request, r.size, accepted, progress, tell)
+
+    def control_loop(self, Ts: float, seconds: float, *, reference: ArrayLike = 0.0) -> ControlLoop:
+        """Control the rig by a program of one's own: iterate, and set a voltage at each sample.
+
+        The iteration arms the rig and begins a recorded run. A voltage is held until the next
+        `set`, for at most the longer of 100 ms and 5 Ts; then the run ends at rest. It also ends at
+        rest if the caller leaves the loop, or sets a voltage that is not allowed.
+
+        Parameters
+        ----------
+        Ts : float
+            Sampling time in s, at least 0.02.
+        seconds : float
+            Length of the run, in s.
+        reference : array_like, shape () or (N,), default 0
+            Reference at each of the N = seconds / Ts samples; the recording contains it.
+
+        Returns
+        -------
+        ControlLoop
+            Iterator over a `LoopSample` at a time. Its `missed` is the number of missed deadlines.
+
+        Raises
+        ------
+        RunEndedError
+            The run ended before its last sample.
+        ValueError
+            Ts, the reference or a voltage is not allowed.
+
+        Examples
+        --------
+        >>> with armrig.Rig("1") as rig:
+        ...     loop = rig.control_loop(Ts=0.02, seconds=0.5, reference=2.0)
+        ...     for y in loop:
+        ...         y.set(y.r)
+        >>> armrig.load(loop.recording).N
+        25
+        """
+        import numpy as np
+
+        from armrig.rig.control_loop import SHORTEST_TS, ControlLoop
+
+        longest_s = self.status().described.longest_sample_s
+        if not SHORTEST_TS <= Ts <= longest_s:
+            raise InputError(
+                f"Ts = {Ts:g} s: a program of one's own controls with Ts from {SHORTEST_TS:g} to "
+                f"{longest_s:g} s; for a shorter Ts, use a control law (Rig.control)"
+            )
+        r, N = np.asarray(reference, dtype=np.float64), round(seconds / Ts)
+        if N < 2 or r.shape not in ((), (N,)) or not np.isfinite(r).all():
+            raise InputError(
+                f"reference has shape {r.shape}: a finite number is needed, or one for each of the "
+                f"{N} samples, which must be at least 2"
+            )
+        values = np.broadcast_to(r, N).tolist()
+
+        def begin() -> Callable[[], commands.LastRun]:
+            self.arm(this_user() or "armrig", Ts)
+            stamp = self._stamp(REPLY_S + self._sending_s(N))
+            request = commands.Control(**stamp, reference=values)
+            run = self._wait_for_beginning(request, N)
+
+            def end() -> commands.LastRun:
+                self._lease = ""
+                options = commands.RunOptions(**stamp)  # `set` has its own dead-man: the lease
+                self.last_run = self._finished(options, N, run, lambda *_: None, lambda _: None)
+                return self.last_run
+
+            return end
+
+        return ControlLoop(self, values, begin)
 
     def _play(
         self,
