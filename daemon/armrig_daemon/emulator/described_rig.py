@@ -22,6 +22,8 @@ from armrig_daemon.emulator import plant
 class DescribedRig:
     """A rig of one input and one or two outputs, at rest at first."""
 
+    is_loose = False  # it has no arm
+
     def __init__(self, description: Description, rng: np.random.Generator) -> None:
         """Put the rig at rest; `rng` is the source of the outputs' noise.
 

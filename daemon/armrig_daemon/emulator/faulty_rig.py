@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from math import copysign
+from typing import TYPE_CHECKING
 
 from armrig_core.rig.description import Description
 
-from armrig_daemon.emulator.arm_rig import Arm
 from armrig_daemon.emulator.described_rig import DescribedRig
 from armrig_daemon.emulator.settings import EmulatorSettings
 
-_BELOW, _ABOVE = -1.0, 2.0  # beyond the ends of the range, by more than any noise
+if TYPE_CHECKING:
+    from armrig_daemon.emulator.board import Arm
+
 _MOVEMENT = 0.01  # change of a reading, as a share of its range, by which its output moves
+_ENDS = {"low": -1.0, "high": 2.0}  # beyond the range by more than any noise
 
 
 class FaultyRig:
@@ -22,17 +25,15 @@ class FaultyRig:
     ) -> None:
         """Put faults on a rig at rest; raise InputError if they do not fit the rig."""
         settings.check_rig(description)
-        outputs, sensor = [*description.outputs], settings.faulty_sensor
-        self._rig, self._settings = rig, settings
-        self._channel = outputs.index(sensor) if sensor else None
+        self._rig, self._settings, self.rest_v = rig, settings, rig.rest_v
+        self._sensors = [*description.outputs]
         # The arm has friction of its own, and a dead zone stands for that of another rig.
-        self._dead_v = 0.0 if isinstance(rig, Arm) else settings.friction_v or 0.0
+        self._dead_v = 0.0 if description.arm else settings.friction_v or 0.0
         self._wait_ns = round((settings.fault_s or 0.0) * 1e9)
         self._now_ns = 0
         self._run_ns: int | None = None  # start of the run
         self._first: float | None = None  # reading at the beginning of the fault
         self._held: list[float | None] = []
-        self.rest_v = rig.rest_v
 
     @property
     def state(self) -> tuple[float, ...]:
@@ -59,27 +60,22 @@ class FaultyRig:
             v = -v
         if self._dead_v:
             v = copysign(max(abs(v) - self._dead_v, 0.0), v)
-        if isinstance(self._rig, Arm):
-            self._rig.is_loose = self.is_broken
+        self._rig.is_loose = self.is_broken
         self._rig.advance(self.rest_v + v, dt_ns)
         self._now_ns += dt_ns
 
     def wiper(self, channel: int) -> float | None:
         """Return the sensor's voltage as a fraction of the reference; None in a dead band."""
-        y = self._rig.wiper(channel)
-        if channel != self._channel or not self.is_broken:
+        y, fault = self._rig.wiper(channel), self._settings.sensor_fault
+        is_faulty = self._sensors[channel : channel + 1] == [self._settings.faulty_sensor]
+        if not is_faulty or not fault or not self.is_broken:
             return y
-        match self._settings.sensor_fault:
-            case "low":
-                return _BELOW
-            case "high":
-                return _ABOVE
-            case "reversed":
-                return None if y is None else 1.0 - y
-            case "stuck":
-                self._held = self._held or [y]
-            case _:
-                self._first = (y or 0.0) if self._first is None else self._first
-                if not self._held and abs((y or 0.0) - self._first) > _MOVEMENT:
-                    self._held = [y]
+        if fault in _ENDS:
+            return _ENDS[fault]
+        if fault == "reversed":
+            return None if y is None else 1.0 - y
+        self._first = (y or 0.0) if self._first is None else self._first
+        has_moved = abs((y or 0.0) - self._first) > _MOVEMENT
+        if not self._held and (fault == "stuck" or has_moved):
+            self._held = [y]
         return self._held[0] if self._held else y

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from armrig_core.rig.arm import ArmParameters
     from armrig_core.rig.description import Description
 
+_SensorFault = Literal["stuck", "stuck_when_moving", "low", "high", "reversed"]
 HARNESS_VARIABLE = "ARMRIG_FIL"
 _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
 
@@ -90,22 +91,17 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     stiffening: Annotated[float, Meta(ge=0, le=1_000)] = 0.0
     """Cubic part of the spring, in Nm/rad³; 0 for a linear spring."""
     friction_v: Annotated[float, Meta(ge=0, le=5)] | UnsetType = UNSET
-    """Voltage that friction takes away, in V: Coulomb friction of the arm, added to `coulomb_nm`
-    (0.12 V are 0.02 Nm), or a dead zone around the rest of another rig's input."""
+    """Friction, as a voltage: Coulomb friction of the arm in addition to `coulomb_nm` (0.12 V are
+    0.02 Nm), or a dead zone around the rest of another rig's input, in V."""
     motor_reversed: bool | UnsetType = UNSET
     """True if the wires of the motor are swapped."""
     loose_arm: Annotated[float, Meta(gt=0, le=1)] | UnsetType = UNSET
     """Share of the spring's stiffness that is left; for the arm only."""
     faulty_sensor: str | UnsetType = UNSET
     """Name of the output with the `sensor_fault`."""
-    sensor_fault: Literal["stuck", "stuck_when_moving", "low", "high", "reversed"] | UnsetType = (
-        UNSET
-    )
-    """Fault of a sensor.
-
-    The sensor sticks at its value, or at the value at which its output next moves by 1 % of the
-    range. It reads the low or the high end of its range, or its readings fall as its output rises.
-    """
+    sensor_fault: _SensorFault | UnsetType = UNSET
+    """Fault of a sensor: it sticks at its value, or at the value at which its output next moves by
+    1 % of the range; it reads an end of its range; or it falls as its output rises."""
     fault_s: Annotated[float, Meta(ge=0, le=1e6)] | UnsetType = UNSET
     """Time in each run after which `motor_reversed`, `loose_arm` and `sensor_fault` begin, in s.
 
