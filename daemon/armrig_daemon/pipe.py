@@ -177,17 +177,15 @@ class Control(Tagged, frozen=True, kw_only=True):
     """Voltage before the limits, in V."""
     u_v: float
     """Commanded voltage, in V."""
-    is_low: bool
+    is_low: bool = False
     """True if v is below the lowest voltage."""
-    is_high: bool
+    is_high: bool = False
     """True if v is above the highest voltage."""
-    is_slewed: bool
+    is_slewed: bool = False
     """True if the change of the voltage was limited."""
     predicted: int
-    """Number of samples that had not arrived, and that the law predicted.
-
-    Of a controller of the client's own: number of deadlines that it has missed in this run.
-    """
+    """Number of samples that had not arrived, and that the law predicted; without a law, number of
+    deadlines that the client has missed in this run."""
 
 
 Record = (
@@ -241,10 +239,8 @@ class Run(Leased, frozen=True, kw_only=True):
     law: Program | UnsetType = UNSET
     """Law that determines the code of each sample, in exchange mode."""
     reference: bytes | UnsetType = UNSET
-    """Reference of the law: one float64, little-endian, for each sample.
-
-    Without a law, `Set` of the same lease determines the code of each sample.
-    """
+    """Reference, in control: one float64, little-endian, for each sample. Without a law, `Set`
+    determines the code of each sample."""
 
 
 class Stop(Order, frozen=True, kw_only=True):

@@ -27,16 +27,16 @@ _LOOK_INTERVAL_S, _SILENCE_S = 0.001, 1.0  # without a sample for `_SILENCE_S`, 
 
 
 class LoopSample(NamedTuple):
-    """Newest sample of a run whose voltages the caller sets."""
+    """Newest sample of a run: its number k, from 0, and the reference r.
+
+    `sample` has the names of the rig, such as `y.sample.alpha_rad`. `set` sets the voltage of the
+    next sample, as `Rig.set`; of several voltages before the next sample, the last one acts.
+    """
 
     k: int
-    """Number of the sample, 0 for the first one of the run."""
     r: float
-    """Reference at this sample."""
     sample: Sample
-    """Sample with the names of the rig, such as `y.sample.alpha_rad`."""
     set: Callable[..., None]
-    """Set the voltage of the next sample, as `Rig.set`; of several voltages, the last one acts."""
 
 
 class ControlLoop:
@@ -69,9 +69,8 @@ class ControlLoop:
             last = end()
             self.recording = Path(last.recording)
             if self.missed:
-                told = f"{self.missed} of {self.deadlines} deadlines were missed: the voltage "
-                told += "before was held; take a longer Ts, or a control law (Rig.control)"
-                print(told, file=sys.stderr)
+                told = "deadlines were missed, and the voltage was held: take a longer Ts, or a law"
+                print(f"{self.missed} of {self.deadlines} {told}", file=sys.stderr)
             complete_recording(last, len(self._reference))
 
     def _samples(

@@ -27,10 +27,7 @@ def has_run_out(state: State, now_ns: int) -> bool:
 def decide(
     state: State, now_ns: int, n: int, run: ActiveRun, own: OwnControl, i: int
 ) -> tuple[State, int, list[Outcome]]:
-    """Return the code of the newest `set` for sample `i`; rest if the client is gone (S2, S5).
-
-    `n` is the number of the newest command of the lease.
-    """
+    """Return the code of the newest `set`, number `n`; rest if the client is gone (S2, S5)."""
     code, rest = state.code, state.rules.rest_code
     if has_run_out(state, now_ns):
         text = "its client went away: it set no voltage in time"
@@ -44,9 +41,6 @@ def decide(
         r=memoryview(own.reference).cast("d")[i],
         v=volts_of(code),
         u_v=volts_of(code),
-        is_low=False,
-        is_high=False,
-        is_slewed=False,
         predicted=own.missed,
     )
     return replace(state, run=replace(run, due=i + 1, own=own)), code, [Emit(record)]
