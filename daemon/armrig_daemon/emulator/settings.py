@@ -100,8 +100,8 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     faulty_sensor: str | UnsetType = UNSET
     """Name of the output with the `sensor_fault`."""
     sensor_fault: _SensorFault | UnsetType = UNSET
-    """Fault of a sensor: it sticks at its value, or at the value at which its output next moves by
-    1 % of the range; it reads an end of its range; or it falls as its output rises."""
+    """The sensor sticks at its value, or when its output has moved by 1 % of the range. It reads an
+    end of the range, or it falls as its output rises."""
     fault_s: Annotated[float, Meta(ge=0, le=1e6)] | UnsetType = UNSET
     """Time in each run after which `motor_reversed`, `loose_arm` and `sensor_fault` begin, in s.
 
