@@ -87,8 +87,8 @@ class Signals(Experiments):
     Raises
     ------
     ValueError
-        A shape is wrong, names repeat, an input or r is not finite, a valid output is infinite, one
-        of several outputs has no valid sample, or the times are not equidistant.
+        A shape is wrong, names repeat, an input, r or a valid output is not finite, one of several
+        outputs has no valid sample, or the times are not equidistant.
 
     Examples
     --------

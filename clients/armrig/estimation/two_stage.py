@@ -109,9 +109,8 @@ def two_stage(
     reference = data.r if r is None else r
     if reference is None:
         raise InputError(
-            "two_stage needs the reference, and the data have none: give the set point, or a "
-            "signal that was added to u, as r; a recording has it only if a control law drove the "
-            "rig, and resample and prefilter drop it"
+            "two_stage needs r, the set point or a signal that was added to u: these data have no "
+            "reference of a control law, or a filter dropped it"
         )
     references = np.split(reference_of(reference, data.N), data.starts[1:])
     count = _count(parts, references)

@@ -34,6 +34,7 @@ def loop(**fields: Any) -> Any:
         "output": "alpha",
         "may_be_direct_term": False,
         "remarks": ("first", "second"),
+        "laws": (),
     }
     return SimpleNamespace(**(values | fields))
 
