@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from itertools import chain, islice
-from math import degrees, isfinite
+from math import degrees, isfinite, nan
 from pathlib import Path
 from shlex import quote
 from threading import Event
@@ -22,6 +22,7 @@ from armrig_core.process.signal_pipe import until_signal
 from armrig_core.rig.channels import Channel, channel
 from armrig_core.rig.emulated import SOCKET_PREFIX
 from armrig_core.telemetry.topics import PLAYED
+from armrig_protocol.messages import Flag
 
 import armrig
 from armrig.cli.options import Connect, Json, RigId
@@ -36,6 +37,7 @@ from armrig.cli.printing import (
     takes_styles,
     tell_error,
 )
+from armrig.recordings.decisions import DecisionCounts
 
 if TYPE_CHECKING:
     from armrig_core.commands.commands import StatusReport
@@ -92,7 +94,8 @@ def watch(
                 channels, samples = _channels_of(first), chain([first], samples)
             else:
                 channels = opened.status().described.channels
-            _watch(samples, channels)
+            with opened.arrivals("control") as decisions:
+                _watch(samples, channels, DecisionNote(decisions))
 
 
 def stop(
@@ -254,19 +257,47 @@ def _degrees(channel: Channel) -> tuple[str, float]:
     return ("°", degrees(1.0)) if channel.unit == "rad" else (channel.unit, 1.0)
 
 
-def _watch(samples: Any, channels: _Channels) -> None:
+class DecisionNote:
+    """Text on the run in control that a sample belongs to, from the stream `control`."""
+
+    def __init__(self, decisions: Callable[[], list[Any]]) -> None:
+        """Store the function that returns the new messages of the stream."""
+        self._decisions = decisions
+        self._waiting: list[Any] = []  # a decision comes before its sample
+        self._counts = DecisionCounts()
+        self._r = nan
+
+    def of(self, sample: Sample) -> str:
+        """Return r and the share of decisions at a limit; "" for a sample without a decision."""
+        self._waiting += self._decisions()
+        due = [decision for decision in self._waiting if decision.k <= sample.k]
+        self._waiting = self._waiting[len(due) :]
+        if not sample.flags & Flag.RUN:
+            self._counts = DecisionCounts()
+            return ""
+        if due:
+            self._counts, self._r = self._counts.with_messages(due), due[-1].r
+        return f" r {self._r:.4g}, {self._counts.at_limit}" if self._counts.decisions else ""
+
+
+def _watch(samples: Any, channels: _Channels, note: DecisionNote) -> None:
     """Show the newest sample on a terminal; print a line for each sample for a program."""
+
+    def line(sample: Any) -> str:
+        is_gap = isinstance(sample, armrig.LiveGap)
+        return _sample_line(sample, channels) + ("" if is_gap else note.of(sample))
+
     if not sys.stdout.isatty():
         echo(_heading(channels))
         for sample in samples:
-            echo(_sample_line(sample, channels))
+            echo(line(sample))
         return
     from rich.console import Console
     from rich.live import Live
 
     with Live(console=Console(), refresh_per_second=10) as live:
         for sample in samples:
-            live.update(f"{_heading(channels)}\n{_sample_line(sample, channels)}")
+            live.update(f"{_heading(channels)}\n{line(sample)}")
 
 
 def _sample_line(sample: Any, channels: _Channels) -> str:

@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 from armrig.cli import main, runs
-from armrig.cli.rig import _heading, _sample_line
+from armrig.cli.rig import DecisionNote, _heading, _sample_line
 from armrig.rig.replies import RefusedError
 from armrig.rig.telemetry_stream import LiveGap
 from armrig_core.commands.codes import COMPLETE, RefusalCode
 from armrig_core.commands.commands import StatusReport
 from armrig_core.rig.description import shipped
+from armrig_protocol.messages import Flag
 
 from tests.clients.fake_daemon import status_report
 from tests.clients.made_recordings import sample
@@ -51,6 +52,10 @@ class _Rig:
     def stream(self, name: str) -> Iterator[Any]:
         self.asked.append(name)
         return iter([sample(42), GAP, sample(45), sample(46)])
+
+    def arrivals(self, name: str) -> Any:
+        assert name == "control"
+        return nullcontext(lambda: [])
 
     def _do(self, *words: str) -> bool:
         if self.refused is not None:
@@ -208,6 +213,30 @@ def test_a_line_of_watch_has_its_units() -> None:
 
     assert line.split() == ["42", "1.250", "-57.30", "28.65", "7.5"]
     assert len(line) == len(_heading(channels))
+
+
+def test_a_sample_of_a_run_in_control_has_its_reference_and_the_share_at_a_limit() -> None:
+    """A decision comes before its sample; the next run begins without those of the last one."""
+
+    def decision(k: int, *, is_high: bool = False) -> Any:
+        bits = {"is_low": False, "is_high": is_high, "is_slewed": False, "predicted": 0}
+        return SimpleNamespace(k=k, r=k / 8, **bits)
+
+    come = [[decision(0), decision(1, is_high=True)], [decision(2)], [], [], [decision(4)]]
+    note = DecisionNote(lambda: come.pop(0))
+    runs = [Flag.RUN, Flag.RUN, Flag.RUN, Flag(0), Flag.RUN, Flag.RUN]
+    come.append([])
+
+    said = [note.of(sample(k)._replace(flags=int(flags))) for k, flags in enumerate(runs)]
+
+    assert said == [
+        " r 0, at its limit in 0 %",
+        " r 0.125, at its limit in 50 %",
+        " r 0.25, at its limit in 33.3 %",
+        "",
+        " r 0.5, at its limit in 0 %",
+        " r 0.5, at its limit in 0 %",
+    ]
 
 
 def test_watch_prints_samples_and_gaps_as_lines_or_json(

@@ -14,8 +14,8 @@ from armrig_core.recording_file.manifest import CONTROLLER
 from numpy.typing import NDArray
 
 from armrig.data.columns import Vector
-from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
+from armrig.recordings.decisions import DecisionCounts
 from armrig.recordings.files.container import streamed
 from armrig.recordings.files.loading import beginning, files_of
 from armrig.recordings.recording import Recording
@@ -46,30 +46,34 @@ class ControlRun:
     predicted: NDArray[np.int64]
     """Number of samples that had not arrived, and that the law predicted."""
 
+    @property
+    def counts(self) -> DecisionCounts:
+        """Return the numbers of decisions."""
+        return DecisionCounts(
+            decisions=int(self.k.size),
+            limited=int(np.count_nonzero(self.is_low | self.is_high)),
+            slewed=int(np.count_nonzero(self.is_slewed)),
+            late=int(np.count_nonzero(self.predicted)),
+        )
+
     def facts(self) -> dict[str, Any]:
         """Return hash, monitor, reference and shares of the run, by name, for programs."""
-        count, is_limited = max(self.k.size, 1), self.is_low | self.is_high
+        counts, count = self.counts, max(self.k.size, 1)
         return {
             "law_sha256": self.law.sha256,
             "monitored": self.law.monitor is not None,
             "method": printable(str(self.law.design.get("method", ""))[:_MAX_METHOD]),
             "reference": [float(self.r.min()), float(self.r.max())] if self.k.size else [],
-            "decisions": int(self.k.size),
-            "limited_share": float(is_limited.sum() / count),
-            "slewed_share": float(self.is_slewed.sum() / count),
-            "predicted": int(np.count_nonzero(self.predicted)),
+            "decisions": counts.decisions,
+            "limited_share": counts.limited / count,
+            "slewed_share": counts.slewed / count,
+            "predicted": counts.late,
         }
 
     @property
     def shares(self) -> str:
         """Return the shares of decisions at a limit, and with predicted samples, as text."""
-        facts = self.facts()
-        text = f"input at its limit in {100 * facts['limited_share']:.3g} % of samples"
-        if facts["slewed_share"]:
-            text += f", its change limited in {100 * facts['slewed_share']:.3g} %"
-        if late := facts["predicted"]:
-            text += f", {plural(late, 'decision')} without the newest sample"
-        return text
+        return self.counts.of_law
 
     @property
     def summary(self) -> str:
@@ -100,7 +104,9 @@ class OwnControlRun(NamedTuple):
     @property
     def summary(self) -> str:
         """Return the share of missed deadlines as text."""
-        return "own controller: {missed} of {deadlines} deadlines missed".format(**self.facts())
+        missed = int(self.missed.max(initial=0))
+        counts = DecisionCounts(decisions=int(self.k.size), missed=missed)
+        return f"own controller: {counts.of_client}"
 
 
 def law_of(attachments: Mapping[str, bytes]) -> ControlLaw | None:
