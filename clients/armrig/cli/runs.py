@@ -393,7 +393,7 @@ def control(
     The reference holds its first level until the outputs have settled. Sampling time and pacing are
     those of the law.
     """
-    from armrig.excitation.reference import level_s, profile_of, reference_of
+    from armrig.excitation.reference import profile_of, reference_input
 
     law = armrig.load_law(law_file)
     Ts = law.Ts_us / 1e6
@@ -404,24 +404,9 @@ def control(
     profile = profile_of(
         law, reference, low=low, high=high, levels=levels, dither=dither, seed=seed
     )
-    if profile.file:
-        if seconds is not None:
-            raise InputError(f"--seconds {seconds:g}: a file has its own length; leave it out")
-        reference_of(profile, 0, Ts, law.reference.unit)  # a wrong file is refused here
-    elif seconds is None:
-        of_level = level_s(law)
-        if of_level is None:
-            raise InputError("the law has no model of the plant: give the length, --seconds")
-        seconds = of_level * (2 if profile.kind == "step" else 2 * levels - 1)
-    details: dict[str, Any] = {"reference": profile.kind, "low": profile.low, "high": profile.high}
-    details |= {"levels": levels} if profile.kind == "staircase" else {}
-    details |= {"dither": dither, "seed": seed} if dither else {}
-    details |= {"file": Path(profile.file).name} if profile.file else {}
     of_law = Played(
         "control",
-        lambda N, Ts: reference_of(profile, N, Ts, law.reference.unit),
-        details,
-        seconds,
+        *reference_input(law, profile, seconds),
         law=law,
         unstable=unstable,
         unmonitored=unmonitored,
@@ -531,7 +516,6 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     If `without_arm` is True, the experiment needs the rig without its arm, and a rig with an
     arm is refused.
     """
-    from armrig.recordings.files.control_run import control_run
     from armrig.recordings.files.recording_summary import VALIDATION_OF
     from armrig.rig.collection import Plan
     from armrig.rig.collection import collect as collected
@@ -573,8 +557,8 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
             raise OperationError(verdict.summary)
         else:
             inform(f"{kept}{verdict.summary}", bold=True)
-            if p.law is not None and (decided := control_run(armrig.load(done.path))):
-                inform(decided.shares)
+            if done.shares:
+                inform(done.shares)
     if first is not None and not run.json:
         _say_next(each[0].experiment, first, naming(run.rig, run.connect))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from armrig_core.control.control_law import ControlLaw
@@ -20,6 +21,17 @@ _SWITCHING = 0.1
 """Probability that the dither changes its sign at a sample."""
 _SHARES = 0.25, 0.5
 """Levels of a step, as shares of the range of r, if they are not given."""
+
+
+class ReferenceInput(NamedTuple):
+    """Reference as `armrig.rig.collection.Plan` plays it."""
+
+    make: Callable[[int, float], Vector]
+    """Function of N and of Ts in s; it returns r in the law's unit."""
+    details: dict[str, Any]
+    """Settings from which the reference can be computed again."""
+    seconds: float | None
+    """Length of the run, in s; None for the length of a file."""
 
 
 class Profile(NamedTuple):
@@ -81,13 +93,61 @@ def profile_of(
     default = [r.low + share * (r.high - r.low) for share in _SHARES]
     low_r, high_r = (x if y is None else y for x, y in zip(default, (low, high), strict=True))
     if not low_r < high_r:
-        raise InputError(
-            f"the reference steps from {low_r:g} to {high_r:g} {r.unit}: give --low below --high"
+        raise ParameterError(
+            "high", f"{high_r:g} {r.unit}", f"must be above the lowest level, {low_r:g} {r.unit}"
         )
     law.check_reference([low_r - dither, high_r + dither])
     return Profile(
         "staircase" if text == "staircase" else "step", low_r, high_r, levels, dither, seed
     )
+
+
+def reference_input(
+    law: ControlLaw, profile: Profile, seconds: float | None = None
+) -> ReferenceInput:
+    """Return a profile as the input of a run in control.
+
+    Parameters
+    ----------
+    law : ControlLaw
+        Law whose reference the profile is.
+    profile : Profile
+        Kind, levels and dither.
+    seconds : float, optional
+        Length of the run, in s; by default each level has the length of `level_s`.
+
+    Raises
+    ------
+    InputError
+        The length is given for a file, or it is missing and the law has no monitor.
+
+    Examples
+    --------
+    >>> from armrig_core.control.control_law import LawOutput, Reference
+    >>> law = ControlLaw(
+    ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(), D=1.0,
+    ...     x0=(), F=((),), reference=Reference(name="u", unit="V", low=0, high=5),
+    ... )
+    >>> made = reference_input(law, Profile("step", 1.0, 2.0), 0.04)
+    >>> made.make(4, 0.01), made.details["high"]
+    (array([1., 1., 2., 2.]), 2.0)
+    """
+    unit = law.reference.unit
+    if profile.file:
+        if seconds is not None:
+            raise ParameterError("seconds", f"{seconds:g}", "a file has its own length")
+        reference_of(profile, 0, law.Ts_us / 1e6, unit)  # a wrong file is refused here
+    elif seconds is None:
+        of_level = level_s(law)
+        if of_level is None:
+            raise ParameterError("seconds", "is missing", "the law has no model of the plant")
+        seconds = of_level * (2 if profile.kind == "step" else 2 * profile.levels - 1)
+    details: dict[str, Any] = {"reference": profile.kind}
+    details |= {"low": profile.low, "high": profile.high}
+    details |= {"levels": profile.levels} if profile.kind == "staircase" else {}
+    details |= {"dither": profile.dither, "seed": profile.seed} if profile.dither else {}
+    details |= {"file": profile.file.rpartition("/")[2]} if profile.file else {}
+    return ReferenceInput(lambda N, Ts: reference_of(profile, N, Ts, unit), details, seconds)
 
 
 def reference_of(profile: Profile, N: int, Ts: float, unit: str, at: float | None = None) -> Vector:

@@ -36,6 +36,7 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as ProgressBar
 
 from armrig.numerics.quantities import number, plural
+from armrig.recordings.files.control_run import control_run
 from armrig.recordings.files.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig
@@ -85,6 +86,8 @@ class Collected(NamedTuple):
     """Prediction of the daemon's model of the rig; None if the daemon made no rehearsal."""
     synced: int = 0
     """Number of samples on the disk; 0 if the daemon does not report this number."""
+    shares: str = ""
+    """Shares of the decisions of a law as text; "" for a run without a law."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -302,9 +305,13 @@ def collect(
             raise
         except RigError as err:
             raise RigError(_reason(opened, err, way_out or reset_command(rig, connect))) from err
-    verdict = data_verdict(load(path)) if _is_readable(path) else None
+    verdict, shares = None, ""
+    if _is_readable(path):
+        verdict = data_verdict(recording := load(path))
+        decided = control_run(recording) if plan.law else None
+        shares = decided.shares if decided else ""
     synced = opened.last_run.synced if opened.last_run else 0
-    return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal, synced)
+    return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal, synced, shares)
 
 
 def _fitting(plan: Plan, rest_v: float, u_max: float, tell: Callable[[str], None]) -> Plan:

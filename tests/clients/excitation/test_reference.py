@@ -88,7 +88,7 @@ def test_times_of_a_file_that_are_not_those_of_the_law_are_refused(tmp_path: Pat
     [
         ({"low": 10.0}, "the law allows 20 to 60"),
         ({"high": 60.0, "dither": 1.0}, "the law allows 20 to 60"),
-        ({"low": 40.0, "high": 40.0}, "the reference steps from 40 to 40 degC: give --low below"),
+        ({"low": 40.0, "high": 40.0}, "high 40 degC: must be above the lowest level, 40 degC"),
         ({"dither": -1.0}, "must be 0 or more"),
         ({"dither": float("nan")}, "must be 0 or more"),
     ],
