@@ -18,6 +18,7 @@ from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.rig.description import path_of
 
 from tests.clients import made_recordings
+from tests.core.control.laws import arm_law, arm_monitor
 from tests.integration.driving import bring_to_rest
 from tests.integration.processes import WITHIN_S, Bench, freeze
 from tests.integration.watching import Client, begin, recorded, watched
@@ -268,6 +269,33 @@ def test_the_space_bar_stops_wherever_the_focus_is(
             assert page.input_value("#owner-name") == owner
             until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
             bring_to_rest(served)
+
+
+def test_a_run_in_control_shows_its_reference_until_the_space_bar_ends_it(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """The law limits u to 3.2 V, and other files of the folder have the reason in a row."""
+    files = [served.recordings / name for name in ("law.json", f"{MARKUP}.json")]
+    files[0].write_bytes(arm_law(monitor=arm_monitor(), hi=3.2).text)
+    files[1].write_bytes(b"{}")
+    with opened(browser, client.url, color_scheme="light") as page:
+        page.select_option("#kind", "control")
+        until(page, lambda: f"{MARKUP}.json: no control law" in text(page, "#law-faults"))
+        page.fill("#field-seconds", "60")
+        page.fill("#field-r_high", "3")
+        page.click("#show")
+        until(page, lambda: page.is_enabled("#run"))
+        page.click("#run")
+        until(page, lambda: "°/s, r 115 °/s" in text(page, "#value-velocity"))
+        until(page, lambda: "input at its limit in" in text(page, "#shares"))
+        until(page, lambda: page.evaluate(_CHARTS_WITH_RED) == [0])
+        assert page.locator("img").count() == 0
+        page.keyboard.press("Space")
+        until(page, lambda: served.volts() == 0.0)
+        until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
+        until(page, lambda: page.evaluate(_CHARTS_WITH_RED) == [])
+    for file in files:
+        file.unlink()
 
 
 def test_a_stop_is_sent_though_tabs_use_all_connections(

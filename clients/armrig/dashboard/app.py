@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import msgspec
 from armrig_core.commands.commands import LONGEST_TS
-from armrig_core.errors import InputError, ParameterError
+from armrig_core.errors import FileError, InputError, ParameterError
 from msgspec import Meta
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -20,18 +20,20 @@ from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from armrig.dashboard.driver import BusyDriverError, Driver
-from armrig.dashboard.experiments import Experiment, plan_of, previewed
+from armrig.dashboard.experiments import UNMONITORED, Experiment, plan_of, previewed
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Connections
+from armrig.dashboard.laws import law_rows, recordings_folder
 from armrig.dashboard.page_json import page_json
 from armrig.dashboard.stream import Stream, TooManyViewersError, Viewer
+from armrig.recordings.files.recording_summary import shown_path
 from armrig.rig.session import RigError
 
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]
 # A visitor cannot choose the name that the recording stores.
 _VISITOR = "a visitor of the dashboard"
 Answer = Callable[[Request], Awaitable[Response]]
-_LABELS = {"seconds": "length", "at": "step at", "Ts": "sampling time"}
+_LABELS = {"seconds": "length", "at": "step at", "Ts": "sampling time", "high": "upper level"}
 """Labels in the page's form, for the parameters whose label differs from their name."""
 _TYPES = {
     "html": "text/html; charset=utf-8",
@@ -106,6 +108,7 @@ class RigRoutes:
                     ("reset", lambda _: {"was_latched": self._driver.reset()}),
                     ("note", self._note),
                     ("preview", self._preview),
+                    ("laws", self._laws),
                 )
             ),
         ]
@@ -135,14 +138,34 @@ class RigRoutes:
         asked = msgspec.json.decode(body, type=Experiment)
         if self._feed.status is None:
             raise RigError(self._feed.trouble)
-        return previewed(asked, self._feed.status, self._feed.description)
+        folder = self._folder_of(asked)
+        return previewed(asked, self._feed.status, self._feed.description, folder)
+
+    def _laws(self, _: bytes) -> Any:
+        status, folder = self._feed.status, self._folder()
+        if status is None:
+            raise RigError(self._feed.trouble)
+        try:
+            rows = law_rows(folder, status)
+        except OSError as err:
+            raise FileError(f"{folder}: {err.strerror}") from err
+        return {"folder": shown_path(folder), "laws": rows, "word": UNMONITORED}
+
+    def _folder(self) -> Path:
+        status = self._feed.status
+        return recordings_folder(status, status.rig if status else "1")
+
+    def _folder_of(self, experiment: Experiment) -> Path | None:
+        """Return the folder of an experiment's law; None for an experiment without a law."""
+        return self._folder() if experiment.kind == "control" else None
 
     async def _run(self, request: Request) -> Response:
         asked_s = time.monotonic()  # read here: a start may wait for a thread, a stop does not
 
         def start(body: bytes) -> Any:
             asked = msgspec.json.decode(body, type=_Wanted)
-            self._driver.start(plan_of(asked.experiment, asked.owner), asked_s=asked_s)
+            plan = plan_of(asked.experiment, asked.owner, self._folder_of(asked.experiment))
+            self._driver.start(plan, asked_s=asked_s)
             return {"started": True}
 
         return await answered(start)(request)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 from armrig_core.commands.commands import LONGEST_TS, Rehearsal, StatusReport, rehearsal_sentence
 from armrig_core.commands.rehearsal import rehearse, rehearse_outputs
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, ParameterError
+from armrig_core.process.printable import with_degrees
 from armrig_core.rig.description import Description
 from armrig_core.rig.volts import U_MAX_V
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from armrig.dashboard.laws import check_fits, read_law
 from armrig.dashboard.study_of_one import drawn
 from armrig.excitation.from_file import from_text
 from armrig.excitation.named_signals import (
@@ -27,12 +29,16 @@ from armrig.excitation.named_signals import (
 )
 from armrig.excitation.pace import pace_inside
 from armrig.excitation.physical_experiment_design import arm_deviations
+from armrig.excitation.reference import profile_of, reference_input
 from armrig.rig.collection import Plan, planned_input
 
 _SECONDS = {"step": 5.0}  # default lengths of experiments that do not have `_DEFAULT_S`
 _DEFAULT_S = 30.0
 _SHARE = 0.9  # of a lower limit of the voltage, the upper level
 _DEAD_MAN_S = 1.0  # if the dashboard ends, the motor must stop, as with `armrig collect`
+
+UNMONITORED = "unmonitored"
+"""Word with which a person allows a law without a monitor, as with `armrig collect control`."""
 
 # Suggestions for each rig so far.
 _known: dict[tuple[bytes, bool, float], dict[str, Any]] = {}
@@ -43,7 +49,7 @@ _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Request for an experiment; the fields are the options of `armrig collect`."""
 
-    kind: Literal["step", "blackbox", "greybox", "staircase", "csv"]
+    kind: Literal["step", "blackbox", "greybox", "staircase", "csv", "control"]
     seconds: Annotated[float, Meta(gt=0, le=86_400)] | None = None
     Ts: Annotated[float, Meta(gt=0, le=LONGEST_TS)] | None = None
     low: Annotated[float, Meta(ge=0, le=5)] = 0.5
@@ -60,13 +66,28 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Name of the user's CSV file."""
     text: str = ""
     """Contents of the CSV file."""
+    law: Annotated[str, Meta(max_length=300)] = ""
+    """Name of the file with the law of a run in control, in the folder of the recordings."""
+    law_sha256: str = ""
+    """Hash of the law that the page has shown; "" for any law in the file."""
+    reference: Literal["step", "staircase"] = "step"
+    r_low: float | None = None
+    """Lowest level of the reference, in its unit; by default a quarter of the law's range."""
+    r_high: float | None = None
+    """Highest level of the reference, in its unit; by default half of the law's range."""
+    word: Annotated[str, Meta(max_length=20)] = ""
+    """The word `unmonitored` allows a law without a monitor."""
 
 
-def plan_of(experiment: Experiment, owner: str) -> Plan:
+def plan_of(experiment: Experiment, owner: str, folder: Path | None = None) -> Plan:
     """Return the plan that `armrig collect` would make for an experiment.
+
+    `folder` contains the law of a run in control.
 
     Raises ValueError if a setting is invalid, whatever the sampling time.
     """
+    if experiment.kind == "control":
+        return _control_plan(experiment, owner, folder or Path())
     make, details = _input_of(experiment)
     seconds = experiment.seconds or _SECONDS.get(experiment.kind, _DEFAULT_S)
     if experiment.kind == "step":
@@ -83,6 +104,31 @@ def plan_of(experiment: Experiment, owner: str) -> Plan:
         dead_man=_DEAD_MAN_S,
         without_arm=experiment.kind == "greybox",
         is_bare=not experiment.named,
+    )
+
+
+def _control_plan(experiment: Experiment, owner: str, folder: Path) -> Plan:
+    e, law = experiment, read_law(folder, experiment.law)
+    Ts = law.Ts_us / 1e6
+    if e.law_sha256 not in ("", law.sha256):
+        raise InputError(f"{e.law} has changed since it was shown: choose the law again")
+    if e.Ts not in (None, Ts):
+        raise ParameterError("Ts", f"{e.Ts:g}", f"the law has Ts = {Ts:g} s")
+    if law.monitor is None and e.word != UNMONITORED:
+        raise InputError(
+            "the law has no monitor, so a stuck sensor drives the rig to full input: type "
+            f"{UNMONITORED} to allow this law"
+        )
+    profile = profile_of(law, e.reference, low=e.r_low, high=e.r_high, levels=e.levels)
+    return Plan(
+        experiment=f"control-{e.name}" if e.name else "control",
+        **reference_input(law, profile, e.seconds)._asdict(),
+        Ts=Ts,
+        pacing="exchange",
+        owner=owner,
+        dead_man=_DEAD_MAN_S,
+        law=law,
+        unmonitored=e.word == UNMONITORED,
     )
 
 
@@ -142,7 +188,9 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float
     Ts: float
     curve: list[list[float | None]]
-    """Points of the drawn input: t in s, and the least and the largest u, in V."""
+    """Points of the drawn input: t in s, and the least and the largest u, in V, or r."""
+    reference: tuple[str, str] | None = None
+    """Name and unit of r; None for an experiment without a law."""
     rehearsal: str
     """Sentence about the rehearsal, a simulation of the input with the handout's parameters."""
     deviations: list[str]
@@ -151,18 +199,38 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def previewed(
-    experiment: Experiment, status: StatusReport, described: Description | None = None
+    experiment: Experiment,
+    status: StatusReport,
+    described: Description | None = None,
+    folder: Path | None = None,
 ) -> Preview:
     """Return the preview of an experiment: its input, and the response of the rig's model.
 
-    A description that was read on this machine may have a model in a file.
+    A description that was read on this machine may have a model in a file. `folder` contains the
+    law of a run in control.
 
     Raises ValueError if the experiment is not possible; the message contains the allowed values.
     """
     notes, described = list[str](), described or status.described
-    plan = plan_of(experiment, "preview")
+    plan = plan_of(experiment, "preview", folder)
     Ts = plan.Ts or status.Ts
     u = planned_input(plan, Ts, notes.append)
+    told = "not rehearsed: the description of this rig has no [model]"
+    if plan.law:
+        check_fits(plan.law, status)
+        r = plan.law.reference
+        later = "not rehearsed here: the daemon rehearses the closed loop at the start"
+        return Preview(
+            experiment=plan.experiment,
+            N=u.size,
+            seconds=u.size * Ts,
+            Ts=Ts,
+            curve=drawn(Ts * np.arange(u.size, dtype=np.float64), u),
+            reference=(r.name, with_degrees(r.unit)),
+            rehearsal=later if described.model else told,
+            deviations=[],
+            notes=[*notes, f"the law's limits are {plan.law.lo:g} to {plan.law.hi:g} V"],
+        )
     outside = (u < status.u_min) | (u > status.u_max)
     if outside.any():
         k = int(np.argmax(outside))
@@ -176,7 +244,6 @@ def previewed(
         notes.append(f"{text}will be refused")
     alone = status.arm_removed or plan.without_arm
     found, deviations = Rehearsal(), list[str]()
-    told = "not rehearsed: the description of this rig has no [model]"
     if described.arm:
         found, deviations = rehearse(u, Ts, arm_removed=alone), arm_deviations(u, Ts, alone=alone)
     elif described.system or described.equations:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import islice, pairwise
 from operator import itemgetter
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.commands.commands import StatusReport
+from armrig_core.control.control_law import ControlLaw
 from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
 
@@ -28,6 +29,7 @@ from armrig.dashboard.bins import (
     signals,
     signals_of,
 )
+from armrig.dashboard.control_feed import ControlFeed, RunLaw, law_of_run
 from armrig.recordings.daemon_reports import is_note
 from armrig.rig.telemetry_stream import MOST_TOLD, gaps_between
 
@@ -58,8 +60,10 @@ class News:
     """The newest sample."""
     signals: tuple[Signal, ...]
     """Signals of the rig, in the order of the values in a row."""
-    pieces: int = 0
-    """Number of pieces of rows so far, to be passed to the next call of `Feed.news`."""
+    reference: Rows
+    """New rows of the reference of a run in control, in the unit of its plot."""
+    pieces: tuple[int, int] = (0, 0)
+    """Number of pieces of rows and of the reference so far, for the next call of `Feed.news`."""
 
 
 @dataclass(slots=True)
@@ -90,6 +94,7 @@ class Feed:
         self._pieces = 0  # so far
         self._tail = np.zeros((0, COLUMNS))
         self._rotation = RunRotation()
+        self._control = ControlFeed()
         self._newest: Sample | None = None
         self._came_s = -np.inf
         self._late: deque[tuple[int, list[int]]] = deque(maxlen=_LATE_S)
@@ -158,7 +163,30 @@ class Feed:
                 found = state.t_host_ns, state.phase
                 if state.phase != self._phase and found not in self._states:
                     self._states.append(found)
+                    if state.phase == "active":
+                        self._control.begin(state.t_host_ns)
                 self._phase = state.phase
+
+    def add_decisions(self, decisions: Sequence[Any]) -> None:
+        """Add decisions of a run in control; a decision may arrive twice, as a state."""
+        with self._lock:
+            self._control.add(decisions, HISTORY_S)
+
+    def look_for_law(self, law_now: Callable[[], ControlLaw | None]) -> None:
+        """Look for the law of a run in control: that of this page's run, or in its recording."""
+        with self._lock:
+            is_wanted, described, drawn = self._control.wants_law, self.description, self.signals
+        if is_wanted:
+            law = law_now()
+            found = RunLaw(law, is_own=False) if law else law_of_run(self.status)
+            with self._lock:
+                self._control.take_law(found, described, drawn)
+
+    def control(self) -> dict[str, Any] | None:
+        """Return the plot of r, the limits of the law, and its shares; None without control."""
+        is_going = self.status is not None and self.status.phase == "active"
+        with self._lock:
+            return self._control.facts(is_going=is_going)
 
     def add_events(self, events: Sequence[Any]) -> None:
         """Add events of the daemon's log; each note is marked once."""
@@ -205,10 +233,15 @@ class Feed:
         fine = int(np.searchsorted(rows[:, 0], newest - FINE_S))
         return np.concatenate([coarser(rows[:fine], COARSE_S, drawn), rows[fine:]])
 
-    def news(self, after: int = 0) -> News:
+    def reference(self) -> Rows:
+        """Return the rows of the reference of the last five minutes, in the unit of its plot."""
+        with self._lock:
+            return self._control.rows()
+
+    def news(self, after: tuple[int, int] = (0, 0)) -> News:
         """Return the changes since a previous call; `after` is `News.pieces` of that call."""
         with self._lock:
-            fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
+            fresh = [*islice(reversed(self._rows), self._pieces - after[0])][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, 1 + 2 * len(self.signals)))
             now_s = time.monotonic()
             return News(
@@ -217,7 +250,8 @@ class Feed:
                 age_s=now_s - self._came_s,
                 newest=self._newest,
                 signals=self.signals,
-                pieces=self._pieces,
+                reference=self._control.rows(after[1]),
+                pieces=(self._pieces, self._control.pieces),
             )
 
     def timing(self) -> Timing:
@@ -241,6 +275,7 @@ class Feed:
     def _forget_rows(self) -> None:
         self._rows.clear()
         self._kept, self._newest, self._tail = 0, None, self._tail[:0]
+        self._control.forget()
 
     def _forget_marks_after(self, t_ns: int) -> None:
         states = [found for found in self._states if found[0] <= t_ns]

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-from armrig_core.errors import ArmrigError, FileError, InputError
+from armrig_core.errors import ArmrigError, FileError
 from armrig_core.recording_file.file_records import MAGIC
 from armrig_core.recording_file.opening import regular_file
-from armrig_core.recording_file.recording_directory import directory_to_look_in, installed
 from msgspec import Meta
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
@@ -23,6 +22,7 @@ from starlette.routing import Route
 
 from armrig.dashboard.app import Answer, error, value
 from armrig.dashboard.feed import Feed
+from armrig.dashboard.laws import file_in, recordings_folder
 from armrig.dashboard.study_of_one import csv, curves, facts, identified, report
 from armrig.recordings.files.catalogue import Catalogue, catalogue, facts_of
 from armrig.recordings.files.recording_names import Answering, answering_among, short_name
@@ -142,18 +142,11 @@ class RecordingRoutes:
         return answer
 
     def _folder(self) -> Path:
-        status = self._feed.status
-        if status and os.access(status.recordings, os.R_OK | os.X_OK):
-            return Path(status.recordings)
-        return directory_to_look_in(installed(self._rig), os.environ)
+        return recordings_folder(self._feed.status, self._rig)
 
     def _path(self, file: str) -> Path:
         """Return the path of the recording with this file name; refuse any other file."""
-        path = self._folder() / file
-        is_name = Path(file).name == file and file.endswith(".mcap")
-        if not is_name or path.is_symlink() or not path.is_file():
-            raise InputError(f"{file!r}: there is no such recording in {path.parent}")
-        return path
+        return file_in(self._folder(), file, ".mcap")
 
     def _validation_of(self, path: Path) -> Path | None:
         """Return the path of a recording's validation recording; None if there is none."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from math import degrees, isfinite
 from pathlib import PurePosixPath
 from typing import Any
@@ -138,7 +138,8 @@ class Stream:
         self._feed, self._driver, self._command = feed, driver, command
         self.may_command = may_command
         """True if the viewers of this socket may command."""
-        self._history = History(feed.history)
+        past = {"past": feed.history, "past_reference": feed.reference}
+        self._history = History(lambda: {name: rows() for name, rows in past.items()})
         self.viewers = Viewers()
         self._told: dict[str, bytes] = {}
         self._turn = asyncio.Lock()
@@ -153,8 +154,9 @@ class Stream:
             await asyncio.sleep(due - time.monotonic())
             news = self._feed.news(seen)
             seen = news.pieces
-            self.viewers.send(event("live", live_facts(news, self._feed.status)))
+            # The state comes first: it tells in which plot the rows of the reference are.
             self._send_changed()
+            self.viewers.send(event("live", live_facts(news, self._feed.status)))
             if due >= timing_due:
                 self.viewers.send(event("timing", self._feed.timing()))
                 timing_due = due + _TIMING_S
@@ -208,6 +210,7 @@ class Stream:
             ("status", status_facts(self._feed)),
             ("run", self._driver.run),
             ("marks", self._feed.marks()),
+            ("control", self._feed.control()),
         ):
             message = event(name, value)
             if self._told.get(name) != message:
@@ -218,8 +221,8 @@ class Stream:
 class History:
     """Encoder of the history; viewers that connect before an encoding begins share the result."""
 
-    def __init__(self, rows: Callable[[], Rows]) -> None:
-        """Store the function that returns the rows of the history."""
+    def __init__(self, rows: Callable[[], Mapping[str, Rows]]) -> None:
+        """Store the function that returns the rows of the history by the name of their message."""
         self._rows = rows
         self._next: asyncio.Task[list[bytes]] | None = None
         self._began_s = -PAUSE_S
@@ -238,10 +241,14 @@ class History:
         return await asyncio.to_thread(lambda: encoded(self._rows()))
 
 
-def encoded(rows: Rows) -> list[bytes]:
-    """Return rows as messages, followed by a message that marks their end."""
-    pieces = (rows[i : i + _PIECE] for i in range(0, rows.shape[0], _PIECE))
-    return [*(event("past", as_lists(piece)) for piece in pieces), event("whole", {})]
+def encoded(past: Mapping[str, Rows]) -> list[bytes]:
+    """Return rows as messages of their names, followed by a message that marks their end."""
+    pieces = (
+        event(name, as_lists(rows[i : i + _PIECE]))
+        for name, rows in past.items()
+        for i in range(0, rows.shape[0], _PIECE)
+    )
+    return [*pieces, event("whole", {})]
 
 
 def event(name: str, value: Any) -> bytes:
@@ -252,7 +259,8 @@ def event(name: str, value: Any) -> bytes:
 def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
     """Return new rows, the newest sample and its age, for the page."""
     limit_s = _STALE_S + 2 * (status.Ts if status else 0.0)
-    return {
+    reference = {"reference": as_lists(news.reference)} if news.reference.size else {}
+    return reference | {
         "at_s": round(news.at_s, 3),
         "age_s": round(news.age_s, 3) if isfinite(news.age_s) else None,
         "is_stale": not news.age_s <= limit_s,

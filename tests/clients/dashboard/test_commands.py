@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,9 +15,12 @@ from armrig.dashboard.guard import Connections
 from armrig.dashboard.stream import Stream
 from armrig.rig.collection import Plan
 from armrig.rig.session import RigError
+from msgspec.structs import replace
 from starlette.applications import Starlette
 
 from tests.clients.dashboard.asking import asked
+from tests.clients.fake_daemon import FakeDaemon
+from tests.core.control.laws import arm_law
 
 VISITOR = "a visitor of the dashboard"
 
@@ -145,6 +149,23 @@ def test_a_preview_without_a_rig_reports_the_reason(driver: Any) -> None:
     status, said = asked(_app(driver, feed, may_command=True), "/api/preview", b'{"kind": "step"}')
 
     assert (status, json.loads(said)["error"]) == (502, feed.trouble)
+
+
+def test_the_laws_are_those_of_the_folder_of_the_recordings(driver: Any, tmp_path: Path) -> None:
+    feed = Feed()
+    feed.take_status(replace(FakeDaemon("there").status(), recordings=str(tmp_path)))
+    (tmp_path / "law.json").write_bytes(arm_law().text)
+    app = _app(driver, feed, may_command=True)
+
+    status, said = asked(app, "/api/laws", b"{}")
+    body = {"owner": "Ada", "experiment": {"kind": "control", "law": "law.json", "seconds": 2.0}}
+    refused, why = asked(app, "/api/run", json.dumps(body).encode())
+    body["experiment"] |= {"word": "unmonitored"}  # type: ignore[operator]
+    started, _ = asked(app, "/api/run", json.dumps(body).encode())
+
+    assert (status, [law["file"] for law in json.loads(said)["laws"]]) == (200, ["law.json"])
+    assert (refused, "unmonitored" in json.loads(why)["error"]) == (400, True)
+    assert (started, driver.given) == (200, [("start", "control", 2.0, "Ada", True)])
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def test_a_file_that_is_not_a_recording_of_the_folder_is_refused(folder: Path, f
 
     status, said = _answer(routes, "recording", file=file)
 
-    told = f"{file!r}: there is no such recording in "
+    told = f"{file!r}: there is no such file in "
     assert (status, json.loads(said)["error"][: len(told)]) == (400, told)
     assert routes.asked == []
 

@@ -132,7 +132,13 @@ class _Listener(Listener):
     """Listener without a past, which ends by a clock."""
 
     def __init__(self, feed: Feed, clock: _Clock, found: list[float]) -> None:
-        super().__init__(feed, rig="1", connect=None, found=lambda: found.append(clock.now_s))
+        super().__init__(
+            feed,
+            rig="1",
+            connect=None,
+            found=lambda: found.append(clock.now_s),
+            law_now=lambda: None,
+        )
         self._ends = clock  # type: ignore[assignment]
 
     def _take_past(self) -> None:
@@ -230,7 +236,7 @@ def test_the_whole_history_is_read_and_does_not_count_as_live(
     monkeypatch.setattr(serving, "RemoteSource", lambda *_: source)
     feed = Feed()
 
-    Listener(feed, rig="1", connect=None, found=lambda: None)._take_past()
+    Listener(feed, rig="1", connect=None, found=lambda: None, law_now=lambda: None)._take_past()
 
     news, timing = feed.news(), feed.timing()
     assert (news.newest, news.age_s) == (sample(4), float("inf"))

@@ -96,8 +96,8 @@ def test_a_new_viewer_receives_the_whole_history_and_each_state_once() -> None:
     first, then = asyncio.run(heard())
 
     kinds = [message.split(b"\n")[0].decode().removeprefix("event: ") for message in first]
-    assert kinds[:6] == ["hello", "rig", "status", "run", "marks", "timing"]
-    assert kinds[6:] == ["past", "past", "past", "whole"]
+    assert kinds[:7] == ["hello", "rig", "status", "run", "marks", "control", "timing"]
+    assert kinds[7:] == ["past", "past", "past", "whole"]
     hello = {"may_command": True, "late_us": LATE_US, "command": "armrig dashboard"}
     assert first[0] == event("hello", hello)
     rows = [row for m in first if m.startswith(b"event: past") for row in json.loads(m[18:])]
@@ -156,9 +156,9 @@ def test_the_history_is_encoded_once_for_all_waiting_viewers() -> None:
     """A hundred viewers cost one encoding."""
     made: list[int] = []
 
-    def rows() -> Rows:
+    def rows() -> dict[str, Rows]:
         made.append(len(made))
-        return np.full((1, COLUMNS), float(len(made)))
+        return {"past": np.full((1, COLUMNS), float(len(made)))}
 
     async def heard() -> list[list[bytes]]:
         history = History(rows)
@@ -169,26 +169,26 @@ def test_the_history_is_encoded_once_for_all_waiting_viewers() -> None:
     found = asyncio.run(heard())
 
     assert made == [0, 1]
-    assert found[:-1] == [encoded(np.full((1, COLUMNS), 1.0))] * 100
-    assert found[-1] == encoded(np.full((1, COLUMNS), 2.0))
+    assert found[:-1] == [encoded({"past": np.full((1, COLUMNS), 1.0)})] * 100
+    assert found[-1] == encoded({"past": np.full((1, COLUMNS), 2.0)})
 
 
 def test_a_viewer_that_leaves_does_not_cancel_the_history_of_others() -> None:
     async def heard() -> list[bytes]:
-        history = History(lambda: np.zeros((0, COLUMNS)))
+        history = History(lambda: {"past": np.zeros((0, COLUMNS))})
         gone, stays = (asyncio.create_task(history.messages()) for _ in range(2))
         await asyncio.sleep(0)
         gone.cancel()
         return await stays
 
-    assert asyncio.run(heard()) == encoded(np.zeros((0, COLUMNS)))
+    assert asyncio.run(heard()) == encoded({"past": np.zeros((0, COLUMNS))})
 
 
 def test_a_long_history_is_sent_in_pieces() -> None:
     rows = np.zeros((1001, COLUMNS))
     rows[:, 0] = np.arange(1001)
 
-    *pieces, last = encoded(rows)
+    *pieces, last = encoded({"past": rows})
 
     sent = [row for piece in pieces for row in json.loads(piece.partition(b"data: ")[2])]
     assert [row[0] for row in sent] == [*range(1001)]

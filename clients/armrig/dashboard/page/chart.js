@@ -107,10 +107,11 @@ function drawLimits(u, limits, size) {
 }
 
 // Return the limits of a signal as {y, isUpper, text}.
-export function limitsOf({ limits = [], kind, unit }) {
+export function limitsOf({ limits = [], lawLimits = [], kind, unit }) {
   const [least, most] = kind === "turned" ? ["", "less than"] : ["at least", "at most"];
-  const text = (y, side) => side && `limit: ${side} ${+y.toPrecision(4)} ${unit}${kind === "turned" ? ", either way" : ""}`;
-  return limits.flatMap((y, i) => (y === null ? [] : [{ y, isUpper: i === 1, text: text(y, i ? most : least) }]));
+  const text = (y, side, name) => side && `${name}: ${side} ${+y.toPrecision(4)} ${unit}${kind === "turned" ? ", either way" : ""}`;
+  const lines = (values, name) => values.flatMap((y, i) => (y === null ? [] : [{ y, isUpper: i === 1, text: text(y, i ? most : least, name) }]));
+  return [...lines(limits, "limit"), ...lines(lawLimits.map((y, i) => (y === limits[i] ? null : y)), "limit of the law")];
 }
 
 // Return a range of values with the limits that are near to it: within `REACH` of its width.
@@ -152,8 +153,9 @@ const fifths = ([low, high]) => [0, 1, 2, 3, 4].map((i) => low + ((high - low) *
 
 const clock = (s) => new Date(1000 * s).toTimeString().slice(0, 8);
 
-// A chart of least and largest values in the page's colours.
-export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, compares, namesMarks, width = where.clientWidth, size = 12 }) {
+// A chart of least and largest values in the page's colours. A second curve `over` the first one has
+// this colour.
+export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, over, isOverStepped, namesMarks, width = where.clientWidth, size = 12 }) {
   const ink = () => colour("soft");
   const stroke = () => colour(signal.colour);
   const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: `${size}px system-ui, DejaVu Sans, sans-serif` };
@@ -181,7 +183,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
   };
   // The least and the largest values are one path; only the first of the two series draws it.
   const names = size > 12 ? 0.8 * size : NAME_PIXELS;
-  const pair = (one) => [{ ...one, paths: (u, i, from, to) => ({ stroke: drawnPath(u, i, from, to, stepped), fill: null }) }, { ...one, paths: () => null }];
+  const pair = (one, isStepped) => [{ ...one, paths: (u, i, from, to) => ({ stroke: drawnPath(u, i, from, to, isStepped), fill: null }) }, { ...one, paths: () => null }];
   const withUnit = (u, splits) => splits.map((y, i) => `${+y.toPrecision(6)}${i === splits.length - 1 ? ` ${signal.unit}` : ""}`);
   const made = new uPlot(
     {
@@ -195,7 +197,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
         { ...axis, size: xLabel ? 18 + size : 8, splits: xSplits, values: (u, splits) => splits.map((x, i) => (xLabel ? xText(u, x, i === splits.length - 1 ? ` ${xLabel}` : "") : "")) },
         { ...axis, size: 10 + 4.5 * size, space: 1.7 * size, values: withUnit, ...(signal.splits ? { splits: (u) => (u.wantedY ? fifths(u.wantedY) : u.isDifference ? [-signal.range[1], 0, signal.range[1]] : signal.fewSplits && (size > 12 || u.height < 120) ? signal.fewSplits : signal.splits) } : {}) },
       ],
-      series: [{}, ...pair(series), ...(compares ? pair({ ...series, stroke: () => colour("bad"), dash: [6, 4] }) : [])],
+      series: [{}, ...pair(series, stepped), ...(over ? pair({ ...series, stroke: () => colour(over), dash: [6, 4] }, isOverStepped ?? stepped) : [])],
       hooks: {
         draw: [(u) => drawMarks(u, names), (u) => drawLimits(u, u.isDifference ? [] : limits, names)],
         ready: [(u) => u.over.addEventListener("wheel", (event) => wheel(u, event, onZoom), { passive: false })],
@@ -209,10 +211,10 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
         setCursor: [(u) => onCursor?.(u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null, u)],
       },
     },
-    compares ? [[], [], [], [], []] : [[], [], []],
+    over ? [[], [], [], [], []] : [[], [], []],
     where,
   );
-  made.isStepped = stepped;
+  Object.assign(made, { isStepped: stepped, isOverStepped: isOverStepped ?? stepped });
   made.namesMarks = namesMarks;
   charts.add(made);
   return made;

@@ -2,7 +2,8 @@
 
 import { chart } from "./chart.js";
 import { askJson, attempt, byId, make, notice, owner, plural, setText, show } from "./elements.js";
-import { scaleText } from "./signals.js";
+import { chosenLaw, listLaws, showLaw } from "./laws.js";
+import { presented, scaleText } from "./signals.js";
 import { duration, isStale } from "./status.js";
 
 const LEVELS = ["low", "high"];
@@ -13,17 +14,23 @@ const KINDS = {
   step: { title: "step: time constant, delay, gain", fields: ["seconds", "at", ...LEVELS], seconds: 5 },
   staircase: { title: "staircase: the static curve", fields: ["seconds", "levels", ...LEVELS], seconds: 30 },
   csv: { title: "an input of your own, from a CSV file", fields: ["file"] },
+  control: { title: "control: a law in a closed loop", fields: ["law", "reference", "seconds", "levels", "r_low", "r_high", "word"], seconds: "" },
 };
 const FIELDS = {
   input: { label: "input", options: ["telegraph", "prbs", "white", "multisine", "chirp"] },
+  law: { label: "law", options: [] },
+  reference: { label: "reference", options: ["step", "staircase"] },
   seconds: { label: "length [s]", value: 30, step: "any", min: 0 },
   at: { label: "step at [s]", value: 1, step: "any", min: 0 },
   levels: { label: "levels", value: 6, min: 2 },
+  r_low: { label: "lowest r", step: "any" },
+  r_high: { label: "highest r", step: "any" },
   low: { label: "lower level [V]", value: 0.5, step: "any", min: 0, max: 5 },
   high: { label: "upper level [V]", value: 4.5, step: "any", min: 0, max: 5 },
   a: { label: "switch probability", value: 0.05, step: "any", min: 0, max: 1 },
   seed: { label: "seed", value: 1, min: 0 },
   file: { label: "file: a row with u, or t and u, for each sample", type: "file" },
+  word: { label: "word", type: "text", maxLength: 20 },
   Ts: { label: "sampling time [s]", step: "any", min: 0, placeholder: "the rig's" },
   name: { label: "name for the recording", type: "text", pattern: "[a-z0-9\\-]{0,20}", placeholder: "a-z, 0-9, -" },
 };
@@ -52,6 +59,9 @@ export function setUpControl(lookAt) {
   form.append(make("label", { className: "wide" }, "your name, for others to read", who));
   form.append(make("button", { id: "show", type: "submit", textContent: "Preview" }), make("button", { id: "run", type: "button", className: "go", textContent: "Run" }));
   kind.addEventListener("change", chooseKind);
+  byId("label-law").className = byId("label-word").className = "wide";
+  form.append(make("ul", { id: "law-faults", className: "hint wide", hidden: true }));
+  for (const name of ["law", "reference"]) byId(`field-${name}`).addEventListener("change", showFields);
   form.addEventListener("input", (event) => event.target !== who && forget());
   form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -113,10 +123,21 @@ function field(name) {
   return made;
 }
 
+// Show the fields of the chosen experiment; the sampling time of a law is in its file.
+function showFields() {
+  const kind = byId("kind").value;
+  const isControl = kind === "control";
+  const hidden = isControl ? showLaw() : [];
+  const common = isControl ? ["name"] : ["Ts", "name"];
+  for (const name of Object.keys(FIELDS)) show(`label-${name}`, (KINDS[kind].fields.includes(name) || common.includes(name)) && !hidden.includes(name));
+  show("law-faults", isControl);
+}
+
 function chooseKind() {
-  const { fields, seconds } = KINDS[byId("kind").value];
-  for (const name of Object.keys(FIELDS)) show(`label-${name}`, fields.includes(name) || ["Ts", "name"].includes(name));
-  if (seconds) byId("field-seconds").value = suggestion.seconds?.[byId("kind").value] ?? seconds;
+  const { seconds } = KINDS[byId("kind").value];
+  showFields();
+  if (byId("kind").value === "control") attempt(async () => showFields(await listLaws()));
+  if (seconds !== undefined) byId("field-seconds").value = suggestion.seconds?.[byId("kind").value] ?? seconds;
   forget();
 }
 
@@ -134,8 +155,10 @@ export function offer(experiment) {
 async function asked() {
   const kind = byId("kind").value;
   const experiment = { kind };
+  if (kind === "control") experiment.law_sha256 = chosenLaw().sha256;
   for (const name of [...KINDS[kind].fields, "Ts", "name"]) {
     const input = byId(`field-${name}`);
+    if (kind === "control" && byId(`label-${name}`).hidden) continue;
     if (name === "file") {
       const file = input.files[0];
       if (!file) throw new Error("choose a file first");
@@ -145,7 +168,7 @@ async function asked() {
       experiment[name] = input.type === "number" ? Number(input.value) : input.value;
     }
   }
-  if (scale && kind !== "csv") {
+  if (scale && !["csv", "control"].includes(kind)) {
     experiment.named = true;
     const levels = LEVELS.filter((level) => level in experiment);
     const volts = levels.map((level) => voltsOf(experiment[level])).sort((a, b) => a - b);
@@ -160,7 +183,9 @@ async function preview() {
   show("preview", true);
   show("running", going);
   plot?.destroy();
-  const signal = { colour: "u", unit: "V", range: [0, 5], pad: 0.3, splits: [0, 1, 2, 3, 4, 5] };
+  const volts = { colour: "u", unit: "V", range: [0, 5], pad: 0.3, splits: [0, 1, 2, 3, 4, 5] };
+  const [unit, span] = [found.reference?.[1], chosenLaw()?.span];
+  const [signal] = found.reference ? presented([{ kind: "reference", unit, span }]) : [volts];
   plot = chart(byId("preview-plot"), { signal, height: 130, xLabel: "s", stepped: true });
   plot.wanted = [0, found.seconds];
   plot.setData(found.curve, true);

@@ -1,10 +1,11 @@
 // Live plots: a chart of each signal in the last seconds or minutes, with zoom and cursor.
 
 import { chart } from "./chart.js";
+import { aligned } from "./compared.js";
 import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
 import { onPlotKey } from "./live_keys.js";
 import { setUpSaving } from "./live_saving.js";
-import { presented, valueText } from "./signals.js";
+import { presented, valueText, withReference } from "./signals.js";
 import { textNear } from "./marks.js";
 import { KEPT_S, Rows } from "./rows.js";
 import { dated, isStale } from "./status.js";
@@ -13,6 +14,7 @@ import { AXES, originOf } from "./time_axis.js";
 const SPANS = [5, 30, 300];
 const [NAMES_PIXELS, AXIS_PIXELS] = [18, 22]; // additional height of the first plot, and of the last
 const LARGE_BORDER = 60; // below the plots, and between them, in the projector view
+const HELD_S = 0.3; // a reference without a decision for this time, and two decisions, has ended
 const HEAD_PIXELS = 255; // width of the name and value next to a chart in the projector view
 
 // On a wide screen the plots fill the height; on a phone they have the least readable height.
@@ -21,7 +23,10 @@ const heightOf = (n) => (innerWidth > 900 ? Math.max(85, Math.min(210, (innerHei
 export class LivePlots {
   constructor() {
     this.rows = new Rows();
-    this.signals = []; // of the rig, as the server describes them
+    this.reference = new Rows(1); // r of a run in control, in the unit of its plot
+    this.panel = null; // plot of r and limits of the law; null without a run in control
+    this.described = []; // signals of the rig, as the server describes them
+    this.signals = []; // those that have a chart
     this.span = 30;
     this.rateMost = 0; // rate that the largest voltage can cause, in °/s; 0 if it is not known
     this.frozen = null; // {zero, from, to} while zoomed
@@ -50,10 +55,35 @@ export class LivePlots {
 
   // Plot the signals of a rig.
   describe(signals) {
-    this.signals = presented(signals);
+    this.described = presented(signals).map((signal, column) => ({ ...signal, column }));
     this.rows.setSignals(signals.length);
     this.follow();
+    this.#arrange();
+  }
+
+  // Show the reference, the limits and the shares of a run in control; null without one.
+  setControl(found) {
+    setText("shares", found?.shares ?? "");
+    const before = this.panel;
+    this.panel = found?.panel ?? null;
+    if (JSON.stringify(before) === JSON.stringify(this.panel)) return;
+    const place = (panel) => JSON.stringify({ ...panel, limits: undefined });
+    if (place(before) !== place(this.panel)) this.reference.length = 0; // these are of another plot
+    this.#arrange();
+  }
+
+  #arrange() {
+    this.signals = withReference(this.described, this.panel);
     this.setLarge(this.isLarge);
+  }
+
+  // Return the least and the largest r at a time; NaN without a decision.
+  referenceAt(t) {
+    const { reference } = this;
+    const row = reference.holding(t);
+    const apart = reference.length > 1 ? reference.newest - reference.at(reference.length - 2, 0) : 0;
+    const isHeld = row !== null && t - reference.at(row, 0) <= HELD_S + 2 * Math.min(apart, 2);
+    return isHeld ? [reference.at(row, 1), reference.at(row, 2)] : [NaN, NaN];
   }
 
   // Make the charts; isLarge is true for the projector view.
@@ -84,6 +114,7 @@ export class LivePlots {
         { className: "chart-head" },
         make("span", { className: `swatch ${signal.colour}` }),
         make("span", { textContent: signal.name }),
+        ...(signal.follows ? [make("span", { className: "swatch reference" }), make("span", { textContent: "r" })] : []),
         make("span", { className: "value", id: `value-${signal.key}` }),
       ),
     );
@@ -96,7 +127,9 @@ export class LivePlots {
       size: this.isLarge ? 22 : 12,
       xLabel: last ? "s" : "",
       sync: "live",
-      stepped: signal.key === "u",
+      stepped: ["input", "reference"].includes(signal.kind),
+      over: signal.follows ? "reference" : "",
+      isOverStepped: true,
       namesMarks: signal === this.signals[0],
       onZoom: (from, to) => this.zoom(from, to),
       onCursor: (x, u) => {
@@ -175,7 +208,10 @@ export class LivePlots {
     this.charts.forEach((u, i) => {
       Object.assign(u, { wanted: [from, to], marks, origin, most: this.signals[i].isRate ? this.rateMost : 0 });
       const pixels = u.bbox.width / devicePixelRatio;
-      u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: this.signals[i].wraps }), true);
+      const { column, follows, wraps } = this.signals[i];
+      const part = { from: zero + from, to: zero + to, pixels, zero, wraps };
+      const curve = column === undefined ? this.reference.drawn(0, part) : this.rows.drawn(column, part);
+      u.setData(follows ? aligned(curve, this.reference.drawn(0, part)) : curve, true);
     });
     this.tell();
     this.restUntil = 2 * performance.now() - began;
@@ -198,8 +234,12 @@ export class LivePlots {
     const pointed = this.cursorAt !== null;
     const t = pointed ? zero + this.cursorAt : zero;
     const row = this.rows.holding(t);
-    const texts = this.signals.map((signal, i) => {
-      const known = row === null ? "no data" : valueText(signal, this.rows.at(row, 1 + 2 * i), this.rows.at(row, 2 + 2 * i));
+    const r = this.referenceAt(t);
+    const texts = this.signals.map((signal) => {
+      if (signal.kind === "reference") return valueText(signal, ...r) || "no run";
+      const [least, largest] = [1, 2].map((i) => (row === null ? NaN : this.rows.at(row, i + 2 * signal.column)));
+      const follows = signal.follows && !Number.isNaN(r[0]) ? `, r ${valueText(signal, ...r)}` : "";
+      const known = row === null ? "no data" : valueText(signal, least, largest) + follows;
       if (signal.kind === "turned" && !known) return "no run";
       return pointed ? known || "not known" : dated(known);
     });

@@ -20,11 +20,14 @@ export function setUpSaving(plots) {
 const chartsOf = (plots) => plots.charts.map((u, i) => ({ u, signal: plots.signals[i] }));
 
 // Return the visible bins, each with the least and the largest value of each signal.
-function saveCsv({ rows, signals, seen: { zero, from, to } }, name) {
-  const head = signals.flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
+function saveCsv(plots, name) {
+  const { rows, described, reference, panel, seen: { zero, from, to } } = plots;
+  const head = [...described, ...(reference.length ? [{ name: "r", unit: panel.unit }] : [])].flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
   const lines = [["t [s]", ...head].join(",")];
   for (let i = rows.find(zero + from); i < rows.length && rows.at(i, 0) <= zero + to; i++) {
-    lines.push(Array.from({ length: 1 + 2 * signals.length }, (_, column) => String(rows.at(i, column)).toLowerCase()).join(","));
+    const values = Array.from({ length: 1 + 2 * described.length }, (_, column) => rows.at(i, column));
+    if (reference.length) values.push(...plots.referenceAt(rows.at(i, 0)));
+    lines.push(values.map((value) => String(value).toLowerCase()).join(","));
   }
   save(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), `${name}.csv`);
 }

@@ -121,6 +121,7 @@ function begin() {
     {
       hello: (hello) => {
         plots.rows.begin();
+        plots.reference.begin();
         beginStatus(hello.late_us);
         useCommand(hello.command);
         document.body.classList.toggle("viewer", !hello.may_command);
@@ -132,8 +133,10 @@ function begin() {
         else describe(found);
       },
       past: (rows) => plots.rows.add(rows),
+      past_reference: (rows) => plots.reference.add(rows),
       whole: () => {
         plots.rows.endPast();
+        plots.reference.endPast();
         plots.wants();
       },
       live: (live) => {
@@ -144,6 +147,7 @@ function begin() {
         }
         allow();
         showAges();
+        if (live.reference) plots.reference.addLive(live.reference);
         if (live.rows.length) {
           plots.rows.addLive(live.rows);
           plots.wants();
@@ -155,6 +159,7 @@ function begin() {
         plots.rateMost = status.rate_max;
       },
       run: showRun,
+      control: (found) => plots.setControl(found),
       marks: (marks) => plots.setMarks(marks),
       timing: showTiming,
     },

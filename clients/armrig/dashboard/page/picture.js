@@ -57,7 +57,7 @@ function* curves(u, at, up) {
         continue;
       }
       const place = at(x[i]).toFixed(1);
-      d += isUp ? `M${place} ${up(low).toFixed(1)}` : u.isStepped ? `H${place}V${up(low).toFixed(1)}` : `L${place} ${up(low).toFixed(1)}`;
+      d += isUp ? `M${place} ${up(low).toFixed(1)}` : (s === 1 ? u.isStepped : u.isOverStepped) ? `H${place}V${up(low).toFixed(1)}` : `L${place} ${up(low).toFixed(1)}`;
       if (high !== low) d += `V${up(high).toFixed(1)}`;
       isUp = false;
     }

@@ -130,7 +130,7 @@ function curve(where, signal, last) {
     height: last ? 190 : 150,
     xLabel: last ? "s" : "",
     sync: "recording",
-    compares: true,
+    over: "bad",
     namesMarks: signal === signals[0],
     stepped: signal.key === "u",
     onZoom: (from, to) => attempt(() => zoom([Math.max(0, from), Math.min(seconds, Math.max(to, from + 0.01))])),

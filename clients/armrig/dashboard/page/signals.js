@@ -14,16 +14,31 @@ function nameOf({ label, kind, own }, isRecorded) {
 
 function colourOf({ kind, channel = 0 }) {
   if (kind === "input") return "u";
+  if (kind === "reference") return "reference";
   return kind === "rate" ? "rate" : channel ? "second" : "first"; // a rotation is of the first output
 }
 
-function axisOf({ kind, step, is_symmetric, limits }, isRecorded) {
+function axisOf({ kind, step, is_symmetric, limits, span }, isRecorded) {
   const digits = Math.max(0, Math.ceil(-Math.log10(step))); // show a step of the converter
   if (kind === "input") return { range: [0, 5], pad: 0.3, digits: isRecorded ? 3 : 2, splits: [0, 1, 2, 3, 4, 5], fewSplits: [0, 2.5, 5] };
+  if (kind === "reference") return { range: null, least: span / 10, digits: Math.max(0, Math.ceil(-Math.log10(span / 1000))) };
   if (kind === "turned") return { range: limits, pad: limits[1] / 5, digits, splits: [limits[0], 0, limits[1]] };
   if (isRecorded) return { range: null, least: RECORDED_STEPS * step, digits: kind === "rate" ? digits : digits + 1 };
   if (kind === "turning") return { range: [0, 360], pad: 10, digits, splits: [0, 90, 180, 270, 360], fewSplits: [0, 180, 360], wraps: true };
   return { range: null, least: LIVE_STEPS * step, digits, isSymmetric: is_symmetric, isRate: kind === "rate" };
+}
+
+// Return the signals with the reference of a run in control: in the plot of the variable that
+// follows it, or in a plot of its own below its output.
+export function withReference(signals, panel) {
+  if (!panel) return signals;
+  const { key, below, name = "r", unit = "", span = 1, limits } = panel;
+  const made = signals.map((signal) => ({ ...signal, follows: signal.key === key, ...(signal.kind === "input" ? { lawLimits: limits } : {}) }));
+  if (key) return made;
+  const channel = signals.find((signal) => signal.key === below)?.channel ?? 0;
+  const last = made.findLastIndex((signal) => !below || (signal.kind !== "input" && (signal.channel ?? 0) === channel));
+  const label = name === "r" ? "r" : `r, ${name}`;
+  return [...made.slice(0, last + 1), ...presented([{ key: "r", label, unit, kind: "reference", span }]), ...made.slice(last + 1)];
 }
 
 // Return the outputs among the signals, in the order of the rig's channels.
