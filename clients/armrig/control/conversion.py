@@ -112,8 +112,8 @@ def control_law(
     slew : float, default 0
         Largest change of the input in one sample; 0 is no limit.
     model : Fit, GreyFit or python-control system, optional
-        Model of the outputs, of which the law gets its monitor. The monitor also predicts an output
-        if a sample is missing, so a turning output requires a model.
+        Model of the outputs, for the law's monitor. The monitor also predicts an output if a sample
+        is missing, so a turning output requires a model.
     tracking_time : float, optional
         Time constant, in s, with which slow modes of the controller follow the latched voltage. The
         default is the time constant of the controller's slowest zero.

@@ -50,7 +50,7 @@ _PRELUDE_S, _PRELUDE_SAMPLES = 0.5, 50
 _BLIND_S, _BLIND_SAMPLES, _MORE_S = 0.2, 10, 0.1
 """Time in which a run without valid outputs ends: the first, or the second and third."""
 _NEAR_ONE = 1 + 1e-6j
-"""Place of a steady gain, beside z = 1: there may be a mode at 1 that is not fed back."""
+"""Point z of a steady gain, near 1: a loop may have a mode at 1 that is not fed back."""
 _UNSEEN = 1e-9
 """Smallest singular value, as a share of the largest, of a disturbance that the outputs show."""
 _FREQUENCIES = 4096

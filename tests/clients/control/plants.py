@@ -85,7 +85,7 @@ class LoopRun(NamedTuple):
     """Run of a law with a plant."""
 
     by: str
-    """What ended the run; empty if nothing did."""
+    """Gate or bound that ended the run; empty for a complete run."""
     y: NDArray[np.float64]
     """True outputs, (N, ny), up to the sample that ended the run."""
     codes: NDArray[np.int64]
