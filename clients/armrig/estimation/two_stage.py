@@ -124,8 +124,9 @@ def two_stage(
     fit = estimator(structure)(excited, **options)
     P = _covariance(fit, excited, references, first, rest)
     # The loop removes the slow noise from the second stage, but not its mean, which looks sure.
-    has_level = level_without_input(data) is not None
-    findings = tuple(f for f in fit.findings if has_level or f.about != "level")
+    findings = fit.findings
+    if any(f.about == "level" for f in findings) and level_without_input(data) is None:
+        findings = tuple(f for f in findings if f.about != "level")
     return replace(
         fit, covariance=P, covariance_robust=P, free=(), digest=data.digest, findings=findings
     )
