@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import armrig
 import msgspec
 import numpy as np
 import pytest
+from armrig.recordings.files import replay as replay_module
 from armrig.recordings.files.control_run import control_run
 from armrig.recordings.files.replay import replay
 from armrig.recordings.files.verification import check_control, verify
@@ -16,7 +18,10 @@ from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.recording_file.manifest import CONTROLLER, REFERENCE
 from armrig_core.rig.description import shipped
+from armrig_core.telemetry.telemetry import Sample
 from armrig_daemon.config import Config, Limits
+from armrig_daemon.decisions.state import Publish
+from armrig_daemon.pipe import RunEnded
 from armrig_daemon.service.plan import Plan, plan_of
 from armrig_daemon.service.virtual_service import LEASE, VirtualService, requests_of
 
@@ -80,6 +85,23 @@ def test_a_control_run_is_replayed_to_the_last_bit(path: Path) -> None:
     result = replay(path)
 
     assert (result.difference, result.samples) == ("", len(STEP))
+
+
+def test_a_sample_that_arrives_together_with_the_end_of_the_run_is_not_of_the_run(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The confirmation of a stop and the answer to the last EXCHANGE may be read at once."""
+    step = replay_module.core_step.step
+    last = Sample._make(armrig.load(path).samples[-1].tolist())
+
+    def with_a_late_sample(*arguments: Any) -> Any:
+        state, actions = step(*arguments)
+        ends = any(isinstance(getattr(a, "record", None), RunEnded) for a in actions)
+        return state, [*actions, Publish(last)] if ends else actions
+
+    monkeypatch.setattr(replay_module.core_step, "step", with_a_late_sample)
+
+    assert replay(path).difference == ""
 
 
 def test_a_control_run_passes_verification(path: Path) -> None:

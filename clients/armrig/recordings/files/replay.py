@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from armrig_core.rig.volts import codes_of
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
 from armrig_daemon.decisions.state import Action, Emit, Publish, Send, State
-from armrig_daemon.pipe import Log
+from armrig_daemon.pipe import Log, RunEnded
 from armrig_protocol.frame import Spoilt, Unknown, decode
 
 from armrig.numerics.quantities import plural
@@ -135,7 +135,8 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
             difference += f"sent {_names(step.sent)}, now decides {_names(sent)}"
             break
         frames += len(sent)
-        for sample in (a.sample for a in actions if isinstance(a, Publish)):
+        of_run = takewhile(lambda a: not isinstance(getattr(a, "record", None), RunEnded), actions)
+        for sample in (a.sample for a in of_run if isinstance(a, Publish)):
             if manifest.k_first <= sample.k < manifest.k_first + manifest.samples:
                 row = np.array([tuple(sample)], SAMPLE_DTYPE)
                 same += same == ours and row.tobytes() == theirs[ours : ours + 1].tobytes()
