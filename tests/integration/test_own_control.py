@@ -25,24 +25,35 @@ from tests.integration.processes import Bench, freeze, settled, wait_for
 
 LATE_S = 0.5
 """Allowance for a busy machine, in s; docs/safety.md has the measured times."""
+TS = 0.1
+"""Sampling time, in s: a program has 0.5 s for its next voltage, also on a busy machine."""
 RUNNER = """
 import sys, time
 from armrig.rig.client import Rig
-with Rig(connect=sys.argv[1]) as rig:
-    for y in rig.control_loop(Ts=0.02, seconds=20):
-        if y.k > 40:
-            if sys.argv[2] == "hang":
-                time.sleep(60)
+from armrig.rig.replies import RunEndedError
+
+def control(rig):
+    for n, y in enumerate(rig.control_loop(Ts=0.02, seconds=20)):
+        if n > 40 and sys.argv[2] == "hang":
+            time.sleep(60)
+        if n > 40 and sys.argv[2] == "crash":
             raise SystemError("crash")
-        y.set({name}=1.0 + y.k % 2)
+        y.set({name}=1.0 + n % 2)
+
+with Rig(connect=sys.argv[1]) as rig:
+    for _ in range(8):  # a busy machine may end a run, because the next voltage came too late
+        try:
+            control(rig)
+        except RunEndedError:
+            pass
 """
 
 
-def loop_of(bench: Bench, seconds: float = 1.0, **more: Any) -> tuple[armrig.Rig, ControlLoop]:
+def loop_of(bench: Bench, seconds: float = 2.0, **more: Any) -> tuple[armrig.Rig, ControlLoop]:
     rig = bench.rig()
     rig.__enter__()
     settled(rig)
-    return rig, rig.control_loop(Ts=0.02, seconds=seconds, **more)
+    return rig, rig.control_loop(Ts=TS, seconds=seconds, **more)
 
 
 def drive(loop: ControlLoop, step: Callable[[LoopSample], None]) -> None:
@@ -78,7 +89,7 @@ def check_run(
 
 
 def test_a_controller_in_time_sets_each_sample(served: Bench) -> None:
-    rig, loop = loop_of(served, reference=np.linspace(1, 3, 50))
+    rig, loop = loop_of(served, reference=np.linspace(1, 3, 20))
     given = {0: 0.0}
     with rig:
         for y in loop:
@@ -87,11 +98,11 @@ def test_a_controller_in_time_sets_each_sample(served: Bench) -> None:
             given[y.k + 1] = u
 
     run = check_run(served, loop)
-    assert loop.deadlines == 49
-    assert run.k.size == 50
-    np.testing.assert_allclose(run.r, np.linspace(1, 3, 50), rtol=0, atol=0)
+    assert loop.deadlines == 19
+    assert run.k.size == 20
+    np.testing.assert_allclose(run.r, np.linspace(1, 3, 20), rtol=0, atol=0)
     assert {round(u, 3) for u in run.u} <= {round(u, 3) for u in given.values()}
-    assert len({*run.u}) >= 50 - loop.missed
+    assert len({*run.u}) >= 20 - loop.missed
     assert REFERENCE in armrig.load(loop.recording).manifest.attachment_hashes
 
 
@@ -102,14 +113,14 @@ def test_a_slow_controller_misses_deadlines_and_its_voltages_are_held(
     sets = 0
     with rig:
         for y in loop:
-            time.sleep(0.045)  # two sampling times pass
+            time.sleep(1.5 * TS)
             y.set(2.0)
             sets += 1
 
     check_run(served, loop)
     assert loop.missed > 0
     assert loop.deadlines - loop.missed <= sets
-    assert f"{loop.missed} of 49 deadlines were missed" in capsys.readouterr().err
+    assert f"{loop.missed} of 19 deadlines were missed" in capsys.readouterr().err
 
 
 @pytest.mark.timed
@@ -118,29 +129,21 @@ def test_a_controller_that_stops_working_leaves_the_rig_at_rest(bench: Bench, ho
     """S2: within lease, watchdog and 2 Ts of the last voltage, without a fault."""
     bench.emulate()
     bench.serve()
-    client = begin(bench, 30, RUNNER.replace("{name}", "u"), how)
+    client = begin(bench, 20, RUNNER.replace("{name}", "u"), how)
     if how in ("freeze", "kill"):
         client.send_signal(signal.SIGSTOP if how == "freeze" else signal.SIGKILL)
-    else:
-        wait_for(lambda: last_voltage_is_old(bench))
-    took_s = bench.went_to_0_v_after(time.monotonic_ns())
+    wait_for(lambda: bench.volts() == 0.0)
+    (set_ns, _), (rest_ns, _) = bench.voltage_changes()[-2:]
     client.kill()
     client.wait()
 
-    assert took_s < 0.1 + 0.25 + 2 * 0.02 + LATE_S
+    assert (rest_ns - set_ns) / 1e9 < 0.1 + 0.25 + 2 * 0.02 + LATE_S
     last = last_run(bench)
     assert last.code == ("stopped" if how == "crash" else "client_gone")
     assert bench.settled() == "safe"
     run = own_control_run(armrig.load(last.recording))
     assert run is not None
     assert {*np.round(run.u, 1)} <= {0.0, 1.0, 2.0}
-
-
-def last_voltage_is_old(bench: Bench) -> bool:
-    """Return whether the voltage no longer alternates."""
-    before = len(bench.voltage_changes())
-    time.sleep(0.06)
-    return len(bench.voltage_changes()) == before or bench.volts() == 0.0
 
 
 @pytest.mark.parametrize("u", [5.5, -0.1, float("nan"), float("inf")])
@@ -202,7 +205,7 @@ def test_a_controller_that_sets_nothing_leaves_the_rig_at_rest(served: Bench) ->
             pass
 
     run = check_run(served, loop)
-    assert loop.missed == loop.deadlines == 49
+    assert loop.missed == loop.deadlines == 19
     assert not run.u.any()
 
 
@@ -228,12 +231,12 @@ def test_a_controller_that_breaks_out_early_ends_its_run_at_rest(served: Bench) 
             if y.k >= 10:
                 break
         wait_for(lambda: served.volts() == 0.0)
-        again = rig.control_loop(Ts=0.02, seconds=0.2)
+        again = rig.control_loop(Ts=TS, seconds=0.5)
         for y in again:
             y.set(1.0)
 
     run = check_run(served, again)
-    assert run.k.size == 10
+    assert run.k.size == 5
     assert "stopped by" in outcome(armrig.load(loop.recording))
 
 
@@ -273,7 +276,7 @@ def test_a_rig_whose_rest_is_not_0_v_is_controlled_in_its_own_unit(bench: Bench)
     bench.emulate()
     bench.serve()
     with bench.rig() as rig:
-        loop = rig.control_loop(Ts=0.02, seconds=0.6, reference=20.0)
+        loop = rig.control_loop(Ts=TS, seconds=2, reference=20.0)
         for y in loop:
             speed = y.sample[4]
             y.set(armature=float(np.clip(0.3 * (y.r - speed), -12, 12)))

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SHORTEST_TS = 0.02
 """Shortest sampling time of a controller of one's own, in s: 50 Hz."""
+_AFTER_THE_END = (RefusalCode.NOT_HELD,)  # refusals of a voltage whose run has ended
 _LOOK_INTERVAL_S, _SILENCE_S = 0.001, 1.0  # without a sample for `_SILENCE_S`, the run is over
 
 
@@ -100,8 +101,8 @@ class ControlLoop:
         except BusyError:
             pass  # the run ends, or too many commands came: the daemon counts the missed deadline
         except (InputError, RefusedError) as err:
-            if getattr(err, "code", "") == RefusalCode.NOT_HELD:
-                return  # the run has ended, as the next sample shows
+            if getattr(err, "code", "") in _AFTER_THE_END:
+                return  # as the next sample shows
             with suppress(RigError):
                 self._rig.stop()
             raise
