@@ -29,7 +29,9 @@ def test_a_treatment_of_samples_keeps_the_reference_and_the_law(treat: object) -
     assert laws_of(treated.history) == (LAW,)
 
 
-@pytest.mark.parametrize("treat", [lambda d: resample(d, 0.2), lambda d: prefilter(d, band=(1.0, 10.0))])
+@pytest.mark.parametrize(
+    "treat", [lambda d: resample(d, 0.2), lambda d: prefilter(d, band=(1.0, 10.0))]
+)
 def test_a_filter_drops_the_reference_and_keeps_the_law(treat: object) -> None:
     treated = treat(data())  # type: ignore[operator]
 
