@@ -286,7 +286,7 @@ def test_a_run_in_control_shows_its_reference_until_the_space_bar_ends_it(
         page.click("#show")
         until(page, lambda: page.is_enabled("#run"))
         page.click("#run")
-        until(page, lambda: "°/s, r 115 °/s" in text(page, "#value-velocity"))
+        until(page, lambda: text(page, "#value-r") == "115 °/s")
         until(page, lambda: "input at its limit in" in text(page, "#shares"))
         until(page, lambda: page.evaluate(_CHARTS_WITH_RED) == [0])
         assert page.locator("img").count() == 0

@@ -12,7 +12,6 @@ from math import inf
 from typing import Any
 
 import msgspec
-from armrig_core.control.control_law import ControlLaw
 from armrig_core.errors import OperationError
 
 from armrig.rig.client import Rig
@@ -56,8 +55,6 @@ class Driver:
         self._runner = ThreadPoolExecutor(1, thread_name_prefix="run")
         self.run = RunState()
         """The newest run of this page."""
-        self.law: ControlLaw | None = None
-        """Law of the current run of this page; None for another run."""
 
     def arm(self, owner: str, Ts: float | None) -> None:
         """Arm the rig at 0 V; the daemon disarms the rig if no command follows.
@@ -152,7 +149,6 @@ class Driver:
     def _played(self, plan: Plan, asked_s: float) -> None:
         try:
             self._give_back()
-            self.law = plan.law
             done = collect(
                 plan,
                 rig=self._rig,
@@ -161,8 +157,8 @@ class Driver:
                 shown=partial(self._shown, asked_s),
                 way_out="press Reset",
             )
-            said = (done.verdict.summary if done.verdict else "", done.shares)
-            verdict = "; ".join(text for text in said if text)
+            said = done.verdict.summary if done.verdict else "", done.shares
+            verdict = "; ".join(filter(None, said))
             self._note(done=done.samples, recording=done.path.name, verdict=verdict)
         except Exception as err:  # the page shows any error
             ended = err if isinstance(err, RunEndedError) else err.__cause__
@@ -172,7 +168,6 @@ class Driver:
             else:
                 self._note(error=str(err) or repr(err))
         finally:
-            self.law = None
             self._note(is_going=False)
             self._one.release()
 

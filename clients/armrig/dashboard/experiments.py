@@ -10,11 +10,13 @@ import msgspec
 import numpy as np
 from armrig_core.commands.commands import LONGEST_TS, Rehearsal, StatusReport, rehearsal_sentence
 from armrig_core.commands.rehearsal import rehearse, rehearse_outputs
+from armrig_core.control.control_law import Reference
 from armrig_core.errors import InputError, ParameterError
 from armrig_core.process.printable import with_degrees
 from armrig_core.rig.description import Description
 from armrig_core.rig.volts import U_MAX_V
 from msgspec import Meta
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from armrig.dashboard.laws import check_fits, read_law
@@ -72,9 +74,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Hash of the law that the page has shown; "" for any law in the file."""
     reference: Literal["step", "staircase"] = "step"
     r_low: float | None = None
-    """Lowest level of the reference, in its unit; by default a quarter of the law's range."""
     r_high: float | None = None
-    """Highest level of the reference, in its unit; by default half of the law's range."""
     word: Annotated[str, Meta(max_length=20)] = ""
     """The word `unmonitored` allows a law without a monitor."""
 
@@ -189,8 +189,8 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     Ts: float
     curve: list[list[float | None]]
     """Points of the drawn input: t in s, and the least and the largest u, in V, or r."""
-    reference: tuple[str, str] | None = None
-    """Name and unit of r; None for an experiment without a law."""
+    reference: Reference | None = None
+    """Reference of the law; None for an experiment without a law."""
     rehearsal: str
     """Sentence about the rehearsal, a simulation of the input with the handout's parameters."""
     deviations: list[str]
@@ -226,7 +226,7 @@ def previewed(
             seconds=u.size * Ts,
             Ts=Ts,
             curve=drawn(Ts * np.arange(u.size, dtype=np.float64), u),
-            reference=(r.name, with_degrees(r.unit)),
+            reference=replace(r, unit=with_degrees(r.unit)),
             rehearsal=later if described.model else told,
             deviations=[],
             notes=[*notes, f"the law's limits are {plan.law.lo:g} to {plan.law.hi:g} V"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import islice, pairwise
 from operator import itemgetter
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from armrig_core.commands.commands import StatusReport
-from armrig_core.control.control_law import ControlLaw
 from armrig_core.rig.description import Description, shipped
 from armrig_core.telemetry.telemetry import Sample
 
@@ -29,7 +28,7 @@ from armrig.dashboard.bins import (
     signals,
     signals_of,
 )
-from armrig.dashboard.control_feed import ControlFeed, RunLaw, law_of_run
+from armrig.dashboard.control_feed import ControlFeed, law_of_run
 from armrig.recordings.daemon_reports import is_note
 from armrig.rig.telemetry_stream import MOST_TOLD, gaps_between
 
@@ -61,7 +60,7 @@ class News:
     signals: tuple[Signal, ...]
     """Signals of the rig, in the order of the values in a row."""
     reference: Rows
-    """New rows of the reference of a run in control, in the unit of its plot."""
+    """New rows of the reference of a run in control, in the unit of its law."""
     pieces: tuple[int, int] = (0, 0)
     """Number of pieces of rows and of the reference so far, for the next call of `Feed.news`."""
 
@@ -172,18 +171,15 @@ class Feed:
         with self._lock:
             self._control.add(decisions, HISTORY_S)
 
-    def look_for_law(self, law_now: Callable[[], ControlLaw | None]) -> None:
-        """Look for the law of a run in control: that of this page's run, or in its recording."""
-        with self._lock:
-            is_wanted, described, drawn = self._control.wants_law, self.description, self.signals
-        if is_wanted:
-            law = law_now()
-            found = RunLaw(law, is_own=False) if law else law_of_run(self.status)
+    def look_for_law(self) -> None:
+        """Look for the law of a run in control in its recording."""
+        if self._control.wants_law:
+            law = law_of_run(self.status)
             with self._lock:
-                self._control.take_law(found, described, drawn)
+                self._control.take_law(law)
 
     def control(self) -> dict[str, Any] | None:
-        """Return the plot of r, the limits of the law, and its shares; None without control."""
+        """Return the law of the last run in control, and its shares; None without such a run."""
         is_going = self.status is not None and self.status.phase == "active"
         with self._lock:
             return self._control.facts(is_going=is_going)
@@ -234,7 +230,7 @@ class Feed:
         return np.concatenate([coarser(rows[:fine], COARSE_S, drawn), rows[fine:]])
 
     def reference(self) -> Rows:
-        """Return the rows of the reference of the last five minutes, in the unit of its plot."""
+        """Return the rows of the reference of the last five minutes, in the unit of its law."""
         with self._lock:
             return self._control.rows()
 
@@ -275,7 +271,7 @@ class Feed:
     def _forget_rows(self) -> None:
         self._rows.clear()
         self._kept, self._newest, self._tail = 0, None, self._tail[:0]
-        self._control.forget()
+        self._control = ControlFeed()
 
     def _forget_marks_after(self, t_ns: int) -> None:
         states = [found for found in self._states if found[0] <= t_ns]

@@ -19,7 +19,6 @@ from typing import Any
 import uvicorn
 from armrig_core.access.daemon_lock import living_daemon
 from armrig_core.commands.commands import StatusReport
-from armrig_core.control.control_law import ControlLaw
 from armrig_core.process.open_files import raise_limit
 from armrig_core.rig.description import path_of, read_description
 from starlette.requests import Request
@@ -121,7 +120,6 @@ def dashboard(settings: Settings) -> Iterator[Served]:
         rig=settings.rig,
         connect=settings.connect,
         found=driver.be_ready_to_stop,
-        law_now=lambda: driver.law,
         restart=settings.command if settings.starts_daemon else "",
     )
     with ExitStack() as open_files:
@@ -292,15 +290,13 @@ class Listener:
         rig: str,
         connect: str | None,
         found: Callable[[], None],
-        law_now: Callable[[], ControlLaw | None],
         restart: str = "",
     ) -> None:
         """Prepare to listen to a rig; `found` is called after each connection to the rig.
 
-        `law_now` returns the law of the page's own run, or None.
         `restart` is the command that starts a dead daemon; "" if the error of the client names it.
         """
-        self._found, self._law_now, self._restart = found, law_now, restart
+        self._found, self._restart = found, restart
         self._feed = feed
         self._rig = rig
         self._connect = connect
@@ -366,10 +362,10 @@ class Listener:
                 decided = decisions()  # before the states: those of the run have come then
                 feed.add_states(fresh := states())
                 feed.add_decisions(decided)
-                feed.look_for_law(self._law_now)
                 if _changed(fresh, status) or now - asked_s >= _STATUS_S:
                     feed.take_status(status := rig.status())
                     asked_s = now
+                feed.look_for_law()  # after the status, which names the recording of the run
                 if now - heard_s > _SILENT_S + 2 * status.Ts:
                     return  # a session may outlive its daemon
 

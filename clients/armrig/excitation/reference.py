@@ -24,14 +24,11 @@ _SHARES = 0.25, 0.5
 
 
 class ReferenceInput(NamedTuple):
-    """Reference as `armrig.rig.collection.Plan` plays it."""
+    """Reference of a run in control: fields of `armrig.rig.collection.Plan`."""
 
     make: Callable[[int, float], Vector]
-    """Function of N and of Ts in s; it returns r in the law's unit."""
     details: dict[str, Any]
-    """Settings from which the reference can be computed again."""
     seconds: float | None
-    """Length of the run, in s; None for the length of a file."""
 
 
 class Profile(NamedTuple):
@@ -105,32 +102,9 @@ def profile_of(
 def reference_input(
     law: ControlLaw, profile: Profile, seconds: float | None = None
 ) -> ReferenceInput:
-    """Return a profile as the input of a run in control.
+    """Return a profile as the input of a run; by default, each level has the length of `level_s`.
 
-    Parameters
-    ----------
-    law : ControlLaw
-        Law whose reference the profile is.
-    profile : Profile
-        Kind, levels and dither.
-    seconds : float, optional
-        Length of the run, in s; by default each level has the length of `level_s`.
-
-    Raises
-    ------
-    InputError
-        The length is given for a file, or it is missing and the law has no monitor.
-
-    Examples
-    --------
-    >>> from armrig_core.control.control_law import LawOutput, Reference
-    >>> law = ControlLaw(
-    ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),), A=(), B=(), C=(), D=1.0,
-    ...     x0=(), F=((),), reference=Reference(name="u", unit="V", low=0, high=5),
-    ... )
-    >>> made = reference_input(law, Profile("step", 1.0, 2.0), 0.04)
-    >>> made.make(4, 0.01), made.details["high"]
-    (array([1., 1., 2., 2.]), 2.0)
+    Raises InputError if a file has a length, or a law without a monitor has none.
     """
     unit = law.reference.unit
     if profile.file:

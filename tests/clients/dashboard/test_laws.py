@@ -41,9 +41,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_each_file_that_is_no_law_for_the_rig_has_its_reason(folder: Path) -> None:
-    rows = {row.file: row for row in law_rows(folder, STATUS)}
+    rows = {row["file"]: row for row in law_rows(folder, STATUS)}
 
-    whys = {file: row.why for file, row in rows.items()}
+    whys = {file: row["why"] for file, row in rows.items()}
     assert (whys["good.json"], whys["blind.json"]) == ("", "")
     assert whys["heater.json"].startswith("the law uses T1, and the rig has theta_1, alpha")
     assert whys["input.json"].startswith("the law drives power, and the rig's input is u")
@@ -51,14 +51,9 @@ def test_each_file_that_is_no_law_for_the_rig_has_its_reason(folder: Path) -> No
     assert whys["noise.json"].startswith("no control law: ")
     assert "there is no such file" in whys["late.json"]
     good = rows["good.json"]
-    assert (good.method, good.name, good.unit, good.monitored) == (
-        "place",
-        "velocity",
-        "rad/s",
-        True,
-    )
-    assert (good.low, good.high, good.levels, good.Ts) == (0.0, 8.0, (2.0, 4.0), 0.01)
-    assert not rows["blind.json"].monitored
+    assert (good["method"], good["levels"], good["monitored"]) == ("place", (2.0, 4.0), True)
+    assert good["reference"] == Reference(name="velocity", unit="rad/s", low=0.0, high=8.0)
+    assert not rows["blind.json"]["monitored"]
 
 
 def test_a_law_whose_sampling_time_the_rig_cannot_have_has_its_reason(folder: Path) -> None:
@@ -79,7 +74,7 @@ def test_a_law_whose_sampling_time_the_rig_cannot_have_has_its_reason(folder: Pa
     )
     (folder / "slow.json").write_bytes(slow.text)
 
-    (why,) = [row.why for row in law_rows(folder, blind) if row.file == "slow.json"]
+    (why,) = [row["why"] for row in law_rows(folder, blind) if row["file"] == "slow.json"]
 
     assert why.startswith("the law has Ts = 0.5 s, and the run ")
 
@@ -142,7 +137,7 @@ def test_the_preview_of_a_run_in_control_is_its_reference(folder: Path) -> None:
 
     found = previewed(asked, STATUS, STATUS.described, folder)
 
-    assert (found.N, found.Ts, found.reference) == (4, 0.01, ("velocity", "rad/s"))
+    assert (found.N, found.Ts, found.reference) == (4, 0.01, MONITORED.reference)
     assert found.curve[1] == [2, 2, 4, 4]
     assert (
         found.rehearsal == "not rehearsed here: the daemon rehearses the closed loop at the start"
@@ -152,6 +147,6 @@ def test_the_preview_of_a_run_in_control_is_its_reference(folder: Path) -> None:
 def test_a_file_that_cannot_be_read_has_its_reason(folder: Path) -> None:
     os.truncate(folder / "model.json", 1 << 19)
 
-    (why,) = [row.why for row in law_rows(folder, STATUS) if row.file == "model.json"]
+    (why,) = [row["why"] for row in law_rows(folder, STATUS) if row["file"] == "model.json"]
 
     assert "more than the 262144 B allowed" in why

@@ -137,7 +137,6 @@ class _Listener(Listener):
             rig="1",
             connect=None,
             found=lambda: found.append(clock.now_s),
-            law_now=lambda: None,
         )
         self._ends = clock  # type: ignore[assignment]
 
@@ -236,7 +235,7 @@ def test_the_whole_history_is_read_and_does_not_count_as_live(
     monkeypatch.setattr(serving, "RemoteSource", lambda *_: source)
     feed = Feed()
 
-    Listener(feed, rig="1", connect=None, found=lambda: None, law_now=lambda: None)._take_past()
+    Listener(feed, rig="1", connect=None, found=lambda: None)._take_past()
 
     news, timing = feed.news(), feed.timing()
     assert (news.newest, news.age_s) == (sample(4), float("inf"))

@@ -184,8 +184,8 @@ async function preview() {
   show("running", going);
   plot?.destroy();
   const volts = { colour: "u", unit: "V", range: [0, 5], pad: 0.3, splits: [0, 1, 2, 3, 4, 5] };
-  const [unit, span] = [found.reference?.[1], chosenLaw()?.span];
-  const [signal] = found.reference ? presented([{ kind: "reference", unit, span }]) : [volts];
+  const r = found.reference;
+  const [signal] = r ? presented([{ kind: "reference", unit: r.unit, span: r.high - r.low || 1 }]) : [volts];
   plot = chart(byId("preview-plot"), { signal, height: 130, xLabel: "s", stepped: true });
   plot.wanted = [0, found.seconds];
   plot.setData(found.curve, true);

@@ -14,7 +14,7 @@ export async function listLaws() {
   const before = byId("field-law").value;
   laws = found.laws.filter(({ why }) => !why);
   word = found.word;
-  byId("field-law").replaceChildren(...laws.map(({ file, method, name }) => make("option", { value: file, textContent: `${file}: ${method ? `${method}, ` : ""}r is ${name}` })));
+  byId("field-law").replaceChildren(...laws.map(({ file, method, reference }) => make("option", { value: file, textContent: `${file}: ${method ? `${method}, ` : ""}r is ${reference.name}` })));
   byId("field-law").value = chosenOf(before);
   const rows = found.laws.filter(({ why }) => why).map(({ file, why }) => `${file}: ${why}`);
   if (!laws.length) rows.unshift(`no law for this rig in ${found.folder}: \`armrig design -h\` lists the commands that write a law`);
@@ -29,10 +29,11 @@ export function showLaw() {
   const isStaircase = byId("field-reference").value === "staircase";
   const hidden = [...(isStaircase ? [] : ["levels"]), ...(law && !law.monitored ? [] : ["word"])];
   if (!law) return [...hidden, "r_low", "r_high"];
+  const { unit, low, high } = law.reference;
   const short = (value) => +value.toPrecision(4);
-  for (const [name, label, level] of [["r_low", `lowest r [${law.unit}], from ${short(law.low)}`, law.levels[0]], ["r_high", `highest r [${law.unit}], to ${short(law.high)}`, law.levels[1]]]) {
+  for (const [name, label, level] of [["r_low", `lowest r [${unit}], from ${short(low)}`, law.levels[0]], ["r_high", `highest r [${unit}], to ${short(high)}`, law.levels[1]]]) {
     const input = byId(`field-${name}`);
-    Object.assign(input, { min: law.low, max: law.high, placeholder: `${short(level)}` });
+    Object.assign(input, { min: low, max: high, placeholder: `${short(level)}` });
     byId(`label-${name}`).replaceChildren(label, input);
   }
   const length = byId("field-seconds");

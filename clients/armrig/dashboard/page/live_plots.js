@@ -20,11 +20,14 @@ const HEAD_PIXELS = 255; // width of the name and value next to a chart in the p
 // On a wide screen the plots fill the height; on a phone they have the least readable height.
 const heightOf = (n) => (innerWidth > 900 ? Math.max(85, Math.min(210, (innerHeight - 380) / n)) : 88);
 
+// Return a value of r in the unit of the plot of a signal.
+const inPlot = (r, { factor = 1, wraps }) => (wraps ? (((r * factor) % 360) + 360) % 360 : r * factor);
+
 export class LivePlots {
   constructor() {
     this.rows = new Rows();
-    this.reference = new Rows(1); // r of a run in control, in the unit of its plot
-    this.panel = null; // plot of r and limits of the law; null without a run in control
+    this.reference = new Rows(1); // r of a run in control, in the unit of its law
+    this.control = null; // law of a run in control, and its shares; null without one
     this.described = []; // signals of the rig, as the server describes them
     this.signals = []; // those that have a chart
     this.span = 30;
@@ -64,26 +67,32 @@ export class LivePlots {
   // Show the reference, the limits and the shares of a run in control; null without one.
   setControl(found) {
     setText("shares", found?.shares ?? "");
-    const before = this.panel;
-    this.panel = found?.panel ?? null;
-    if (JSON.stringify(before) === JSON.stringify(this.panel)) return;
-    const place = (panel) => JSON.stringify({ ...panel, limits: undefined });
-    if (place(before) !== place(this.panel)) this.reference.length = 0; // these are of another plot
+    const place = (control) => JSON.stringify({ ...control, shares: "" });
+    const isOther = place(found) !== place(this.control);
+    this.control = found;
+    if (!isOther) return;
+    if (found) this.reference.forgetBefore(found.first_s); // these rows are of another law
     this.#arrange();
   }
 
   #arrange() {
-    this.signals = withReference(this.described, this.panel);
+    this.signals = withReference(this.described, this.control);
     this.setLarge(this.isLarge);
   }
 
-  // Return the least and the largest r at a time; NaN without a decision.
-  referenceAt(t) {
+  // Return the least and the largest r at a time, in the unit of its plot; NaN without a decision.
+  referenceAt(t, signal) {
     const { reference } = this;
     const row = reference.holding(t);
     const apart = reference.length > 1 ? reference.newest - reference.at(reference.length - 2, 0) : 0;
     const isHeld = row !== null && t - reference.at(row, 0) <= HELD_S + 2 * Math.min(apart, 2);
-    return isHeld ? [reference.at(row, 1), reference.at(row, 2)] : [NaN, NaN];
+    return [1, 2].map((column) => (isHeld ? inPlot(reference.at(row, column), signal) : NaN));
+  }
+
+  // Return the curve of r in a part of the time axis, in the unit of the plot of a signal.
+  #referenceIn(part, signal) {
+    const [x, ...values] = this.reference.drawn(0, { ...part, wraps: false });
+    return [x, ...values.map((column) => column.map((value) => (value === null ? null : inPlot(value, signal))))];
   }
 
   // Make the charts; isLarge is true for the projector view.
@@ -114,8 +123,8 @@ export class LivePlots {
         { className: "chart-head" },
         make("span", { className: `swatch ${signal.colour}` }),
         make("span", { textContent: signal.name }),
-        ...(signal.follows ? [make("span", { className: "swatch reference" }), make("span", { textContent: "r" })] : []),
         make("span", { className: "value", id: `value-${signal.key}` }),
+        ...(signal.factor ? [make("span", { className: "swatch reference" }), make("span", { textContent: "r" }), make("span", { className: "value", id: "value-r" })] : []),
       ),
     );
     byId("charts").append(where);
@@ -128,7 +137,7 @@ export class LivePlots {
       xLabel: last ? "s" : "",
       sync: "live",
       stepped: ["input", "reference"].includes(signal.kind),
-      over: signal.follows ? "reference" : "",
+      over: signal.factor ? "reference" : "",
       isOverStepped: true,
       namesMarks: signal === this.signals[0],
       onZoom: (from, to) => this.zoom(from, to),
@@ -208,10 +217,10 @@ export class LivePlots {
     this.charts.forEach((u, i) => {
       Object.assign(u, { wanted: [from, to], marks, origin, most: this.signals[i].isRate ? this.rateMost : 0 });
       const pixels = u.bbox.width / devicePixelRatio;
-      const { column, follows, wraps } = this.signals[i];
+      const { column, factor, wraps } = this.signals[i];
       const part = { from: zero + from, to: zero + to, pixels, zero, wraps };
-      const curve = column === undefined ? this.reference.drawn(0, part) : this.rows.drawn(column, part);
-      u.setData(follows ? aligned(curve, this.reference.drawn(0, part)) : curve, true);
+      const curve = column === undefined ? this.#referenceIn(part, {}) : this.rows.drawn(column, part);
+      u.setData(factor ? aligned(curve, this.#referenceIn(part, this.signals[i])) : curve, true);
     });
     this.tell();
     this.restUntil = 2 * performance.now() - began;
@@ -234,12 +243,13 @@ export class LivePlots {
     const pointed = this.cursorAt !== null;
     const t = pointed ? zero + this.cursorAt : zero;
     const row = this.rows.holding(t);
-    const r = this.referenceAt(t);
     const texts = this.signals.map((signal) => {
-      if (signal.kind === "reference") return valueText(signal, ...r) || "no run";
+      const value = valueText(signal, ...this.referenceAt(t, signal));
+      const r = value && !pointed ? dated(value) : value || "no run";
+      if (signal.factor) setText("value-r", r);
+      if (signal.kind === "reference") return r;
       const [least, largest] = [1, 2].map((i) => (row === null ? NaN : this.rows.at(row, i + 2 * signal.column)));
-      const follows = signal.follows && !Number.isNaN(r[0]) ? `, r ${valueText(signal, ...r)}` : "";
-      const known = row === null ? "no data" : valueText(signal, least, largest) + follows;
+      const known = row === null ? "no data" : valueText(signal, least, largest);
       if (signal.kind === "turned" && !known) return "no run";
       return pointed ? known || "not known" : dated(known);
     });

@@ -21,12 +21,12 @@ const chartsOf = (plots) => plots.charts.map((u, i) => ({ u, signal: plots.signa
 
 // Return the visible bins, each with the least and the largest value of each signal.
 function saveCsv(plots, name) {
-  const { rows, described, reference, panel, seen: { zero, from, to } } = plots;
-  const head = [...described, ...(reference.length ? [{ name: "r", unit: panel.unit }] : [])].flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
+  const { rows, described, reference, control, seen: { zero, from, to } } = plots;
+  const head = [...described, ...(reference.length ? [{ name: "r", unit: control?.unit ?? "" }] : [])].flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
   const lines = [["t [s]", ...head].join(",")];
   for (let i = rows.find(zero + from); i < rows.length && rows.at(i, 0) <= zero + to; i++) {
     const values = Array.from({ length: 1 + 2 * described.length }, (_, column) => rows.at(i, column));
-    if (reference.length) values.push(...plots.referenceAt(rows.at(i, 0)));
+    if (reference.length) values.push(...plots.referenceAt(rows.at(i, 0), {}));
     lines.push(values.map((value) => String(value).toLowerCase()).join(","));
   }
   save(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), `${name}.csv`);

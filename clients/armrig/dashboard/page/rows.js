@@ -88,6 +88,10 @@ export class Rows {
     return this.at(row, 0) - before > SILENT_S + 3 * width + Math.min(earlier, later);
   }
 
+  forgetBefore(t) {
+    this.#forget(this.find(t));
+  }
+
   #forget(n) {
     this.#values.copyWithin(0, n * this.#columns, this.length * this.#columns);
     this.length -= n;

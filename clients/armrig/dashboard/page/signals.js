@@ -21,7 +21,7 @@ function colourOf({ kind, channel = 0 }) {
 function axisOf({ kind, step, is_symmetric, limits, span }, isRecorded) {
   const digits = Math.max(0, Math.ceil(-Math.log10(step))); // show a step of the converter
   if (kind === "input") return { range: [0, 5], pad: 0.3, digits: isRecorded ? 3 : 2, splits: [0, 1, 2, 3, 4, 5], fewSplits: [0, 2.5, 5] };
-  if (kind === "reference") return { range: null, least: span / 10, digits: Math.max(0, Math.ceil(-Math.log10(span / 1000))) };
+  if (kind === "reference") return { range: null, least: span / 2, digits: Math.max(0, Math.ceil(-Math.log10(span / 1000))) };
   if (kind === "turned") return { range: limits, pad: limits[1] / 5, digits, splits: [limits[0], 0, limits[1]] };
   if (isRecorded) return { range: null, least: RECORDED_STEPS * step, digits: kind === "rate" ? digits : digits + 1 };
   if (kind === "turning") return { range: [0, 360], pad: 10, digits, splits: [0, 90, 180, 270, 360], fewSplits: [0, 180, 360], wraps: true };
@@ -29,14 +29,17 @@ function axisOf({ kind, step, is_symmetric, limits, span }, isRecorded) {
 }
 
 // Return the signals with the reference of a run in control: in the plot of the variable that
-// follows it, or in a plot of its own below its output.
-export function withReference(signals, panel) {
-  if (!panel) return signals;
-  const { key, below, name = "r", unit = "", span = 1, limits } = panel;
-  const made = signals.map((signal) => ({ ...signal, follows: signal.key === key, ...(signal.kind === "input" ? { lawLimits: limits } : {}) }));
-  if (key) return made;
-  const channel = signals.find((signal) => signal.key === below)?.channel ?? 0;
-  const last = made.findLastIndex((signal) => !below || (signal.kind !== "input" && (signal.channel ?? 0) === channel));
+// follows it, with the factor from its unit, or in a plot of its own below its output.
+export function withReference(signals, control) {
+  if (!control) return signals;
+  const { name = "r", unit = "", span = 1, output, limits } = control;
+  const followed = signals.find((signal) => signal.key === name && signal.unit === unit.replace("rad", "°"));
+  const outputs = outputsOf(signals);
+  const factor = outputs.find((signal) => signal.channel === followed?.channel)?.scale ?? 1;
+  const made = signals.map((signal) => ({ ...signal, ...(signal === followed ? { factor } : {}), ...(signal.kind === "input" ? { lawLimits: limits } : {}) }));
+  if (followed) return made;
+  const channel = outputs.find((signal) => signal.key === output)?.channel ?? 0;
+  const last = made.findLastIndex((signal) => !output || (signal.kind !== "input" && (signal.channel ?? 0) === channel));
   const label = name === "r" ? "r" : `r, ${name}`;
   return [...made.slice(0, last + 1), ...presented([{ key: "r", label, unit, kind: "reference", span }]), ...made.slice(last + 1)];
 }

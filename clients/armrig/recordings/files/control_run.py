@@ -49,12 +49,8 @@ class ControlRun:
     @property
     def counts(self) -> DecisionCounts:
         """Return the numbers of decisions."""
-        return DecisionCounts(
-            decisions=int(self.k.size),
-            limited=int(np.count_nonzero(self.is_low | self.is_high)),
-            slewed=int(np.count_nonzero(self.is_slewed)),
-            late=int(np.count_nonzero(self.predicted)),
-        )
+        marks = (self.is_low | self.is_high, self.is_slewed, self.predicted)
+        return DecisionCounts(self.k.size, *(int(np.count_nonzero(mark)) for mark in marks))
 
     def facts(self) -> dict[str, Any]:
         """Return hash, monitor, reference and shares of the run, by name, for programs."""
@@ -104,9 +100,7 @@ class OwnControlRun(NamedTuple):
     @property
     def summary(self) -> str:
         """Return the share of missed deadlines as text."""
-        missed = int(self.missed.max(initial=0))
-        counts = DecisionCounts(decisions=int(self.k.size), missed=missed)
-        return f"own controller: {counts.of_client}"
+        return "own controller: {missed} of {deadlines} deadlines missed".format(**self.facts())
 
 
 def law_of(attachments: Mapping[str, bytes]) -> ControlLaw | None:
