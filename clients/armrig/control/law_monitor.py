@@ -33,8 +33,8 @@ DRIFT = 0.002
 _MONITOR_NOISE = 0.1
 """The same of a monitor: it is the error of a model whose parameters are known to 5 %.
 
-With 2 %, steps of the speed stopped 3 of 100 arms without a fault. With 10 %, none was stopped, and
-a stuck angle was seen as early. With 15 %, it was seen later at 1 rad/s.
+With 2 %, steps of the speed stopped 3 of 100 arms without a fault, and with 10 % 1 of 500. A stuck
+angle was seen as early. With 15 %, it was seen later at 1 rad/s.
 """
 _MOST_RESONANCE = 2.0
 """Largest response of an output, in steady gains, whose simulation is compared.
