@@ -28,13 +28,7 @@ class DecisionCounts(NamedTuple):
 
     @property
     def of_law(self) -> str:
-        """Shares of decisions at a limit, and with predicted samples, as text.
-
-        Examples
-        --------
-        >>> DecisionCounts(decisions=200, limited=3, late=2).of_law
-        'input at its limit in 1.5 % of samples, 2 decisions without the newest sample'
-        """
+        """Shares of decisions at a limit, and with predicted samples, as text."""
         text = f"input {self.at_limit} of samples"
         if self.slewed:
             text += f", its change limited in {self._percent(self.slewed)}"
