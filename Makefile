@@ -116,7 +116,7 @@ lock: $(BIN)/pip
 lowest: .venv/dev
 	$(BIN)/uv venv --quiet --clear --python $(PYTHON) .venv/lowest
 	$(BIN)/uv pip install --quiet --python .venv/lowest/bin/python pytest hypothesis websockets hatchling
-	$(BIN)/uv pip install --quiet --python .venv/lowest/bin/python --resolution lowest-direct --editable '.[pandas,xarray,parquet,mcap,pki,share]'
+	$(BIN)/uv pip install --quiet --python .venv/lowest/bin/python --resolution lowest-direct --editable '.[pandas,xarray,parquet,mcap,dask,pki,share]'
 	.venv/lowest/bin/pytest -q -p no:cacheprovider -W ignore::DeprecationWarning tests/clients tests/core tests/protocol --deselect tests/clients/cli/test_laptop.py
 
 # Known vulnerabilities of the installed packages, by a query to pypi.org. If the index knows none of

@@ -565,6 +565,7 @@ Table = Annotated[
     Path, option("-o --output PARQUET", "Table to write; an existing table is continued.")
 ]
 _TASKS_PER_WORKER = 2  # one runs, one waits
+_CLUSTER_TASKS = 2000  # enough for 1000 workers, because a cluster may grow
 _MAX_NAMES = 3  # recordings in a message
 
 
@@ -576,6 +577,9 @@ class _Selection:
     kind: list[str] | None = chosen(None, "Kind of experiment to include; repeatable.", "all kinds")
     workers: int | None = chosen(
         None, "Number of processes on this machine.", "one for each core", min=1
+    )
+    scheduler: str | None = chosen(
+        None, "Address of a Dask scheduler whose workers process the recordings.", metavar="ADDRESS"
     )
     force: bool = chosen(False, "Process all recordings again and replace the table.")
     json: Json = False
@@ -655,18 +659,26 @@ def report_each(
 
 def _process(task: Task, folder: Path, output: Path, selection: _Selection) -> None:
     """Run the task and print the result; exit with 1 after a problem or a failed check."""
+    from armrig.report.batch.batch import Open
     from armrig.report.batch.batch import batch as processed
+    from armrig.report.batch.cluster import cluster
     from armrig.report.batch.workers import processes
 
     results.check_output(output, (), "-o", "a table is a Parquet file", ".parquet")
     many = selection.workers or os.cpu_count() or 1
+    executor: Open = partial(processes, many)
+    at_once = _TASKS_PER_WORKER * many
+    if selection.scheduler is not None:
+        if selection.workers is not None:
+            raise typer.BadParameter("--workers does not go with --scheduler, which has its own")
+        executor, at_once = cluster(selection.scheduler, folder.resolve()), _CLUSTER_TASKS
     with spinner("processing") as count:
         rows, done_before = processed(
             folder.resolve(),
             task,
             output,
-            open_executor=partial(processes, many),
-            at_once=_TASKS_PER_WORKER * many,
+            open_executor=executor,
+            at_once=at_once,
             rigs=tuple(selection.rig or ()),
             kinds=tuple(selection.kind or ()),
             anew=selection.force,

@@ -321,12 +321,13 @@ def _progress_lines(what: str) -> Iterator[Count]:
 
 
 def remaining(done: int, total: int, elapsed_s: float) -> str:
-    """Return the remaining number and time as text, such as: 12 of 40 remain, about 8 s."""
+    """Return number, rate and time left as text, such as: 12 of 40 remain, 3.5/s, about 8 s."""
     told = f"{total - done} of {total} remain"
     if not 0 < done < total:
         return told
     left_s = elapsed_s / done * (total - done)
-    return f"{told}, about " + (f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min")
+    told += f", {done / elapsed_s:.2g}/s, about "
+    return told + (f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min")
 
 
 def too_high(orders: str) -> InputError:

@@ -59,7 +59,7 @@ VALUES = {
     **{"--rig": "7", "--connect": "tcp/a:1", "--config": "a.toml", "--directory": "a"},
     **{"--seconds": "7", "--seed": "5", "--port": "8899", "--baud": "9600", "--device": "/dev/b"},
     **{"--listen": "tcp/a:1", "--certificate": "c.pem", "--names": "n.toml", "-o": OTHER},
-    **{"--workers": "3", "--kind": "bla", "--reports": "pdfs"},
+    **{"--workers": "3", "--scheduler": "tls://a:1", "--kind": "bla", "--reports": "pdfs"},
     **{"--structure": "bj", "--signal": "alpha", "--weights": "moesp", "--nk": "2"},
     **dict.fromkeys(("--na", "--nb", "--nc", "--nd", "--nf", "--order", "--max-order"), "3"),
     **{"--set": "R_m=4", "--omega": "5", "--amplitude": "1", "--span": "3", "--method": "heun"},

@@ -10,13 +10,12 @@ import os
 import platform
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import AbstractContextManager, suppress
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from queue import SimpleQueue
-from threading import Lock
 from typing import Any, TypeVar
 
 import msgspec
@@ -41,11 +40,7 @@ from armrig.report.batch.tasks import (
 )
 
 Count = Callable[[int, int, str], None]
-"""Callback that reports the progress.
-
-Its arguments are the number of items done since the start, the number of items that this start must
-do, and the name of the last item done.
-"""
+"""Callback with the numbers of items done since the start and to do, and the last item's name."""
 MOST_DEATHS = 2
 """An item is abandoned if this number of workers have died while the item ran alone."""
 
@@ -53,19 +48,15 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Open = Callable[[], AbstractContextManager[Executor]]
 OTHER = (
-    "contains results of another folder, task or selection, or of other options or versions; "
-    "choose another -o, or use --force to begin again"
+    "contains results of another folder, task or selection, or of other options, versions or "
+    "processors; choose another -o, or use --force to begin again"
 )
 """Message if the header of earlier results differs from the header of this start."""
 SUFFIX = ".progress"
 """Suffix of the file with the rows so far; the file's name begins with the name of the table."""
 KEY = b"armrig.batch"
 """Key of the header in the table's metadata."""
-KERNEL = "OPENBLAS_CORETYPE"
-"""Variable that sets the kernel of linear algebra, by default that for the processor."""
 GONE = "the scheduler is gone; results so far are kept: type the same command again to continue"
-_ONE_ROW = Lock()
-"""Lock of each process, because its threads share settings of numpy."""
 
 
 def batch(
@@ -89,8 +80,7 @@ def batch(
     Parameters
     ----------
     open_executor : callable
-        Function that returns a context manager, which yields an executor: see
-        `armrig.report.batch.workers`.
+        Function that opens an executor, as a context manager; see `armrig.report.batch.workers`.
     at_once : int
         Largest number of runs that the executor processes at the same time.
     rigs, kinds : collection of str
@@ -129,7 +119,7 @@ def batch(
             progress.add(rows[item.name])
             count(len(rows) - done_before, len(left), item.name)
         write_table(table, task, header, rows.values())
-        progress.remove()
+        progress.path.unlink()
     return [rows[item.name] for item in items], done_before
 
 
@@ -138,16 +128,11 @@ def results(
 ) -> Iterator[tuple[T, R | Exception]]:
     """Yield each item with its result, in the order in which the results arrive.
 
-    No two items are equal. The result is an exception if the item was abandoned. If a worker dies,
-    a new executor is opened. The executor does not report which item killed the worker. Therefore
-    all items that ran when the worker died are repeated, one at a time. If the executor itself
-    replaces a worker, only the items that it gives up are repeated.
-
-    Raises
-    ------
-    ArmrigError
-        The executor cancelled its work; a worker cannot load the function; or the function raised
-        the error.
+    No two items are equal. An ArmrigError of the function, and work that the executor cancels, end
+    the batch. The result is an exception if the item was abandoned. If a worker dies, a new
+    executor is opened. The executor does not report which item killed the worker. Therefore all
+    items that ran when the worker died are repeated, one at a time. If the executor replaces its
+    workers itself, only an item that it gave up is repeated.
     """
     waiting, alone, deaths = deque(items), deque[T](), Counter[T]()
     while waiting or alone:
@@ -161,12 +146,13 @@ def results(
                     running[future] = source.popleft()
                     future.add_done_callback(done.put)
                 future = done.get()
-                try:
-                    error = future.exception()
-                except CancelledError as err:
-                    raise OperationError(GONE) from err
+                if future.cancelled():
+                    raise OperationError(GONE)
+                error = future.exception()
                 if isinstance(error, BrokenExecutor | ArmrigError):
                     raise error
+                if isinstance(error, ImportError | AttributeError):  # of a worker that came later
+                    raise OperationError(f"a worker lacks this version of armrig: {error}")
                 item = running.pop(future)
                 if error is None:
                     yield item, future.result()
@@ -189,25 +175,19 @@ def _row_in(task: Task, expected: dict[str, str], item: Item) -> Row:
     """Return the row of an item; refuse to compute it in another environment."""
     if other := difference(expected):
         raise OperationError(f"the worker on {platform.node()} {other}")
-    with _ONE_ROW:
-        return row_of(task, item)
+    return row_of(task, item)
 
 
 @cache
 def environment() -> dict[str, str]:
     """Return what may change the last digits of a result: versions, machine and linear algebra."""
+    kernels = {
+        str(lib.get("architecture")) for lib in threadpool_info() if lib["user_api"] == "blas"
+    }
     return {name: version(name) for name in ("armrig", "numpy", "scipy")} | {
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
-        KERNEL: " ".join(
-            sorted(
-                {
-                    str(lib.get("architecture"))
-                    for lib in threadpool_info()
-                    if lib["user_api"] == "blas"
-                }
-            )
-        ),
+        "OPENBLAS_CORETYPE": " ".join(sorted(kernels)),  # the variable that chooses it
     }
 
 
@@ -231,8 +211,7 @@ def header_of(
         "folder": shown_path(folder.resolve()),
         "rigs": " ".join(sorted(rigs)),
         "kinds": " ".join(sorted(kinds)),
-        **{k: v for k, v in environment().items() if k != KERNEL},
-    }
+    } | environment()
 
 
 def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
@@ -294,16 +273,11 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
 
 
 def _type(pyarrow: Any, kind: Kind) -> Any:
-    types = {
-        "text": pyarrow.string(),
-        "truth": pyarrow.bool_(),
-        "count": pyarrow.int64(),
-        "number": pyarrow.float64(),
-    }
-    return types[kind] if kind in types else pyarrow.list_(types[kind[:-1]])
+    name = {"text": "string", "truth": "bool_", "count": "int64", "number": "float64"}.get(kind)
+    return getattr(pyarrow, name)() if name else pyarrow.list_(_type(pyarrow, kind[:-1]))
 
 
-class Progress:
+class Progress(AbstractContextManager["Progress"]):
     """An open file with one row per line; the first line contains the header of the task."""
 
     def __init__(self, table: Path, header: dict[str, str], *, anew: bool = False) -> None:
@@ -357,14 +331,6 @@ class Progress:
                 f"{self.path}: {err.strerror}; results so far are kept: repeat the command to "
                 "continue"
             ) from err
-
-    def remove(self) -> None:
-        """Remove the file, because the table is complete."""
-        self.path.unlink()
-
-    def __enter__(self) -> Progress:
-        """Return this object."""
-        return self
 
     def __exit__(self, *_: object) -> None:
         """Close the file without removing it."""

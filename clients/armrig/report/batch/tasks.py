@@ -73,10 +73,7 @@ class Item(NamedTuple):
     """A run, which was recorded in a single file or in several parts."""
 
     name: str
-    """Name of the file in its folder, or the common name of a run's parts.
-
-    Bytes of a file's name that are not UTF-8 are escaped.
-    """
+    """Name of the file, or the common name of a run's parts; bytes not UTF-8 are escaped."""
     path: str
     bytes: int
     modified_ns: int
@@ -134,6 +131,11 @@ Row = dict[str, Any]
 Kind = str
 """Type of a column: "text", "truth" (a Boolean), "count", "number"; of lists "texts", "numbers"."""
 
+
+def _columns(*lines: str) -> dict[str, Kind]:
+    return dict(column.split() for line in lines for column in line.split(", "))
+
+
 OF_THE_FILE: dict[str, Kind] = {"recording": "text", "bytes": "count", "modified_ns": "count"}
 """Columns that are known without opening the file. Their values change if the file changes."""
 _OF_THE_RUN: dict[str, tuple[Kind, Callable[[Recording], Any]]] = {
@@ -156,45 +158,21 @@ OF_THE_RESULT: dict[str, Kind] = {"problem": "text", "doubts": "texts"}
 CHECKS = ("file", "samples", "envelope", "input", "timing", "configuration", "attachments", "clock")
 """Checks of `armrig verify`; the table has two columns for each check: result and finding."""
 OF_THE_TASK: dict[str, dict[str, Kind]] = {
-    "identify": {
-        "structure": "text",
-        "nk": "count",
-        "integrator": "truth",
-        "output": "text",
-        "N": "count",
-        "fit_percent": "number",
-        "noise_variance": "number",
-        "loss": "number",
-        "fpe": "number",
-        "p_white": "number",
-        "converged": "truth",
-        "names": "texts",
-        "parameters": "numbers",
-        "std": "numbers",
-        "std_robust": "numbers",
-        "warnings": "texts",
-        "model": "text",
-    },
-    "validate": {
-        "model_of": "text",
-        "output": "text",
-        "on_estimation_data": "truth",
-        "fit_percent": "number",
-        "rms_error": "number",
-        "velocity_fit_percent": "number",
-        "p_white": "number",
-        "p_no_dynamics_missing": "number",
-        "p_no_feedback": "number",
-    },
-    "verify": {"passed": "truth"}
-    | {f"{check}_{column}": "text" for check in CHECKS for column in ("result", "found")},
-    "report": {
-        "report": "text",
-        "report_sha256": "text",
-        "validated_by": "text",
-        "best": "text",
-        "rms_error": "number",
-    },
+    "identify": _columns(
+        "structure text, nk count, integrator truth, output text, N count, fit_percent number",
+        "noise_variance number, loss number, fpe number, p_white number, converged truth",
+        "names texts, parameters numbers, std numbers, std_robust numbers, warnings texts",
+        "model text",
+    ),
+    "validate": _columns(
+        "model_of text, output text, on_estimation_data truth, fit_percent number",
+        "rms_error number, velocity_fit_percent number, p_white number",
+        "p_no_dynamics_missing number, p_no_feedback number",
+    ),
+    "verify": _columns("passed truth", *(f"{c}_result text, {c}_found text" for c in CHECKS)),
+    "report": _columns(
+        "report text, report_sha256 text, validated_by text, best text, rms_error number"
+    ),
 }
 
 
@@ -307,9 +285,7 @@ def _reported(task: Report, recording: Recording, item: Item) -> Row:
     orders = Orders(na=task.na, nb=task.nb, nf=task.nf, nk=task.nk)
     done = study([recording, *validations], orders=orders)
     path = report(done, Path(task.folder, item.name).with_suffix(".pdf"))
-    found = [*doubts(recording)]
-    for other in validations:
-        found += doubts_of_pair(recording, other)
+    found = [*doubts(recording), *(f for v in validations for f in doubts_of_pair(recording, v))]
     return {
         "report": path.name,
         "report_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
