@@ -97,6 +97,7 @@ def lots(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         script = {
             "sample": [[sample(k) for k in lot] for lot in samples],
             "gap": [[gap(k, count, 2.5) for k, count in lot] for lot in gaps],
+            "control": [],
         }
 
         @contextmanager
