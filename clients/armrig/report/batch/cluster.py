@@ -56,7 +56,7 @@ async def _ask(distributed: Any, address: str) -> None:
         async with distributed.rpc(address, timeout=_TIMEOUT_S, connection_args=security) as server:
             await asyncio.wait_for(server.versions(), _TIMEOUT_S)
     except (OSError, TypeError, ValueError) as err:  # a TypeError if Dask has no certificates
-        why = "Dask's configuration names no certificates" if isinstance(err, TypeError) else err
+        why = "Dask's configuration lacks certificates" if isinstance(err, TypeError) else str(err)
         text = f"--scheduler {address}: no Dask scheduler answers ({why or 'it is silent'})"
         raise OperationError(f"{text}; `dask scheduler --host 127.0.0.1` starts one") from err
 

@@ -212,7 +212,7 @@ def test_a_cluster_computes_the_table_of_a_pool_and_is_replaced_by_it(
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
-    ("scheme", "text"), [("tcp", "it is silent"), ("tls", "configuration names no certificates")]
+    ("scheme", "text"), [("tcp", "it is silent"), ("tls", "configuration lacks certificates")]
 )
 def test_a_scheduler_that_does_not_answer_is_reported(
     scheme: str, text: str, lab: tuple[Path, bytes], tmp_path: Path
