@@ -18,6 +18,7 @@ from armrig.numerics.whiteness import Whiteness
 from armrig.validation import advice
 from armrig.validation.advice import Tested as OfData
 from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.open_loop import CHANCE_LEVEL
 from armrig.validation.residual_test import ResidualTest
 from armrig.validation.residuals import _possible
 from armrig_core.errors import InputError
@@ -36,7 +37,8 @@ def loop(**fields: Any) -> Any:
         "remarks": ("first", "second"),
         "laws": (),
     }
-    return SimpleNamespace(**(values | fields))
+    values |= fields
+    return SimpleNamespace(sure=values["p_value"] < CHANCE_LEVEL, **values)
 
 
 def late(nk: int, interval: tuple[int, int] | None = None) -> Delay:
