@@ -79,6 +79,8 @@ class LawJudge:
         law, ends = self._law, set[str]()
         if self._monitor and self._monitor.alarm:
             ends.add(self._monitor.alarm)
+        if self._monitor and self._monitor.is_blind:
+            ends.add(OutcomeCode.BLIND)
         if not all(map(isfinite, self._x)):
             ends.add(OutcomeCode.FAULT)
         if self._blind >= law.most_blind:

@@ -99,6 +99,8 @@ def _monitor(
         input_delay=rng.choice([0, 0, law.input_delay, 1, 3, 200]),
         prelude=rng.choice([0, rng.randint(1, 10), rng.randint(1, 50)]),
         forward=(rng.uniform(-1.0, 1.0), rng.uniform(0.0, 5.0)),
+        most_blind=law.most_blind,
+        most_turned=tuple(rng.choice([0.05, 0.4, 3.0]) if t else None for t in law.turning),
     )
 
 

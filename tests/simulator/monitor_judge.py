@@ -34,6 +34,9 @@ class MonitorJudge:
         self._zeros: list[float | None] = [None] * len(monitor.outputs)
         self._ranges: list[list[float]] = [[] for _ in monitor.outputs]
         """Lowest and highest simulated value of each output."""
+        self._missing = [0] * len(monitor.outputs)
+        self._seen = self._outputs(self.x)
+        """Newest valid value of each output."""
         self._beyond = {(gate, j): [] for gate in GATES for j in range(len(monitor.outputs))}
 
     def expected(self, x: Sequence[float]) -> list[float]:
@@ -55,8 +58,10 @@ class MonitorJudge:
         e = [0.0] * len(y)
         for j, (values, value) in enumerate(zip(self._ranges, simulated, strict=True)):
             values[:] = min([*values, value]), max([*values, value])
+            self._missing[j] = 0 if valid[j] else self._missing[j] + 1
             if not valid[j]:
                 continue
+            self._seen[j] = y[j]
             zero = self._zeros[j]
             if zero is None:
                 zero = self._zeros[j] = y[j] - expected[j]
@@ -64,7 +69,7 @@ class MonitorJudge:
             bound = _DEVIATIONS * self._monitor.deviations[j]
             self._note("innovation", j, e[j], bound)
             if self._monitor.settling[j]:
-                span = _RANGE_SHARE * (values[1] - values[0])
+                span = _RANGE_SHARE * (values[1] - values[0]) + abs(zero)
                 self._note("simulation", j, y[j] - zero - value, max(bound, span))
         self.x, self._free = self.next(self.x, volts, e), self.next(self._free, volts)
 
@@ -73,6 +78,16 @@ class MonitorJudge:
 
     def _outputs(self, x: Sequence[float]) -> list[float]:
         return [ordered_sum(row, x) for row in self._monitor.predictions]
+
+    @property
+    def is_blind(self) -> bool:
+        """True if an output is missing for too many samples, or for too large a turn."""
+        turned = [abs(a - b) for a, b in zip(self.expected(self.x), self._seen, strict=True)]
+        bounds = zip(self._missing, self._monitor.most_turned, turned, strict=True)
+        return any(
+            count > 0 and (count >= self._monitor.most_blind if most is None else not turn <= most)
+            for count, most, turn in bounds
+        )
 
     @property
     def alarm(self) -> str:

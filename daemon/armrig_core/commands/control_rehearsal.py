@@ -208,6 +208,8 @@ def _end_by_sample(law: Program, state: LawState) -> str:
             f"{alarm.name} differs from the law's monitor (its {alarm.gate} gate), because the "
             "monitor has another model than the rig's description"
         )
+    if law.monitor and state.monitor and (name := monitor.lost(law.monitor, state.monitor)):
+        return f"{name} has no valid value for too long"
     if state.blind >= law.most_blind:
         return f"the law has no valid output in {plural(state.blind, 'sample')} in a row"
     if law.most_astray and state.astray >= law.most_astray:

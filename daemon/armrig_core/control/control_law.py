@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from math import ceil, floor, isfinite
+from math import ceil, floor, isfinite, tau
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -28,7 +28,8 @@ from armrig_core.control.sums import Row, Rows
 from armrig_core.errors import FileError, InputError
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.printable import plural, printable
-from armrig_core.rig.description import Description
+from armrig_core.rig.channels import COUNTS
+from armrig_core.rig.description import Description, Output
 from armrig_core.rig.volts import CODES_PER_V, U_MAX_V
 
 MAX_STATES = 8
@@ -46,6 +47,7 @@ MAX_DESIGN_BYTES = 1 << 16
 MIN_TS_US, MAX_TS_US = 5_000, 1_000_000
 """Shortest and longest sampling time of a law, in µs."""
 _ROUNDING_CODES = 1e-6
+_PAST_DEAD_BAND_RAD = 0.2
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
 Text = Annotated[str, Meta(max_length=80)]
@@ -89,6 +91,11 @@ class Tracking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Number of consecutive samples with a larger difference after which the run ends."""
 
 
+def _most_turned(output: Output) -> float | None:
+    """Return the turn after which a turning output is lost, in rad; None if it does not turn."""
+    return tau - COUNTS * abs(output.per_count) + _PAST_DEAD_BAND_RAD if output.turning else None
+
+
 class Monitor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Copy of the plant's model, which stops a run whose outputs differ from its predictions.
 
@@ -130,11 +137,11 @@ class Monitor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             "monitor.settling": ((tuple(map(float, self.settling)),), 1, ny),
         }
 
-    def program(self, outputs: Sequence[LawOutput]) -> MonitorProgram:
-        """Return the monitor of a law's outputs as the core evaluates it."""
+    def program(self, law: ControlLaw, rig: Description) -> MonitorProgram:
+        """Return the monitor of a law as the core evaluates it for a rig."""
         rows = zip(self.A, self.B, self.L, strict=True)
         return MonitorProgram(
-            outputs=tuple(output.name for output in outputs),
+            outputs=tuple(output.name for output in law.outputs),
             rows=tuple((*a, b, *gains) for a, b, gains in rows),
             predictions=self.C,
             x0=self.x0,
@@ -144,6 +151,8 @@ class Monitor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             input_delay=self.input_delay,
             prelude=self.prelude,
             forward=self.forward,
+            most_blind=law.most_blind,
+            most_turned=tuple(_most_turned(rig.outputs[o.name]) for o in law.outputs),
         )
 
 
@@ -410,7 +419,7 @@ class ControlLaw(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             tracked=(*self.tracking.row, self.tracking.offset) if self.tracking else None,
             most_error=self.tracking.most if self.tracking else 0.0,
             most_astray=self.tracking.samples if self.tracking else 0,
-            monitor=self.monitor.program(self.outputs) if self.monitor else None,
+            monitor=self.monitor.program(self, rig) if self.monitor else None,
         )
 
 

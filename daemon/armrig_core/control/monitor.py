@@ -10,9 +10,11 @@ row with a difference beyond its bound:
 
 - innovation: the difference e, and 6 of its deviations;
 - simulation, for an output that settles: the difference of y from the same model without L, and 6
-  deviations or 25 % of the range that this model has reached, whichever is larger.
+  deviations, or 25 % of the range that this model has reached and |z|, whichever is larger. An
+  output that is not at rest at the beginning has a large z, and returns to rest.
 
-A missing output changes no count. A difference that is not finite is beyond each bound.
+A missing output changes no count of a gate. It is lost after a number of samples, and a turning
+one after a turn (`lost`). A difference that is not finite is beyond each bound.
 
 The innovation sees a fast change that the input does not explain. The simulation sees a slow one,
 which the observer follows.
@@ -66,6 +68,11 @@ class MonitorProgram(msgspec.Struct, frozen=True, kw_only=True, array_like=True,
     """Number of samples of feed-forward at the beginning of a run."""
     forward: tuple[float, float]
     """Feed-forward: v = forward[0] · r + forward[1], in V."""
+    most_blind: int
+    """Number of consecutive samples without a valid value after which an output is lost."""
+    most_turned: tuple[float | None, ...]
+    """For a turning output in place of `most_blind`: the largest change of its prediction, in rad,
+    since its newest valid sample. None for another output."""
 
 
 class MonitorState(msgspec.Struct, frozen=True, array_like=True, gc=False):
@@ -83,6 +90,10 @@ class MonitorState(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """Number of consecutive valid samples beyond the innovation gate, for each output."""
     astray: tuple[int, ...]
     """Number of consecutive valid samples beyond the simulation gate, for each output."""
+    missing: tuple[int, ...]
+    """Number of consecutive samples without a valid value, for each output."""
+    seen: Row
+    """Newest valid value of each output; its first prediction before that."""
 
 
 class Alarm(NamedTuple):
@@ -98,7 +109,7 @@ class Alarm(NamedTuple):
 def begin(monitor: MonitorProgram) -> MonitorState:
     """Return the state of a monitor before the first sample of a run."""
     y, none = products(monitor.predictions, monitor.x0), (0,) * len(monitor.deviations)
-    return MonitorState(monitor.x0, monitor.x0, (None,) * len(y), y, y, none, none)
+    return MonitorState(monitor.x0, monitor.x0, (None,) * len(y), y, y, none, none, none, y)
 
 
 def advance(
@@ -115,10 +126,12 @@ def advance(
         low, high = tuple(map(min, low, simulated)), tuple(map(max, high, simulated))
         free = products(monitor.rows, (*free, du, *(0.0,) * len(y)))
     zeros, unlike, astray = [*state.zeros], [*state.unlike], [*state.astray]
-    e = [0.0] * len(y)
+    missing, seen, e = [*state.missing], [*state.seen], [0.0] * len(y)
     for i, is_valid in enumerate(valid):
         if not is_valid:
+            missing[i] += 1
             continue
+        missing[i], seen[i] = 0, y[i]
         if (zero := zeros[i]) is None:
             zero = zeros[i] = y[i] - expected[i]
         value, most = y[i] - zero, DEVIATIONS * monitor.deviations[i]
@@ -126,10 +139,11 @@ def advance(
         # A difference from a number that is not finite is beyond each bound.
         unlike[i] = 0 if abs(e[i]) <= most < inf else unlike[i] + 1
         if monitor.settling[i]:
-            most = max(most, RANGE_SHARE * (high[i] - low[i]))
+            most = max(most, RANGE_SHARE * (high[i] - low[i]) + abs(zero))
             astray[i] = 0 if abs(value - simulated[i]) <= most < inf else astray[i] + 1
     x = products(monitor.rows, (*state.x, du, *e))
-    return MonitorState(x, free, tuple(zeros), low, high, tuple(unlike), tuple(astray))
+    counts = tuple(unlike), tuple(astray), tuple(missing)
+    return MonitorState(x, free, tuple(zeros), low, high, *counts, tuple(seen))
 
 
 def alarm(monitor: MonitorProgram, state: MonitorState) -> Alarm | None:
@@ -139,6 +153,21 @@ def alarm(monitor: MonitorProgram, state: MonitorState) -> Alarm | None:
             if count >= IN_A_ROW:
                 return Alarm(gate, i, monitor.outputs[i])
     return None
+
+
+def lost(monitor: MonitorProgram, state: MonitorState) -> str:
+    """Return the name of an output that has had no valid value for too long; "" for none.
+
+    A turning output passes its dead band at any speed, so its predicted turn counts, not the time.
+    """
+    if not any(state.missing):
+        return ""
+    now = expected(monitor, state)
+    for i, count in enumerate(state.missing):
+        turn, turned = monitor.most_turned[i], abs(now[i] - state.seen[i])
+        if count and (count >= monitor.most_blind if turn is None else not turned <= turn):
+            return monitor.outputs[i]
+    return ""
 
 
 def expected(monitor: MonitorProgram, state: MonitorState) -> Row:

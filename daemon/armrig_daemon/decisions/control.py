@@ -53,6 +53,8 @@ def _consequences(
         )
         value = values[law.channels[alarm.output]]
         return [Trip(Fault(Id(alarm.gate), text, output=alarm.name, value=value))]
+    if law.monitor and after.monitor and (name := monitor.lost(law.monitor, after.monitor)):
+        return [Halt(f"{name} had no valid value for too long", code=OutcomeCode.BLIND)]
     if after.blind >= law.most_blind:
         text = f"the law had no valid output in {plural(after.blind, 'sample')} in a row"
         return [Halt(text, code=OutcomeCode.BLIND)]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.control.evaluation import Latch, LawState, Program, begin, decide, observe
-from armrig_core.control.monitor import MonitorProgram, alarm
+from armrig_core.control.monitor import MonitorProgram, alarm, lost
 from msgspec.structs import asdict
 
 VECTORS = Path(__file__).with_name("vectors.json")
@@ -56,12 +56,23 @@ def alarm_of(law: Program, state: LawState) -> list[Any] | None:
     return found and [found.gate, found.output]
 
 
+def lost_of(law: Program, state: LawState) -> str:
+    """Return the output that has had no valid value for too long."""
+    return lost(law.monitor, state.monitor) if law.monitor and state.monitor else ""
+
+
 def monitor_of(law: Program, state: LawState) -> dict[str, Any]:
     """Return the state of the monitor; a number that may be infinite is a text."""
     fields: dict[str, Any] = {key: [*row] for key, row in asdict(state.monitor).items()}
     texts = {key: [*map(repr, fields[key])] for key in ("x", "simulated", "low", "high")}
     counts = {"innovation": fields["unlike"], "simulation": fields["astray"]}
-    return {**texts, "zeros": fields["zeros"], **counts, "alarm": alarm_of(law, state)}
+    return {
+        **texts,
+        "zeros": fields["zeros"],
+        **counts,
+        "alarm": alarm_of(law, state),
+        "lost": lost_of(law, state),
+    }
 
 
 def program_of(law: dict[str, Any]) -> Program:

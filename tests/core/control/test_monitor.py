@@ -16,6 +16,7 @@ from armrig_core.control.monitor import (
     advance,
     alarm,
     expected,
+    lost,
 )
 from armrig_core.control.monitor import begin as begin_monitor
 from armrig_core.rig.description import shipped
@@ -41,6 +42,8 @@ def _monitor(a: float = 0.0, b: float = 0.0, gain: float = 0.0, **changes: Any) 
         "input_delay": 0,
         "prelude": 0,
         "forward": (0.0, 0.0),
+        "most_blind": 100,
+        "most_turned": (None,) * len(changes.get("outputs", "y")),
     }
     return MonitorProgram(**{**fields, **changes})
 
@@ -192,6 +195,55 @@ def test_an_output_that_does_not_settle_has_no_simulation_gate() -> None:
 
     assert not any(alarms)
     assert (state.simulated, state.astray) == ((0.0,), (0,))
+
+
+def test_an_output_that_begins_away_from_rest_may_return_to_rest() -> None:
+    """The zero is 4, and y falls back to 0, while the simulation stays at 0."""
+    monitor = _monitor(a=1.0, gain=1.0, settling=(True,), deviations=(0.2,))
+
+    _, warm = _watched(monitor, [4.0, *[3.0, 2.0, 1.0, 0.0], *[0.0] * 20])
+    _, stuck = _watched(monitor, [4.0, *[3.0, 2.0, 1.0, 0.0, -1.0, -2.0, -3.0], *[-3.0] * 5])
+
+    assert set(warm) == {None}
+    assert stuck[-1] == SIMULATION
+
+
+def test_an_output_is_lost_although_the_other_is_valid() -> None:
+    monitor = _two(most_blind=3, most_turned=(None, None))
+    state = begin_monitor(monitor)
+
+    names = []
+    for valid in [(True, True), *[(True, False)] * 3, (True, True), (False, True)]:
+        state = advance(monitor, state, (0.0, 0.0), valid, 0.0)
+        names.append(lost(monitor, state))
+
+    assert names == ["", "", "", "z", "", ""]
+
+
+def test_a_turning_output_is_lost_by_its_predicted_turn_and_not_by_time() -> None:
+    """The prediction rises by 0.1 rad for each volt and sample."""
+    monitor = _monitor(a=1.0, b=0.1, gain=1.0, most_blind=3, most_turned=(0.35,))
+
+    def names(volts: float, count: int) -> list[str]:
+        state, _ = _watched(monitor, [0.0])
+        found = []
+        for _ in range(count):
+            state = advance(monitor, state, (0.0,), (False,), volts)
+            found.append(lost(monitor, state))
+        return found
+
+    assert names(0.0, 50) == [""] * 50
+    assert names(1.0, 4) == ["", "", "", "y"]
+
+
+def test_the_bound_of_a_turn_is_the_dead_band_and_a_margin() -> None:
+    """The arm's potentiometer has 352 degrees."""
+    program = arm_law(monitor=arm_monitor()).program(shipped("arm"))
+
+    assert program.monitor is not None
+    turn, none = program.monitor.most_turned
+    assert turn == pytest.approx(tau * 8 / 360 + 0.2, abs=0.01)
+    assert (none, program.monitor.most_blind) == (None, program.most_blind)
 
 
 def test_the_monitor_predicts_the_outputs_from_their_zeros() -> None:

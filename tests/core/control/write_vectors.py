@@ -43,6 +43,7 @@ class Monitored:
         self.zeros: list[Value] = [None] * ny
         self.simulated = [self.outputs(self.free)]
         self.counts = {"innovation": [0] * ny, "simulation": [0] * ny}
+        self.missing, self.seen = [0] * ny, self.outputs(self.x)
 
     def outputs(self, x: list[float]) -> list[float]:
         return [ordered_sum(row, x) for row in self.monitor["C"]]
@@ -62,8 +63,10 @@ class Monitored:
             self.simulated.append(free)
         e = [0.0] * len(y)
         for i in range(len(y)):
+            self.missing[i] = 0 if valid[i] else self.missing[i] + 1
             if not valid[i]:
                 continue
+            self.seen[i] = y[i]
             zero = self.zeros[i]
             if zero is None:
                 zero = self.zeros[i] = y[i] - expected[i]
@@ -72,7 +75,8 @@ class Monitored:
             self.count("innovation", i, abs(e[i]) <= six)
             if self.monitor["settling"][i]:
                 low, high = self.range_of(i)
-                within = max(six, 0.25 * (high - low)) if isfinite(high - low) else six
+                span = 0.25 * (high - low) + abs(zero)
+                within = max(six, span) if isfinite(high - low) else six
                 self.count("simulation", i, abs(y[i] - zero - free[i]) <= within)
         self.x = self.next(self.x, volts, e)
         if any(self.monitor["settling"]):
@@ -93,12 +97,27 @@ class Monitored:
                     return [gate, i]
         return None
 
+    def lost(self) -> str:
+        """Return the first output that has had no valid value for too long."""
+        for i, now in enumerate(self.predictions()):
+            turn = self.monitor["most_turned"][i]
+            too_long = self.missing[i] >= self.monitor["most_blind"]
+            if self.missing[i] and (too_long if turn is None else abs(now - self.seen[i]) > turn):
+                return ("first", "second")[i]
+        return ""
+
     def state(self) -> dict[str, Any]:
         ranges = [self.range_of(i) for i in range(len(self.zeros))]
         numbers = {"x": self.x, "simulated": self.free}
         numbers |= {"low": [low for low, _ in ranges], "high": [high for _, high in ranges]}
         texts = {key: [repr(float(x)) for x in row] for key, row in numbers.items()}
-        return {**texts, "zeros": self.zeros, **self.counts, "alarm": self.alarm()}
+        return {
+            **texts,
+            "zeros": self.zeros,
+            **self.counts,
+            "alarm": self.alarm(),
+            "lost": self.lost(),
+        }
 
 
 class Definition:
@@ -234,6 +253,8 @@ def drawn_monitor(rng: random.Random, order: int, ny: int, **changes: Any) -> di
         "input_delay": 0,
         "prelude": 0,
         "forward": [0.4, 0.7],
+        "most_blind": 3,
+        "most_turned": [None] * ny,
         **changes,
     }
 
@@ -295,7 +316,11 @@ def vectors() -> list[dict[str, Any]]:
         "monitored": ({}, {}, {"pwm_bits": 10}),
         "monitored, with gaps": ({}, {}, {}),
         "monitored, without F, with gaps": ({"F": None}, {"deviations": [0.5, 0.1]}, {}),
-        "monitored turns, with gaps": (no_F, {"deviations": [0.3, 0.2]}, {}),
+        "monitored turns, with gaps": (
+            no_F,
+            {"deviations": [0.3, 0.2], "most_turned": [2.0, None]},
+            {},
+        ),
         "monitored, nothing settles": ({}, {"settling": [False, False]}, {}),
         "monitored, one settles, with gaps": ({}, {"settling": [False, True]}, {}),
         "innovations of the second output": ({}, {"deviations": [9.0, 0.001]}, {}),

@@ -206,6 +206,8 @@ WATCHING = MonitorProgram(
     input_delay=0,
     prelude=0,
     forward=(0.25, 0.5),
+    most_blind=20,
+    most_turned=(None,),
 )
 """Monitor of α, which is to stay where it is."""
 FOLLOWING = replace(WATCHING, rows=((1.0, 0.0, 1.0),))
@@ -275,6 +277,19 @@ def test_four_samples_beyond_a_gate_stop_nothing() -> None:
     assert bench.loop.state.run.control.state.monitor.unlike == (0,)
 
 
+def test_a_run_ends_if_one_of_its_outputs_is_lost() -> None:
+    """The reading of α is at an end of its range, and that of θ1 is valid."""
+    monitor = replace(WATCHING, most_blind=6)
+    bench = _begun(replace(LAW, most_blind=100, monitor=monitor))
+    bench.run_for(10 * TS_MS)
+    _read(bench, RAIL)
+    bench.run_for(20 * TS_MS)
+
+    assert _outcome(bench) is OutcomeCode.BLIND
+    assert bench.phase is Phase.SAFE
+    assert bench.volts == 0.0
+
+
 @pytest.mark.parametrize(("stuck", "name"), [(0, "theta_1"), (1, "alpha")])
 def test_the_fault_names_the_output_that_differs(stuck: int, name: str) -> None:
     """The law has its outputs in the other order than the rig."""
@@ -285,6 +300,7 @@ def test_the_fault_names_the_output_that_differs(stuck: int, name: str) -> None:
         predictions=((1.0,), (1.0,)),
         deviations=(0.01, 0.01),
         settling=(False, False),
+        most_turned=(None, None),
     )
     rows = ((0.5, 0.2, 0.1, -0.4, 0.0),)
     channels, turning = (1, 0), (False, True)
