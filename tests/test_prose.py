@@ -47,6 +47,11 @@ ALLOWED = {
     ("clients/armrig/report/identification_sections.py", "armrig collect greybox"): _OWN,
     ("clients/armrig/validation/linearity.py", "gain by level"): _OWN,
     ("clients/armrig/validation/nonlinearity.py", "gain by level"): _OWN,
+    ("clients/armrig/data/step.py", "controlled by "): _SHOWN,
+    (
+        "clients/armrig/report/batch/cluster.py",
+        r"tls://.+:\d+|(tcp://)?(localhost|127(\.\d+){3}|\[::1\]):\d+",
+    ): "an address, and no sentence",
     ("clients/armrig/lab/avrdude.py", r"(Reading|Writing|Verifying) +\| (#*)"): _OTHERS,
     ("clients/armrig/lab/avrdude.py", r"Firmware Version *: *(\d+)\.(\d+)"): _OTHERS,
     ("clients/armrig/lab/avrdude.py", "avrdude(?: error| OS error)?: "): _OTHERS,

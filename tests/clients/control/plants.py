@@ -136,6 +136,8 @@ def play(
         if program.monitor and state.monitor:
             alarm = monitor.alarm(program.monitor, state.monitor)
             by = f"{alarm.gate} of {alarm.name}" if alarm else by
+            lost = monitor.lost(program.monitor, state.monitor)
+            by = by or (f"{lost} lost" if lost else "")
         if by:
             break
         underway.append(volts_of(applied_code(command.code, latch.pwm_bits)) - rest_v)
