@@ -36,6 +36,7 @@ VALUES: dict[str, Any] = {
     "validation": "F2.mcap",
     "files": " F.mcap F2.mcap",
     "model": "model.json",
+    "design": "design.json",
     "options": "--structure oe --nb 4 --nf 4 --nk 1 --integrator",
     "validate": " --validate F2.mcap",
     "Ts": 0.005,
