@@ -69,8 +69,9 @@ class MonitorJudge:
             bound = _DEVIATIONS * self._monitor.deviations[j]
             self._note("innovation", j, e[j], bound)
             if self._monitor.settling[j]:
-                span = _RANGE_SHARE * (values[1] - values[0]) + abs(zero)
-                self._note("simulation", j, y[j] - zero - value, max(bound, span))
+                span = _RANGE_SHARE * (values[1] - values[0])
+                warm = abs(zero) if abs(zero) > bound else 0.0
+                self._note("simulation", j, y[j] - zero - value, max(bound, span) + warm)
         self.x, self._free = self.next(self.x, volts, e), self.next(self._free, volts)
 
     def _note(self, gate: str, j: int, difference: float, bound: float) -> None:

@@ -10,8 +10,8 @@ row with a difference beyond its bound:
 
 - innovation: the difference e, and 6 of its deviations;
 - simulation, for an output that settles: the difference of y from the same model without L, and 6
-  deviations, or 25 % of the range that this model has reached and |z|, whichever is larger. An
-  output that is not at rest at the beginning has a large z, and returns to rest.
+  deviations or 25 % of the range that this model has reached, whichever is larger. If |z| is more
+  than 6 deviations, the output was not at rest and may return to it: |z| is added.
 
 A missing output changes no count of a gate. It is lost after a number of samples, and a turning
 one after a turn (`lost`). A difference that is not finite is beyond each bound.
@@ -139,7 +139,8 @@ def advance(
         # A difference from a number that is not finite is beyond each bound.
         unlike[i] = 0 if abs(e[i]) <= most < inf else unlike[i] + 1
         if monitor.settling[i]:
-            most = max(most, RANGE_SHARE * (high[i] - low[i]) + abs(zero))
+            start = abs(zero) if abs(zero) > most else 0.0
+            most = max(most, RANGE_SHARE * (high[i] - low[i])) + start
             astray[i] = 0 if abs(value - simulated[i]) <= most < inf else astray[i] + 1
     x = products(monitor.rows, (*state.x, du, *e))
     counts = tuple(unlike), tuple(astray), tuple(missing)

@@ -75,8 +75,8 @@ class Monitored:
             self.count("innovation", i, abs(e[i]) <= six)
             if self.monitor["settling"][i]:
                 low, high = self.range_of(i)
-                span = 0.25 * (high - low) + abs(zero)
-                within = max(six, span) if isfinite(high - low) else six
+                within = max(six, 0.25 * (high - low)) if isfinite(high - low) else six
+                within += abs(zero) if abs(zero) > six else 0.0
                 self.count("simulation", i, abs(y[i] - zero - free[i]) <= within)
         self.x = self.next(self.x, volts, e)
         if any(self.monitor["settling"]):
