@@ -86,8 +86,11 @@ class MonitorJudge:
         turned = [abs(a - b) for a, b in zip(self.expected(self.x), self._seen, strict=True)]
         bounds = zip(self._missing, self._monitor.most_turned, turned, strict=True)
         return any(
-            count > 0 and (count >= self._monitor.most_blind if most is None else not turn <= most)
+            count >= self._monitor.most_blind
+            if most is None
+            else not turn * (count - 2) <= most * count
             for count, most, turn in bounds
+            if count > 0
         )
 
     @property

@@ -47,7 +47,7 @@ MAX_DESIGN_BYTES = 1 << 16
 MIN_TS_US, MAX_TS_US = 5_000, 1_000_000
 """Shortest and longest sampling time of a law, in µs."""
 _ROUNDING_CODES = 1e-6
-_PAST_DEAD_BAND_RAD = 0.2
+_PAST_DEAD_BAND_RAD = 0.1
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
 Text = Annotated[str, Meta(max_length=80)]

@@ -160,13 +160,20 @@ def lost(monitor: MonitorProgram, state: MonitorState) -> str:
     """Return the name of an output that has had no valid value for too long; "" for none.
 
     A turning output passes its dead band at any speed, so its predicted turn counts, not the time.
+    The turns of two samples are left out: a dead band begins and ends between two samples.
     """
     if not any(state.missing):
         return ""
     now = expected(monitor, state)
     for i, count in enumerate(state.missing):
         turn, turned = monitor.most_turned[i], abs(now[i] - state.seen[i])
-        if count and (count >= monitor.most_blind if turn is None else not turned <= turn):
+        if count == 0:
+            continue
+        if turn is None:
+            is_lost = count >= monitor.most_blind
+        else:  # a turn that is not finite is too large
+            is_lost = not turned * (count - 2) <= turn * count
+        if is_lost:
             return monitor.outputs[i]
     return ""
 

@@ -233,7 +233,7 @@ def test_a_turning_output_is_lost_by_its_predicted_turn_and_not_by_time() -> Non
         return found
 
     assert names(0.0, 50) == [""] * 50
-    assert names(1.0, 4) == ["", "", "", "y"]
+    assert names(1.0, 6) == ["", "", "", "", "", "y"]
 
 
 def test_the_bound_of_a_turn_is_the_dead_band_and_a_margin() -> None:
@@ -242,7 +242,7 @@ def test_the_bound_of_a_turn_is_the_dead_band_and_a_margin() -> None:
 
     assert program.monitor is not None
     turn, none = program.monitor.most_turned
-    assert turn == pytest.approx(tau * 8 / 360 + 0.2, abs=0.01)
+    assert turn == pytest.approx(tau * 8 / 360 + 0.1, abs=0.01)
     assert (none, program.monitor.most_blind) == (None, program.most_blind)
 
 

@@ -101,8 +101,9 @@ class Monitored:
         """Return the first output that has had no valid value for too long."""
         for i, now in enumerate(self.predictions()):
             turn = self.monitor["most_turned"][i]
-            too_long = self.missing[i] >= self.monitor["most_blind"]
-            if self.missing[i] and (too_long if turn is None else abs(now - self.seen[i]) > turn):
+            n, turned = self.missing[i], abs(now - self.seen[i])
+            too_long = n >= self.monitor["most_blind"]
+            if n and (too_long if turn is None else turned * (n - 2) > turn * n):
                 return ("first", "second")[i]
         return ""
 
