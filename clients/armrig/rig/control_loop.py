@@ -30,7 +30,7 @@ _LOOK_INTERVAL_S, _SILENCE_S = 0.001, 1.0  # without a sample for `_SILENCE_S`, 
 class LoopSample(NamedTuple):
     """Newest sample of a run: its number k, from 0, and the reference r.
 
-    `sample` has the names of the rig, such as `y.sample.alpha_rad`. `set` sets the voltage of the
+    `sample` has the names of the rig, such as `y.sample.T1`. `set` sets the voltage of the
     next sample, as `Rig.set`; of several voltages before the next sample, the last one acts.
     """
 

@@ -7,7 +7,6 @@ Only this module sets the terminal voltage. It asserts at each change that the v
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from math import radians, tau
 from typing import Any, NamedTuple
@@ -76,10 +75,11 @@ class Arm:
         friction_nm = (settings.friction_v or 0.0) * arm.torque_per_volt
         self._intact, self._loose = (
             plant.build(
-                replace(arm, K_lin=arm.K_lin * share),
+                arm,
                 arm_removed=settings.arm_removed,
                 coulomb_nm=settings.coulomb_nm + friction_nm,
-                stiffening=settings.stiffening * share,
+                stiffening=settings.stiffening,
+                spring_share=share,
             )
             for share in (1.0, settings.loose_arm or 1.0)
         )

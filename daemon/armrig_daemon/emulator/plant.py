@@ -10,7 +10,7 @@ friction and a stiffening spring act as impulses between exact linear steps (Str
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import copysign
 from typing import Final
@@ -61,16 +61,19 @@ def build(
     arm_removed: bool = False,
     coulomb_nm: float = 0.0,
     stiffening: float = 0.0,
+    spring_share: float = 1.0,
     substep_ns: int = SUBSTEP_NS,
 ) -> Plant:
     """Return the plant for these parameters.
 
     `arm` has the inertias, spring, gear, motor and viscous friction. If `arm_removed` is True,
     alpha stays 0 and the chassis turns alone. `coulomb_nm` is the Coulomb friction T_c in Nm, and
-    `stiffening` the cubic part k_3 of the spring in Nm/rad³; 0 disables the effect. `substep_ns` is
-    the step of the Strang splitting, in ns; it has no effect without friction and stiffening.
+    `stiffening` the cubic part k_3 of the spring in Nm/rad³; 0 disables the effect. `spring_share`
+    multiplies both parts of the spring; a loose one has less than 1. `substep_ns` is the step
+    of the Strang splitting, in ns; it has no effect without friction and stiffening.
     `EmulatorSettings` checks the ranges.
     """
+    arm, stiffening = replace(arm, K_lin=arm.K_lin * spring_share), stiffening * spring_share
     free, locked = _tables(arm, arm_removed)
     return Plant(
         free=free,
