@@ -175,7 +175,7 @@ def checked_law() -> LawCheck:
 
 
 def compared_loop(draws: NDArray[np.float64]) -> LoopComparison:
-    """Return a run beside its prediction, which is a line of slope 1, and has the given draws."""
+    """Return a run next to its prediction, which is a line of slope 1, and has the given draws."""
     n = np.arange(12.0)
     law = checked_law().law
     return LoopComparison(

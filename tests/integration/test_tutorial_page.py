@@ -161,7 +161,7 @@ def test_every_line_that_needs_a_rig_is_a_valid_command(lab: Lab) -> None:
 
 @pytest.mark.timed
 def test_every_line_of_the_closed_loop_prints_what_the_page_shows(lab: Lab) -> None:
-    """A line of the page is one that the emulated rig gave; its words are the same each time."""
+    """The emulated rig gave the lines of the page; their words are the same each time."""
     text = (pages.DOCS / "close-the-loop.md").read_text(encoding="utf-8")
     shorter = dict(re.findall(r'<!-- the test has "(.+?)" as "(.+?)" -->', text))
     said: list[str] = []

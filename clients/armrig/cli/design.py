@@ -266,13 +266,13 @@ def compare(
     *,
     file: recorded_data.File,
     model: Path | None = chosen(
-        None, "Model file.", "the one that the law names", names="--model MODEL"
+        None, "Model file.", "the model that the law names", names="--model MODEL"
     ),
     draws: int = chosen(30, "Number of draws of the model's parameters.", "30", min=0),
     plot: Figure = None,
     out: Shown,
 ) -> None:
-    """Show a recorded run in control beside its prediction by the model."""
+    """Show a recorded run in control next to its prediction by the model."""
     import armrig
     from armrig import plots
     from armrig.control.loop_comparison import model_path

@@ -425,7 +425,7 @@ def report(
     model: Path | None = chosen(
         None,
         "Model of a run in control.",
-        "the one that the run's law names",
+        "the model that the run's law names",
         names="--model MODEL",
     ),
     force: bool = chosen(False, "Overwrite an existing PDF."),
@@ -453,7 +453,7 @@ def report(
     Steps and staircases are not used for the models. Of the other recordings, the first is used for
     estimation and the second for validation. A single other recording is cut into halves.
 
-    The report of a single run in control shows it beside its prediction by the model.
+    The report of a single run in control shows it next to its prediction by the model.
 
     A report always covers complete runs, so there is no option --from or --to.
     """

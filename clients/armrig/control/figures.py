@@ -151,7 +151,7 @@ def plot_law_steps(check: LawCheck, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_loop_comparison(found: LoopComparison, *, ax: Axes | None = None) -> Axes:
-    """Plot a run in control beside its prediction: the variable that follows r, and the voltage.
+    """Plot a run in control next to its prediction: the variable that follows r, and the voltage.
 
     The band contains 95 % of the draws of the model; the lighter one has twice the noise of the
     measurement, too.

@@ -59,7 +59,7 @@ class StepFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class LoopComparison:
-    """A run in control beside its prediction; element i of an array (N,) belongs to sample i."""
+    """A run in control next to its prediction; element i of an array (N,) belongs to sample i."""
 
     law: ControlLaw
     source: str
@@ -148,7 +148,7 @@ class LoopComparison:
 
     @property
     def verdict(self) -> str:
-        """How far the run is from its prediction, in two lines, after the doubts."""
+        """Deviation of the run from its prediction, and its steps; a line of doubts comes first."""
         r, share = self.law.reference, 100 * self.deviation / self.height
         unit = f" {r.unit}" if r.unit else ""
         lines = [
@@ -192,7 +192,7 @@ class LoopComparison:
         """Return the verdict."""
         return self.verdict
 
-    plot = drawn_by("plot_loop_comparison", "a run in control beside its prediction")
+    plot = drawn_by("plot_loop_comparison", "a run in control next to its prediction")
 
 
 def _running_mean(x: Vector, count: int) -> Vector:
@@ -225,7 +225,7 @@ def compare_loop(
     y0: float = 0.0,
     validation: Any = None,
 ) -> LoopComparison:
-    """Return a recorded run in control beside what a model predicts of it.
+    """Return a recorded run in control next to what a model predicts of it.
 
     The recorded law is evaluated on the model from rest, for the recorded reference. A rate is
     measured over five samples, of the run and of the prediction alike.

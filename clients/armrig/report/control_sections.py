@@ -1,4 +1,4 @@
-"""Report of a run in control: predicted beside measured, model, design, robustness, recording."""
+"""Report of a run in control: prediction and measurement, model, design, robustness, recording."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _result(study: ControlStudy) -> Section:
         f"{run_name(study.run)}. The prediction uses the recorded law, reference and model alone."
     )
     return Section(
-        title="Predicted beside measured",
+        title="Prediction and measurement",
         paragraphs=(
             "<loop> shows the run. The prediction evaluates the law on the model from rest, "
             "without noise. "
@@ -197,7 +197,7 @@ _MAX_LENGTH = 80  # characters of a setting
 
 
 def _text(value: Any) -> str:
-    """Return a setting of a design as text; "" for one that is no number, text or list of them."""
+    """Return a setting of a design as text; "" for other values than numbers, texts and lists."""
     if isinstance(value, list):
         return ", ".join(filter(None, map(_text, value)))[:_MAX_LENGTH]
     if isinstance(value, float):

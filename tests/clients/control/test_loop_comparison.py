@@ -1,4 +1,4 @@
-"""A recorded run in control beside its prediction by a model."""
+"""A recorded run in control next to its prediction by a model."""
 
 from __future__ import annotations
 
