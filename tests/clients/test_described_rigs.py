@@ -122,7 +122,7 @@ def test_the_level_of_an_output_is_reported_with_the_option_that_estimates_it(
 
 
 def test_hints_of_several_outputs_give_one_request() -> None:
-    both = {"nb": 1, "integrator": False, "family": "oe", "process": ""}
+    both = {"nb": 1, "integrator": False, "family": "oe", "process": "", "doubts": ()}
     heated = SimpleNamespace(**both | {"process": "P1D"}, nf=1, nk=16, nk_interval=(16, 16))
     T1 = SimpleNamespace(**both, nf=1, nk=16, nk_interval=(0, 22))
     T2 = SimpleNamespace(**both, nf=2, nk=3, nk_interval=None)

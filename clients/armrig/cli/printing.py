@@ -325,8 +325,10 @@ def remaining(done: int, total: int, elapsed_s: float) -> str:
     told = f"{total - done} of {total} remain"
     if not 0 < done < total:
         return told
+    from armrig.numerics.quantities import digits
+
     left_s = elapsed_s / done * (total - done)
-    told += f", {done / elapsed_s:.2g}/s, about "
+    told += f", {digits(done / elapsed_s, 2)}/s, about "
     return told + (f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min")
 
 

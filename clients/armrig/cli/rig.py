@@ -37,7 +37,6 @@ from armrig.cli.printing import (
     takes_styles,
     tell_error,
 )
-from armrig.recordings.decisions import DecisionCounts
 
 if TYPE_CHECKING:
     from armrig_core.commands.commands import StatusReport
@@ -262,9 +261,11 @@ class DecisionNote:
 
     def __init__(self, decisions: Callable[[], list[Any]]) -> None:
         """Store the function that returns the new messages of the stream."""
+        from armrig.recordings.decisions import DecisionCounts
+
         self._decisions = decisions
         self._waiting: list[Any] = []  # a decision comes before its sample
-        self._counts = DecisionCounts()
+        self._none = self._counts = DecisionCounts()
         self._r = nan
 
     def of(self, sample: Sample) -> str:
@@ -273,7 +274,7 @@ class DecisionNote:
         due = [decision for decision in self._waiting if decision.k <= sample.k]
         self._waiting = self._waiting[len(due) :]
         if not sample.flags & Flag.RUN:
-            self._counts = DecisionCounts()
+            self._counts = self._none
             return ""
         if due:
             self._counts, self._r = self._counts.with_messages(due), due[-1].r

@@ -378,6 +378,7 @@ def control(
     dither: float = chosen(
         0.0,
         "Amplitude of a random square wave on r, in its unit, so that a model can be identified.",
+        "0",
     ),
     seed: int = chosen(1, "Seed of the dither.", min=0, max=_MAX_SEED),
     unstable: bool = chosen(

@@ -25,6 +25,7 @@ from scipy.linalg import block_diag
 from armrig.control.loop import LawMatrices, closed_loop, plant_response
 from armrig.control.plant import DesignModel, Plant
 from armrig.models.state_space import Matrix, StateSpace, Vector
+from armrig.numerics.quantities import plural
 
 INPUT_NOISE = 0.02
 """Deviation of the input's noise, as a share of the range of the input."""
@@ -62,8 +63,8 @@ def monitor_of(design: DesignModel, law: LawMatrices) -> Monitor:
     plant = _seen_part(design.plant, rows)
     if plant.delay > MAX_DELAY:
         raise InputError(
-            f"the model has {plant.delay} samples of dead time; a law allows {MAX_DELAY}: design "
-            "it with a longer Ts"
+            f"the model has {plural(plant.delay, 'sample')} of dead time; a law allows "
+            f"{MAX_DELAY}: design it with a longer Ts"
         )
     A, C = with_disturbance(plant)
     span = design.hi - design.lo

@@ -164,7 +164,7 @@ class LoopComparison:
             for measured, model in self.steps()
         ]
         lines.append(
-            f"The input is at its limit in {100 * self.limited_share:.2g} % of the samples."
+            f"The input is at its limit in {digits(100 * self.limited_share, 2)} % of the samples."
         )
         if self.doubts:
             lines.insert(0, f"In doubt: {'; '.join(self.doubts)}.")
@@ -211,7 +211,7 @@ def _fields(figures: StepFigures) -> dict[str, float]:
 
 
 def _seconds(value: float) -> str:
-    return f"{value:.3g} s" if np.isfinite(value) else "not reached"
+    return f"{digits(value, 3)} s" if np.isfinite(value) else "not reached"
 
 
 @checked_call

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import digits, plural
 
 
 class DecisionCounts(NamedTuple):
@@ -36,4 +36,4 @@ class DecisionCounts(NamedTuple):
         return f"{text}, {late} without the newest sample" if self.late else text
 
     def _percent(self, count: int) -> str:
-        return f"{100 * count / max(self.decisions, 1):.3g} %"
+        return f"{digits(100 * count / max(self.decisions, 1), 3)} %"

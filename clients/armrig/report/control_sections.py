@@ -121,7 +121,7 @@ def _pair(measured: StepFigures, model: StepFigures) -> tuple[str, ...]:
 
 
 def _settling(one: StepFigures) -> str:
-    return f"{one.settling:.3g} s" if np.isfinite(one.settling) else "not reached"
+    return f"{digits(one.settling, 3)} s" if np.isfinite(one.settling) else "not reached"
 
 
 def _saturation(study: ControlStudy) -> tuple[str, ...]:
@@ -214,8 +214,8 @@ def _robustness(study: ControlStudy) -> Section:
         rows=tuple(
             (
                 name,
-                f"{m.Ms:.3g}",
-                f"{m.gain:.3g}",
+                digits(m.Ms, 3),
+                digits(m.gain, 3),
                 f"{m.phase_deg:.1f}°",
                 f"{digits(m.delay_s, 3)} s" if np.isfinite(m.delay_s) else "infinite",
             )

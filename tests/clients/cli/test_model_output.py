@@ -56,7 +56,7 @@ def test_each_finding_is_reported_once(
 def _tests(**changes: Any) -> Any:
     of: dict[str, Any] = {"white": _white(0.4), "on_estimation_data": False}
     of |= {"missing_dynamics": 0.3, "feedback": 0.2, "e": np.array([1, np.nan])}
-    of |= {"powerless": "", "blind": "", "larger": ""}
+    of |= {"powerless": "", "blind": "", "larger": "", "laws": ()}
     of |= {"autocorrelation": np.array([1.0, 0.2, -0.2, 0.0]), "autocorrelation_band": 0.1}
     of |= {"cross_lags": np.arange(-2, 3), "cross_std": np.full(5, 0.1), "outputs": ("y",)}
     of |= {"missing_dynamics_by_pair": np.full((1, 1), 0.3), "white_by_output": (_white(0.4),)}
@@ -69,7 +69,7 @@ P = np.array([[0.5, 0.004, 0.0005], [0.02, 1.0, np.nan]])
 
 def _pairs(**changes: Any) -> Any:
     of = {"outputs": ("y", "z"), "inputs": ("u", "v", "w"), "missing_dynamics_by_pair": P}
-    of |= {"feedback_by_pair": P[::-1], "missing_dynamics": 0.5, "feedback": 0.5}
+    of |= {"feedback_by_pair": P[::-1], "missing_dynamics": 0.5, "feedback": 0.5, "laws": ()}
     return SimpleNamespace(**of | changes)
 
 
@@ -148,6 +148,7 @@ def test_the_output_has_the_fits_and_the_trustworthy_deviation() -> None:
         **{"quality": (quality,), "trusts_robust": False},
         trusts_coefficients=True,
         findings=(),
+        history=(),
     )
     row: Any = SimpleNamespace(
         output="alpha",

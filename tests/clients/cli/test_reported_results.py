@@ -186,7 +186,7 @@ def test_the_command_after_the_hints_has_their_structure_and_orders(
 ) -> None:
     doubts = [warning(doubtful, "a doubt", "check")] if doubtful else []
     family = "bj" if doubts else "oe"
-    named = {"family": family, "integrator": integrator, "findings": doubts}
+    named = {"family": family, "integrator": integrator, "findings": doubts, "doubts": doubts}
     found = _Hints(**HINTS, **named, excess={4: 3.5, 5: 0.0})
     monkeypatch.setattr("armrig.structure_hints", lambda _, integrator: found)
     path = written(tmp_path, of_the_arm(armrig.telegraph(200, 0.1, seed=1)))

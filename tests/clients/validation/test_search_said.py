@@ -39,6 +39,7 @@ _PASSED: Any = SimpleNamespace(
     powerless="",
     blind="",
     larger="",
+    laws=(),
     missing_dynamics=0.5,
     feedback=0.5,
     white=Whiteness(p_value=0.5, test="portmanteau test"),
