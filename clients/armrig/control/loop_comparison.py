@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from armrig.control.loop import tracked
 from armrig.control.plant import DesignModel, Plant, design_model
 from armrig.models.state_space import Matrix, Vector
-from armrig.numerics.quantities import digits
+from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import drawn_by
 from armrig.recordings.files.control_run import ControlRun, control_run
 from armrig.recordings.recording import Recording
@@ -261,6 +261,11 @@ def compare_loop(
         raise InputError(f"{recording.name} is no run in control: it has no law")
     if not run.k.size:
         raise InputError(f"{recording.name}: its law has made no decision")
+    if np.ptp(run.k) >= recording.manifest.samples or (np.diff(run.k) <= 0).any():
+        raise InputError(
+            f"{recording.name}: its decisions are not those of a run of "
+            f"{plural(recording.manifest.samples, 'sample')}; see `armrig verify`"
+        )
     law, rig = run.law, recording.description if rig is None else rig
     Ts = law.Ts_us / 1e6
     design = design_model(model, rig=rig, Ts=Ts, u0=u0, y0=y0, validation=validation)

@@ -48,6 +48,7 @@ MIN_TS_US, MAX_TS_US = 5_000, 1_000_000
 """Shortest and longest sampling time of a law, in µs."""
 _ROUNDING_CODES = 1e-6
 _PAST_DEAD_BAND_RAD = 0.1
+"""Turn beyond a dead band, in rad, after which an angle counts as lost."""
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
 Text = Annotated[str, Meta(max_length=80)]
@@ -93,7 +94,9 @@ class Tracking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 def _most_turned(output: Output) -> float | None:
     """Return the turn after which a turning output is lost, in rad; None if it does not turn."""
-    return tau - COUNTS * abs(output.per_count) + _PAST_DEAD_BAND_RAD if output.turning else None
+    if not output.turning:
+        return None
+    return max(tau - COUNTS * abs(output.per_count), 0.0) + _PAST_DEAD_BAND_RAD
 
 
 class Monitor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

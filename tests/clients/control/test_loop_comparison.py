@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import armrig
@@ -119,3 +120,16 @@ def test_the_command_refuses_a_run_without_a_law(capsys: pytest.CaptureFixture[s
     assert main(["design", "compare", str(path), "--json"]) == 1
 
     assert "is no run in control" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("k", [[0, 10**15], [5, 4], [7, 7]])
+def test_decisions_that_are_not_of_the_run_are_refused(
+    k: list[int], recording: armrig.Recording
+) -> None:
+    """They may come from a damaged file, and ask for any amount of memory."""
+    assert recording.decisions is not None
+    found = {name: values[:2] for name, values in recording.decisions().items()}
+    other = replace(recording, decisions=lambda: {**found, "k": np.array(k, np.float64)})
+
+    with pytest.raises(InputError, match="its decisions are not those of a run of 300 samples"):
+        armrig.compare_loop(other, armrig.arm(ArmParameters()))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,12 +15,10 @@ from numpy.typing import NDArray
 from armrig.data.columns import Vector
 from armrig.numerics.stretches import Mask
 from armrig.recordings.decisions import DecisionCounts
-from armrig.recordings.files.container import streamed
-from armrig.recordings.files.loading import beginning, files_of
+from armrig.recordings.files.loading import beginning
 from armrig.recordings.recording import Recording
 
 _MAX_METHOD = 40  # characters
-_NUMBERS = ("k", "r", "v", "u_v", "is_low", "is_high", "is_slewed", "predicted")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,36 +111,29 @@ def control_run(recording: Recording) -> ControlRun | None:
 
     Raises FileError or InputError if the file cannot be read, or its law is none.
     """
-    if not recording.manifest.controller_sha256:
+    if not recording.manifest.controller_sha256 or recording.decisions is None:
         return None
     law = law_of(beginning(recording.path)[1].attachments)
     if law is None:
         return None
-    k, r, v, u, *bits, predicted = _decisions(recording)
-    low, high, slewed = (bit.astype(np.bool_) for bit in bits)
+    found = recording.decisions()
     return ControlRun(
         law=law,
-        k=k.astype(np.int64),
-        r=r,
-        v=v,
-        u=u,
-        is_low=low,
-        is_high=high,
-        is_slewed=slewed,
-        predicted=predicted.astype(np.int64),
+        k=found["k"].astype(np.int64),
+        r=found["r"],
+        v=found["v"],
+        u=found["u_v"],
+        is_low=found["is_low"].astype(np.bool_),
+        is_high=found["is_high"].astype(np.bool_),
+        is_slewed=found["is_slewed"].astype(np.bool_),
+        predicted=found["predicted"].astype(np.int64),
     )
 
 
 def own_control_run(recording: Recording) -> OwnControlRun | None:
     """Return the voltages that the client of a run in control set; None for another run."""
-    if recording.manifest.controller_sha256 != "":
+    if recording.manifest.controller_sha256 != "" or recording.decisions is None:
         return None
-    k, r, _, u, *_, missed = _decisions(recording)
-    return OwnControlRun(k.astype(np.int64), r, u, missed.astype(np.int64))
-
-
-def _decisions(recording: Recording) -> Vector:
-    """Return the numbers of each decision, (n, N)."""
-    messages = chain.from_iterable(streamed(path, "control") for path in files_of(recording.path))
-    table = np.array([[getattr(m, name) for name in _NUMBERS] for m in messages])
-    return table.reshape(-1, len(_NUMBERS)).T
+    found = recording.decisions()
+    k, missed = (found[name].astype(np.int64) for name in ("k", "predicted"))
+    return OwnControlRun(k, found["r"], found["u_v"], missed)
