@@ -47,7 +47,6 @@ ALLOWED = {
     ("clients/armrig/report/identification_sections.py", "armrig collect greybox"): _OWN,
     ("clients/armrig/validation/linearity.py", "gain by level"): _OWN,
     ("clients/armrig/validation/nonlinearity.py", "gain by level"): _OWN,
-    ("clients/armrig/data/step.py", "controlled by "): _SHOWN,
     (
         "clients/armrig/report/batch/cluster.py",
         r"tls://.+:\d+|(tcp://)?(localhost|127(\.\d+){3}|\[::1\]):\d+",

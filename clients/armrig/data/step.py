@@ -17,6 +17,8 @@ OTHER_INPUTS = "inputs"
 
 CONTROLLED = "controlled"
 """First word of the code of a step that names the law of a run; the law's SHA-256 follows."""
+BIASED = "biased"
+"""Code of a note: coloured noise in the loop of a controlled run biases the result."""
 TWO_STAGE = "two_stage"
 """Code of a step that replaced the input by its part that a reference causes."""
 
@@ -25,7 +27,6 @@ _PART = "part"
 _SEVERAL_PARTS = "parts"
 """Code of a step that selected a part, after this part was merged with other data."""
 _SHOWN_DIGITS = 12
-_CONTROLLED_BY = "controlled by "
 
 
 class Step(str):
@@ -56,7 +57,7 @@ def controlled(law_sha256: str) -> Step:
 
     The hash is "" if a client's program computed the input from the samples.
     """
-    return Step(_CONTROLLED_BY + laws_text([law_sha256]), f"{CONTROLLED} {law_sha256}")
+    return Step(f"controlled by {laws_text([law_sha256])}", f"{CONTROLLED} {law_sha256}")
 
 
 def laws_of(history: Iterable[str]) -> tuple[str, ...]:
@@ -79,16 +80,17 @@ def loop_notes(history: Sequence[str], line: str = "armrig.bj(data, …)") -> tu
     """
     if not (laws := laws_of(history)) or TWO_STAGE in codes_of(history):
         return ()
-    text = f"{_CONTROLLED_BY}{laws_text(laws)}: coloured noise in the loop biases this estimate"
-    return (f"{text}; use BJ or ARMAX, {line}, or armrig.two_stage (--two-stage)",)
+    text = f"controlled by {laws_text(laws)}: coloured noise in the loop biases this estimate; "
+    return (Step(f"{text}use BJ or ARMAX, {line}, or armrig.two_stage (--two-stage)", BIASED),)
 
 
 def with_notes(lines: Iterable[str], notes: Iterable[str], mark: str) -> str:
-    """Return the lines as text, then the notes; a note of `loop_notes` is the first line."""
-    first, last = list[str](), list[str]()
-    for note in notes:
-        (first if note.startswith(_CONTROLLED_BY) else last).append(f"{mark}: {note}")
-    return "\n".join([*first, *lines, *(f"  {note}" for note in last)])
+    """Return the lines as text, then the notes; a note with the code BIASED is the first line."""
+    notes = [*notes]
+    codes = codes_of(notes)
+    first = [f"{mark}: {note}" for note, code in zip(notes, codes, strict=True) if code == BIASED]
+    last = [f"  {mark}: {note}" for note, code in zip(notes, codes, strict=True) if code != BIASED]
+    return "\n".join([*first, *lines, *last])
 
 
 def in_merged(code: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from armrig.data.step import with_notes
+from armrig.data.step import BIASED, Step, with_notes
 from armrig.models.estimate import Estimate
 from armrig.models.transfer_function import TransferFunction
 from armrig.numerics.confidence_regions import Band
@@ -40,7 +40,8 @@ def described(fit: Fit) -> str:
             for q in fit.quality
         ]
         lines += _starts_lines(fit)
-    return with_notes(lines, fit.warnings, "warning")
+    notes = [Step(f.text, BIASED if f.remedy == "noise" else "") for f in fit.findings]
+    return with_notes(lines, notes, "warning")
 
 
 def _starts_lines(fit: Fit, squared_unit: str = "") -> Iterator[str]:

@@ -27,7 +27,6 @@ import platformdirs
 from armrig_core.process.bounded import read_bounded
 from armrig_core.process.imports import imported
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.manifest import RUN, Manifest
 from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray
 
@@ -35,7 +34,6 @@ from armrig.numerics.quantities import plural
 from armrig.recordings.files.recording_summary import (
     ForeignError,
     RecordingSummary,
-    read_metadata,
     shown_path,
     summary_of,
 )
@@ -260,20 +258,10 @@ def catalogue(folder: str | Path) -> Catalogue:
 def facts_of(summary: RecordingSummary) -> dict[str, Any]:
     """Return the facts of a recording by name, as `--json` prints them."""
     known = {"recording": shown_path(summary.path), "validation_of": summary.validation_of or None}
-    known["law_sha256"] = _law_sha256(summary)
     return {
         name: known[name] if name in known else getattr(summary, _PROPERTIES.get(name, name))
         for name in COLUMNS
     }
-
-
-def _law_sha256(summary: RecordingSummary) -> str:
-    """Return the hash of the law of a run; "" without a law, or if the file is gone."""
-    if summary.pacing == "exchange":  # laws run in this mode only
-        with suppress(OSError, DamageError, msgspec.DecodeError):
-            manifest = Manifest.of(read_metadata(summary.path)[RUN])
-            return manifest.controller_sha256 or ""
-    return ""
 
 
 def _utc(text: str) -> datetime | None:

@@ -142,6 +142,8 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     """Code of the outcome: an `armrig_core.commands.codes.OutcomeCode`."""
     every: int = 1
     """Number of samples in a Ts: see `Manifest.every`."""
+    law_sha256: str = ""
+    """Hash of the law of a run in control; "" without a law."""
 
     @property
     def is_complete(self) -> bool:
@@ -232,6 +234,7 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
         "device": str(manifest.device.get("uid", "")),
         "calibration_sha256": manifest.calibration_sha256,
         "description_sha256": manifest.description_sha256,
+        "law_sha256": manifest.controller_sha256 or "",
         "armrig": manifest.armrig,
         "outcome_code": outcome.code,
     }
