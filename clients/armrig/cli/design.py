@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.errors import InputError
 from armrig_core.process.options import Commands, argument, chosen, group, option
 
 from armrig.cli import recorded_data
@@ -246,14 +245,14 @@ def check(
 ) -> None:
     """Show margins and steps of a law over draws of its model, and margins on corners."""
     import armrig
+    from armrig.control.loop_comparison import model_path
 
     check_plot(plot, [law])
     found = armrig.load_law(law)
-    files = found.design.get("files", {})
-    path = model or (Path(files["model"]) if "model" in files else None)
-    if path is None:
-        raise InputError(f"{law} does not name its model: give --model MODEL.json")
-    rig = rig_file or (Path(files["rig"]) if files.get("rig") else None)
+    files = found.design.get("files")
+    named = files.get("rig") if isinstance(files, dict) else None
+    path = model or Path(model_path(found))
+    rig = rig_file or (Path(str(named)) if named else None)
     fit = armrig.load_fit(path)
     judged = armrig.check_law(
         found, fit, draws=draws, rig=_rig(rig), validation=_data(validate, fit)
@@ -281,9 +280,9 @@ def compare(
     check_plot(plot, [file])
     recording = armrig.load(file)
     run = control_run(recording)
-    path = model or (model_path(run.law) if run else "")
-    if run and not path:
-        raise InputError("the law of this run does not name its model: give --model MODEL.json")
+    path = model or (model_path(run.law) if run else None)
+    if path:
+        inform(f"the model is {path}", dim=True)
     with spinner("predicting"):
         found = armrig.compare_loop(recording, armrig.load_fit(path) if path else None, draws=draws)
     replace(out, plot=plot).show(

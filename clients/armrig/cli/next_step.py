@@ -327,7 +327,7 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
     elif found.validate is not None and found.validation is not None and known:
         tests = found.validation.tests
         after_validate(fit, tests, data, found.validate, found.save, signals, estimation=file)
-    elif one and signals.read and (design := designed_on(signals.read[0].path)):
+    elif one and signals.read and (design := design_model_file(signals.read[0].path)):
         say_next("compare laws", **values | {"design": design})
     elif validation:
         # `armrig validate` has no option --assume.
@@ -336,11 +336,12 @@ def after_identify(found: Found, findings: Sequence[Finding]) -> None:
         say_next("collect blackbox", signals.origin, **values)
 
 
-def designed_on(recording: Path) -> str:
+def design_model_file(recording: Path) -> str:
     """Return the quoted file of the model on which the law of a run was designed, if it exists.
 
     The hash of the model in the law must be that of the file. Otherwise the result is "".
     """
+    from armrig.control.loop_comparison import model_path
     from armrig.control.plant import design_model
     from armrig.models.model_file import load_fit
     from armrig.recordings.files.control_run import law_of
@@ -348,8 +349,8 @@ def designed_on(recording: Path) -> str:
 
     with suppress(ArmrigError, OSError, ValueError):
         law = law_of(beginning(recording)[1].attachments)
-        if law is not None and isinstance(law.design.get("files"), dict):
-            file = str(law.design["files"]["model"])
+        if law is not None:
+            file = model_path(law)
             design = design_model(load_fit(Path(file)), Ts=law.Ts_us / 1e6)
             return quote(file) if design.sha256 == law.design.get("model_sha256") else ""
     return ""

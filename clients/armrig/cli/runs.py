@@ -262,7 +262,8 @@ def step(
     from armrig.excitation.named_signals import check_step_time, step_at
 
     run, pace = _set_pace(run, by_model=seconds is None)
-    low_v, high_v, *_ = given = _levels(low, high, run, pace)
+    volts = _levels(low, high, run, pace)
+    low_v, high_v = volts.low, volts.high
     step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
     if seconds is None and pace is None and (until or _rig_of(run)):
         until, seconds = "settled", (MOST_ASKED_S if yes else MOST_UNASKED_S)
@@ -276,7 +277,7 @@ def step(
     details = {"input": "step", "low": low_v, "high": high_v, "at": at}
     details |= {UNTIL: until} if until else {}
     make = partial(step_at, low=low_v, high=high_v, at=at)
-    collect_each([Played("step", make, details, seconds, *given[2:])], run)
+    collect_each([Played("step", make, details, seconds, volts.are_default, volts.are_bare)], run)
 
 
 @collect.add("collect staircase --levels 6")
@@ -292,7 +293,8 @@ def staircase(
     from armrig.excitation.named_signals import step_at, up_and_down
 
     run, pace = _set_pace(run, by_model=seconds is None)
-    low_v, high_v, *_ = given = _levels(low, high, run, pace)
+    volts = _levels(low, high, run, pace)
+    low_v, high_v = volts.low, volts.high
     step_at(1, 1.0, low=low_v, high=high_v, at=0.0)
     if seconds is None:
         seconds = (2 * levels - 1) * pace.step_s if pace else SECONDS
@@ -301,7 +303,9 @@ def staircase(
     def make(N: int, _: float) -> Any:
         return up_and_down(N, low=low_v, high=high_v, levels=levels)
 
-    collect_each([Played("staircase", make, details, seconds, *given[2:])], run)
+    collect_each(
+        [Played("staircase", make, details, seconds, volts.are_default, volts.are_bare)], run
+    )
 
 
 @collect.add("collect bla --realisations 4")
@@ -327,7 +331,8 @@ def bla(
     from armrig.excitation.named_signals import realisations
 
     run, pace = _set_pace(run, by_model=seconds is None and period is None)
-    low_v, high_v, *_ = given = _levels(low, high, run, pace)
+    volts = _levels(low, high, run, pace)
+    low_v, high_v = volts.low, volts.high
     realisations(3, 1, low_v, high_v, seed, periods=1)
     if seconds is not None and period is not None:
         raise InputError(
@@ -347,7 +352,14 @@ def bla(
 
     collect_each(
         (
-            Played("bla", partial(make, r), details | {"realisation": r}, seconds, *given[2:])
+            Played(
+                "bla",
+                partial(make, r),
+                details | {"realisation": r},
+                seconds,
+                volts.are_default,
+                volts.are_bare,
+            )
             for r in range(count)
         ),
         run,
@@ -432,7 +444,9 @@ class Played(NamedTuple):
     law: ControlLaw | None = None
     """Law of a run in control; `make` then returns the reference."""
     unstable: bool = False
+    """As in `Rig.control`."""
     unmonitored: bool = False
+    """As in `Rig.control`."""
 
 
 def chosen_inputs(
@@ -454,9 +468,9 @@ def chosen_inputs(
         )
     if file is not None:
         return [_from_file(experiment, file, choice.seconds, run)]
-    low, high, *_ = given = _levels(choice.low, choice.high, run, pace)
+    volts = _levels(choice.low, choice.high, run, pace)
     a, usual = (pace.switch, pace.seconds) if pace else (SWITCHING, SECONDS)
-    figures = {"a": a if choice.a is None else choice.a, "low": low, "high": high}
+    figures = {"a": a if choice.a is None else choice.a, "low": volts.low, "high": volts.high}
     # A wrong value is refused here, before the rig is armed.
     named_signal(name, 3, 0.01, seed=choice.seed, **figures)
 
@@ -466,7 +480,8 @@ def chosen_inputs(
             lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
             usual if choice.seconds is None else choice.seconds,
-            *given[2:],
+            volts.are_default,
+            volts.are_bare,
         )
 
     first = play_of(experiment, choice.seed)

@@ -550,8 +550,6 @@ def _control_run(files: Sequence[Path], model: Path | None) -> ControlStudy | No
             raise InputError(f"--model {model}: give one recording of a run in control")
         return None
     path = model or model_path(run.law)
-    if not path:
-        raise InputError("the law of this run does not name its model: give --model MODEL.json")
     inform(f"the model is {path}")
     with spinner("predicting"):
         return control_study(_of_files(recordings)[0], armrig.load_fit(path))

@@ -54,7 +54,8 @@ class StepFigures:
     """Largest value beyond `after`, in percent of the change. The measured value is the prediction
     with its mean deviation over 15 samples, because the peak of a noisy signal is too high."""
     settling: float
-    """Time after which the value stays within 5 % of the change, in s; infinite if it does not."""
+    """Time after which the value stays within 5 % of the change, in s; infinite if it does not. The
+    measured value is that of the prediction with its mean deviation, too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -309,10 +310,15 @@ def compare_loop(
 
 
 def model_path(law: ControlLaw) -> str:
-    """Return the path of the model that a law was designed on; "" if the law names none."""
+    """Return the path of the model that a law was designed on.
+
+    Raises InputError if the law names none.
+    """
     files = law.design.get("files")
     name = files.get("model") if isinstance(files, dict) else None
-    return name if isinstance(name, str) else ""
+    if not isinstance(name, str):
+        raise InputError("the law does not name its model: give --model MODEL.json")
+    return name
 
 
 def _of_decisions(run: ControlRun) -> tuple[Vector, Vector]:

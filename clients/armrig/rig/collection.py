@@ -121,7 +121,9 @@ class Plan:
     law: ControlLaw | None = None
     """Law of a run in control; `make` then returns the reference in the law's unit."""
     unstable: bool = False
+    """As in `Rig.control`."""
     unmonitored: bool = False
+    """As in `Rig.control`."""
 
     def __post_init__(self) -> None:
         """Raise ParameterError for settings that are invalid, whatever the sampling time."""

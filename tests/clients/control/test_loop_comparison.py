@@ -111,7 +111,7 @@ def test_the_command_needs_a_model_that_the_law_does_not_name(
 ) -> None:
     assert main(["design", "compare", str(recording.path)]) == 1
 
-    assert "the law of this run does not name its model" in capsys.readouterr().err
+    assert "the law does not name its model: give --model" in capsys.readouterr().err
 
 
 def test_the_command_refuses_a_run_without_a_law(capsys: pytest.CaptureFixture[str]) -> None:

@@ -92,7 +92,7 @@ def test_the_command_needs_a_model_that_the_law_does_not_name(
 ) -> None:
     assert main(["report", str(run), "-o", str(tmp_path / "loop.pdf")]) == 1
 
-    assert "the law of this run does not name its model" in capsys.readouterr().err
+    assert "the law does not name its model: give --model" in capsys.readouterr().err
 
 
 def test_a_model_of_other_recordings_is_refused(
