@@ -16,7 +16,7 @@ from contextlib import suppress
 
 import armrig
 import numpy as np
-from armrig.data.step import controlled
+from armrig.data.step import law_step
 from armrig_core.control.control_law import ControlLaw, LawOutput, Reference
 from armrig_core.control.evaluation import Latch, begin, decide, observe
 from armrig_core.rig.description import shipped
@@ -65,7 +65,7 @@ def controlled_run(seed: int, N: int = 3000, std: float = NOISE_STD) -> armrig.D
         x[k] = sum(b * u_j - f * x_j for (x_j, u_j), b, f in zip(before, B, F, strict=True))
         y[k] = x[k] + noise[k]
         state = observe(program, state, k, (np.nan, float(y[k])), reference, latch)
-    return armrig.Dataset(u=u, y=y, Ts=0.01, r=r, history=[controlled(law.sha256)])
+    return armrig.Dataset(u=u, y=y, Ts=0.01, r=r, history=[law_step(law.sha256)])
 
 
 ESTIMATORS: dict[str, Callable[[armrig.Dataset], armrig.Fit]] = {

@@ -63,7 +63,7 @@ def test_the_reference_of_each_sample_is_that_of_the_law(path: Path) -> None:
 
 
 def test_the_last_reference_holds_after_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loading, "recorded_input", lambda *_: np.array([1.0, 2.0, 3.0]))
+    monkeypatch.setattr(loading, "read_input", lambda *_: np.array([1.0, 2.0, 3.0]))
     content: Any = SimpleNamespace(input=object(), input_sha256="a")
     manifest: Any = SimpleNamespace(controller_sha256="b", k_first=7, samples=5)
     rows: Any = SimpleNamespace(k_first=8, N=4)

@@ -60,7 +60,7 @@ _FREQUENCIES = 4096
 def monitor_of(design: DesignModel, law: LawMatrices) -> Monitor:
     """Return the monitor of the outputs of a law; the law's own observer does not change it."""
     rows = [*law.outputs]
-    plant = _seen_part(design.plant, rows)
+    plant = _observable_part(design.plant, rows)
     if plant.delay > MAX_DELAY:
         raise InputError(
             f"the model has {plural(plant.delay, 'sample')} of dead time; a law allows "
@@ -72,7 +72,7 @@ def monitor_of(design: DesignModel, law: LawMatrices) -> Monitor:
     L, S = kalman_predictor(plant, noise, span, input_noise=_MONITOR_NOISE * span)
     variances = S.diagonal()
     if design.noise_model is not None and design.noise_model.K.any():
-        N = _coloured_covariance(A - L @ C, L, C, design.noise_model, design.noise, rows)
+        N = _covariance_of_noise(A - L @ C, L, C, design.noise_model, design.noise, rows)
         variances = np.maximum(variances, N.diagonal())
     integrates = plant.C[:, : int(plant.integrator)].any(axis=1)
     settles = ~integrates & ~_oscillates(plant) & design.is_stable
@@ -156,7 +156,7 @@ def rows_of(M: ArrayLike) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, np.asarray(M, np.float64).tolist()))
 
 
-def _seen_part(plant: Plant, rows: list[int]) -> Plant:
+def _observable_part(plant: Plant, rows: list[int]) -> Plant:
     """Return the plant with some outputs, without an integrator that none of them shows."""
     C = plant.C[rows]
     first = int(plant.integrator and not C[:, 0].any())
@@ -188,7 +188,7 @@ def _steady_gain(law: LawMatrices, plant: Plant) -> float:
     return float(loop.row @ x.real) + loop.D
 
 
-def _coloured_covariance(
+def _covariance_of_noise(
     M: Matrix, L: Matrix, C: Matrix, model: StateSpace, covariance: Matrix, rows: list[int]
 ) -> Matrix:
     """Return the covariance of the innovations by noise of the model's own spectrum."""

@@ -283,7 +283,7 @@ def compare_loop(
     i, is_rate = tracked(law, design)
     plants = [design.plant, *design.draw(draws)]
     responses = [_response(law, plant, design, rig, r) for plant in plants]
-    measured = _measured(recording, names[i], run, r.size)
+    measured = _output_of_run(recording, names[i], run, r.size)
     if design.outputs[i].turning and np.isfinite(measured).any():
         measured = measured - measured[np.isfinite(measured)][0]
     z, predicted = measured, np.array([y[:, i] for y, _ in responses])
@@ -328,7 +328,7 @@ def _of_decisions(run: ControlRun) -> tuple[Vector, Vector]:
     return run.r[newest.astype(int)], run.u[newest.astype(int)]
 
 
-def _measured(recording: Recording, name: str, run: ControlRun, N: int) -> Vector:
+def _output_of_run(recording: Recording, name: str, run: ControlRun, N: int) -> Vector:
     """Return the output at the N samples from the first decision on; NaN where it is missing."""
     rows = int(run.k[0]) - recording.k_first + np.arange(N)
     inside = (rows >= 0) & (rows < recording.N)

@@ -228,7 +228,7 @@ class History:
         self._began_s = -PAUSE_S
 
     async def messages(self) -> list[bytes]:
-        """Return the encoded history; its rows are read after this call."""
+        """Return the history_messages history; its rows are read after this call."""
         if self._next is None:
             self._next = asyncio.create_task(self._encoded())
         # A viewer that leaves does not cancel the task for the other viewers.
@@ -238,10 +238,10 @@ class History:
         await asyncio.sleep(self._began_s + PAUSE_S - time.monotonic())
         # Later viewers get the next encoding, because this encoding may lack the newest rows.
         self._began_s, self._next = time.monotonic(), None
-        return await asyncio.to_thread(lambda: encoded(self._rows()))
+        return await asyncio.to_thread(lambda: history_messages(self._rows()))
 
 
-def encoded(past: Mapping[str, Rows]) -> list[bytes]:
+def history_messages(past: Mapping[str, Rows]) -> list[bytes]:
     """Return rows as messages of their names, followed by a message that marks their end."""
     pieces = (
         event(name, as_lists(rows[i : i + _PIECE]))

@@ -52,7 +52,7 @@ def took(text: str, start: float, stop: float) -> Step:
     return Step(text, f"{_PART} {start:.9g} {stop:.9g}")
 
 
-def controlled(law_sha256: str) -> Step:
+def law_step(law_sha256: str) -> Step:
     """Return the history step of data that were recorded under the law of this hash.
 
     The hash is "" if a client's program computed the input from the samples.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from armrig.data.columns import Vector as Vector
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.files import IMPORTED
-from armrig.data.step import Step, controlled, took
+from armrig.data.step import Step, law_step, took
 from armrig.data.treatment import difference
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
@@ -280,7 +280,7 @@ class Recording:
     def _history(self) -> list[Step]:
         """Return the steps of the data's history: the law of the run, and the loaded part."""
         law = self.manifest.controller_sha256
-        steps = [controlled(law)] if isinstance(law, str) else []
+        steps = [law_step(law)] if isinstance(law, str) else []
         if self.part:
             steps.append(took("took {:g} to {:g} s of the run".format(*self.part), *self.part))
         return steps

@@ -21,8 +21,8 @@ from armrig.dashboard.stream import (
     TooManyViewersError,
     Viewer,
     Viewers,
-    encoded,
     event,
+    history_messages,
 )
 
 from tests.clients.made_recordings import sample
@@ -169,8 +169,8 @@ def test_the_history_is_encoded_once_for_all_waiting_viewers() -> None:
     found = asyncio.run(heard())
 
     assert made == [0, 1]
-    assert found[:-1] == [encoded({"past": np.full((1, COLUMNS), 1.0)})] * 100
-    assert found[-1] == encoded({"past": np.full((1, COLUMNS), 2.0)})
+    assert found[:-1] == [history_messages({"past": np.full((1, COLUMNS), 1.0)})] * 100
+    assert found[-1] == history_messages({"past": np.full((1, COLUMNS), 2.0)})
 
 
 def test_a_viewer_that_leaves_does_not_cancel_the_history_of_others() -> None:
@@ -181,14 +181,14 @@ def test_a_viewer_that_leaves_does_not_cancel_the_history_of_others() -> None:
         gone.cancel()
         return await stays
 
-    assert asyncio.run(heard()) == encoded({"past": np.zeros((0, COLUMNS))})
+    assert asyncio.run(heard()) == history_messages({"past": np.zeros((0, COLUMNS))})
 
 
 def test_a_long_history_is_sent_in_pieces() -> None:
     rows = np.zeros((1001, COLUMNS))
     rows[:, 0] = np.arange(1001)
 
-    *pieces, last = encoded({"past": rows})
+    *pieces, last = history_messages({"past": rows})
 
     sent = [row for piece in pieces for row in json.loads(piece.partition(b"data: ")[2])]
     assert [row[0] for row in sent] == [*range(1001)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Signals
 from armrig.data.merging import merge
-from armrig.data.step import TWO_STAGE, Step, controlled, laws_of, loop_notes, with_notes
+from armrig.data.step import TWO_STAGE, Step, law_step, laws_of, loop_notes, with_notes
 from armrig.data.treatment import detrend, difference, hampel, prefilter, resample
 from armrig_core.errors import InputError
 
@@ -18,7 +18,7 @@ R = np.arange(N, dtype=np.float64)
 def data(**changes: object) -> Dataset:
     rng = np.random.default_rng(1)
     fields = {"u": rng.standard_normal(N), "y": rng.standard_normal(N), "Ts": 0.1, "r": R}
-    return Dataset(**(fields | {"history": [controlled(LAW)]} | changes))
+    return Dataset(**(fields | {"history": [law_step(LAW)]} | changes))
 
 
 @pytest.mark.parametrize("treat", [detrend, difference, hampel, lambda d: d.replaced(step="s")])
@@ -85,9 +85,9 @@ def test_the_reference_is_that_of_all_channels_and_cannot_be_changed() -> None:
 
 
 def test_the_note_on_a_loop_is_the_first_line() -> None:
-    (note,) = loop_notes([controlled(LAW), controlled("")], "armrig.bj(data)")
+    (note,) = loop_notes([law_step(LAW), law_step("")], "armrig.bj(data)")
 
     assert note.startswith("controlled by the law 4e361ae2a1fe and a client's controller: coloured")
     assert with_notes(["a", "b"], ["c", note], "note") == f"note: {note}\na\nb\n  note: c"
     assert loop_notes(["controlled by me"]) == ()
-    assert loop_notes([controlled(LAW), Step("of two stages", TWO_STAGE)]) == ()
+    assert loop_notes([law_step(LAW), Step("of two stages", TWO_STAGE)]) == ()

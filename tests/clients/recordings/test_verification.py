@@ -17,7 +17,7 @@ from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.verification import (
     Verification,
     check_input,
-    recorded_input,
+    read_input,
     rows,
     verify,
     verify_recording,
@@ -218,7 +218,7 @@ def test_an_attached_input_is_a_list_of_as_many_voltages_as_the_run_has_samples(
         path = written(tmp_path, recorded([], manifest=about, outcome=None, u=u))
         place = beginning(path)[1].input
         assert place is not None
-        return recorded_input(path, place, 6).tolist()
+        return read_input(path, place, 6).tolist()
 
     assert read(U[:6].tolist()) == U[:6].tolist()
     assert read([1, 2.5e-3]) == [1.0, 0.0025]

@@ -20,7 +20,7 @@ _MAX_HEAD_BYTES = 1 << 10  # B; times, name, media type, and the heading of the 
 _MAX_LINE_BYTES = 64  # B; the text of a voltage has at most 24 B
 
 
-def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
+def read_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
     """Read the attachment at `place`, and return its voltages, (n,) in V.
 
     Raises DamageError if the attachment is not a list of voltages, its checksum is wrong, or it

@@ -38,7 +38,7 @@ from armrig.recordings.daemon_reports import Clock, Gap, reports_of
 from armrig.recordings.files.attachment_hashes import attachment_fault, without_hash
 from armrig.recordings.files.container import Content, Part, law_decisions, read
 from armrig.recordings.files.imports import imported_data, recording_of
-from armrig.recordings.files.input_attachment import recorded_input
+from armrig.recordings.files.input_attachment import read_input
 from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import is_foreign, is_recording
 from armrig.recordings.grid import Grid, check_sampling_time, grid
@@ -417,7 +417,7 @@ def _reference(
             found = law_decisions(paths)
             r, row = found["r"], np.searchsorted(found["k"], k, side="right") - 1
         elif content.input and content.input_sha256:
-            r = recorded_input(paths[0], content.input, manifest.samples)
+            r = read_input(paths[0], content.input, manifest.samples)
             row = k - max(manifest.k_first, 0)
         else:
             return None

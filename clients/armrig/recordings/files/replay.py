@@ -21,7 +21,7 @@ from armrig_protocol.frame import Spoilt, Unknown, decode
 from armrig.numerics.quantities import plural
 from armrig.recordings.files.container import Content, read, streamed
 from armrig.recordings.files.control_run import law_of
-from armrig.recordings.files.input_attachment import recorded_input
+from armrig.recordings.files.input_attachment import read_input
 from armrig.recordings.files.loading import check_attachments, files_of, run_content
 from armrig.recordings.files.recording_summary import is_foreign
 from armrig.recordings.files.sample_rows import SAMPLE_DTYPE
@@ -111,7 +111,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     check_attachments(paths[0], content, manifest)
     if content.input is None:
         raise InputError("no input is attached")
-    u = recorded_input(paths[0], content.input, manifest.samples)
+    u = read_input(paths[0], content.input, manifest.samples)
     law = law_of(content.attachments)
     source = codes_of(u.tolist()) if manifest.source == INPUT else u.astype("<f8").tobytes()
     state = trace.restored(begin.state, source, begin.version)

@@ -33,7 +33,7 @@ from armrig.recordings.files.control_run import (
     own_control_run,
 )
 from armrig.recordings.files.imports import imported_data
-from armrig.recordings.files.input_attachment import recorded_input
+from armrig.recordings.files.input_attachment import read_input
 from armrig.recordings.files.loading import beginning, load
 from armrig.recordings.files.recording_names import named_path
 from armrig.recordings.files.recording_summary import REMOTE
@@ -286,7 +286,7 @@ def _check_attached_input(r: Recording) -> Finding:
     if content.input is None:
         return warning("input", f"no {r.manifest.source} is attached")
     try:
-        u = recorded_input(path, content.input, r.manifest.samples)
+        u = read_input(path, content.input, r.manifest.samples)
     except DamageError as err:
         return unusable("input", str(err))
     run = control_run(r) or own_control_run(r)
