@@ -53,7 +53,7 @@ class MonitorJudge:
         return [ordered_sum(row, [*x, volts - self._monitor.u0, *e]) for row in self._monitor.rows]
 
     def take(self, y: Sequence[float], valid: Sequence[bool], volts: float) -> None:
-        """Advance by a sample, of which only the `valid` outputs count."""
+        """Advance by a sample; only the outputs that are `valid` count."""
         expected, simulated = self._outputs(self.x), self._outputs(self._free)
         e = [0.0] * len(y)
         for j, (values, value) in enumerate(zip(self._ranges, simulated, strict=True)):

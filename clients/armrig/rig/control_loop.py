@@ -70,8 +70,9 @@ class ControlLoop:
             last = end()
             self.recording = Path(last.recording)
             if self.missed:
-                told = "deadlines were missed, and the voltage was held: take a longer Ts, or a law"
-                print(f"{self.missed} of {self.deadlines} {told}", file=sys.stderr)
+                text = f"{self.missed} of {self.deadlines} deadlines were missed, and the voltage "
+                text += "before was held: choose a longer Ts, or use a control law (Rig.control)"
+                print(text, file=sys.stderr)
             complete_recording(last, len(self._reference))
 
     def _samples(

@@ -115,7 +115,7 @@ def begin(monitor: MonitorProgram) -> MonitorState:
 def advance(
     monitor: MonitorProgram, state: MonitorState, y: Row, valid: Sequence[bool], u_v: float
 ) -> MonitorState:
-    """Return the state after a sample with the outputs `y`, of which only `valid` ones count.
+    """Return the state after one more sample; only the outputs `y` that are `valid` count.
 
     `u_v` is the voltage that the device latched `input_delay` samples before, in V.
     """

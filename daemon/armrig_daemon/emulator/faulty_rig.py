@@ -27,7 +27,7 @@ class FaultyRig:
         settings.check_rig(description)
         self._rig, self._settings, self.rest_v = rig, settings, rig.rest_v
         self._sensors = [*description.outputs]
-        # The arm has friction of its own, and a dead zone stands for that of another rig.
+        # The arm itself has the friction. Another rig gets a dead zone of its input instead.
         self._dead_v = 0.0 if description.arm else settings.friction_v or 0.0
         self._wait_ns = round((settings.fault_s or 0.0) * 1e9)
         self._now_ns = 0
