@@ -46,6 +46,7 @@ _FEW_OUTLIERS, _INSTRUMENT_VALUES = 5, 3  # outliers, or values of outliers, tha
 _BEYOND = 0.5  # least distance of the values of an instrument from the others, in their range
 _CLUSTERED, _FAR = 4.0, 1_000_000  # excess of outliers near others, in σ; distance beyond all data
 _SINGLE_ORDER, _SINGLE_REST, _USUAL = 10, 0.1, 2.0  # largest rest: of the residuals, of the noise
+_SMALL_REST, _UNUSUAL = 0.3, 3.3  # largest rest of both: a motion leaves more of the residuals
 _MAX_TRIED, _MIN_SINGLE_SHARE = 50, 0.5  # outliers that are examined, and their share that is wrong
 _STATE_LEVEL = 0.01  # of the tests whether outliers depend on the state
 _MIN_RESIDUALS = 50  # least number of residuals for the check of outliers
@@ -233,7 +234,9 @@ def _are_single(
         a, e = model.A[: e.size][known], e[known]
         whole = float(e @ e)
         rest = whole - float(a @ e) ** 2 / max(float(a @ a), 1e-300)
-        single[i] = rest < max(_SINGLE_REST * whole, _USUAL * e.size * usual)
+        noise = e.size * usual
+        both = min(_SMALL_REST * whole, _UNUSUAL * noise)
+        single[i] = rest < max(_SINGLE_REST * whole, _USUAL * noise, both)
     return single
 
 

@@ -30,6 +30,7 @@ Vector = NDArray[np.float64]
 
 _WALKERS, _BURN_IN, _THINNING, _KEPT = 60, 80, 6, 25
 _MIN_RATIO, _MAX_RATIO = 1e-6, 0.999  # of T_2 to T_1; at 1 the formula is 0/0
+_NO_RATIO = 1e-4  # a search ends this near to the bound without a second time constant
 _MAX_T = 1e3  # largest T_1, divided by the duration after the step
 _MIN_T = 0.05  # least T_1 in samples
 _LATEST = 0.9  # largest dead time, as a share of the duration after the step
@@ -247,6 +248,8 @@ class _Record:
             slow + np.array([0, r, -r * min(np.exp(slow[0]), slow[2])]) for r in (1e-3, 0.1, 0.4)
         ]
         both = self._search(near, 3)
+        if both[1] < _NO_RATIO:
+            both = slow
         cost = float(self._solve(both[None])[0][0]) + self._within
         self.variance = max(cost / (self._N - 5), self._least)
         return [slow, both]
@@ -272,7 +275,7 @@ class _Record:
             scale = np.array([0.1, 0.1, 0.1 * np.exp(min(start[0], self._high[0]))])[columns]
             inside = np.clip(start[columns], low + margin, high - margin)
             end = least_squares(
-                residual, inside, bounds=(low, high), x_scale=scale, xtol=1e-10, ftol=1e-10,
+                residual, inside, bounds=(low, high), x_scale=scale, xtol=1e-12, ftol=1e-14,
                 gtol=1e-15, max_nfev=40,
             )  # fmt: skip
             best = start.copy()
@@ -313,7 +316,12 @@ class _Record:
         s, slopes = X[0], X[1:][columns]
         J = gain * (slopes - np.outer(slopes @ s, s) / max(float(s @ s), 1e-300))
         information = J @ J.T / white + np.diag(16 / (high - low)[columns] ** 2)
-        root = np.linalg.cholesky(np.linalg.inv(information))
+        covariance = np.linalg.inv(information)
+        # The start is rounded, so that a processor's rounding errors choose no other draws.
+        unit = 10.0 ** np.floor(np.log10(np.sqrt(np.diag(covariance)))) / 10
+        root = unit[:, None] * np.round(np.linalg.cholesky(covariance) / unit[:, None], 1)
+        at = at.copy()
+        at[columns] = unit * np.round(at[columns] / unit)
 
         def score(theta: Vector) -> Vector:
             inside = np.all((theta >= low) & (theta <= high), axis=1)
