@@ -350,6 +350,7 @@ MUTANTS = (
     _law("no end by a bound", (control, "_consequences", _no_end)),
     _law("a code that the record does not have", (control, "decide", _one_more)),
     _law("the monitor off", (monitor, "alarm", lambda *_: None)),
+    _law("one lost output is not seen", (monitor, "lost", lambda *_: "")),
     _law("the gate of the other output", (monitor, "alarm", _gate_of_the_other_output)),
     _law("no innovation gate", (monitor, "advance", _no_gate("unlike"))),
     _law("no simulation gate", (monitor, "advance", _no_gate("astray"))),
