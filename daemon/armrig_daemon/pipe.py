@@ -186,6 +186,8 @@ class Control(Tagged, frozen=True, kw_only=True):
     predicted: int
     """Number of samples that had not arrived, and that the law predicted; without a law, number of
     deadlines that the client has missed in this run."""
+    reference_n: int = 0
+    """Number of the command that set r; 0 for the reference with which the run began."""
 
 
 Record = (
@@ -228,6 +230,12 @@ class Set(Leased, frozen=True, kw_only=True):
     code: int
 
 
+class SetReference(Leased, frozen=True, kw_only=True):
+    """Follow another reference from the next sample on, in the unit of the law."""
+
+    r: float
+
+
 class Run(Leased, frozen=True, kw_only=True):
     """Play an experiment, or control the rig by a law."""
 
@@ -241,6 +249,8 @@ class Run(Leased, frozen=True, kw_only=True):
     reference: bytes | UnsetType = UNSET
     """Reference, in control: one float64, little-endian, for each sample. Without a law, `Set`
     determines the code of each sample."""
+    r_range: tuple[float, float] = (0.0, 0.0)
+    """Least and largest value of the reference that was rehearsed with the law."""
 
 
 class Stop(Order, frozen=True, kw_only=True):
@@ -276,7 +286,7 @@ class Quit(Order, frozen=True, kw_only=True):
     reason: str
 
 
-Orders = Arm | Disarm | Set | Run | Stop | Reset | Calibrate | Alive | Quit
+Orders = Arm | Disarm | Set | SetReference | Run | Stop | Reset | Calibrate | Alive | Quit
 """Messages of the service to the loop."""
 
 _RECORDS = msgspec.msgpack.Decoder(Record)

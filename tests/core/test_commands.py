@@ -86,7 +86,7 @@ def test_the_details_of_a_run_have_a_mebibyte_at_most(length: int, fits: bool) -
 
 def test_every_command_serves_its_schema() -> None:
     names = {"arm", "disarm", "run", "renew", "set", "stop", "reset", "calibrate", "status"}
-    names |= {"note", "control"}
+    names |= {"note", "control", "set_reference"}
     assert set(REQUESTS) == names
     text = json.loads(json_schema("set"))
 

@@ -60,7 +60,8 @@ def control_run(law: Program = LAW, r: Iterable[float] = (1.0, 2.0)) -> Run:
     """Return the order of a run by a law, with its reference."""
     values = [*r]
     reference = pack(f"<{len(values)}d", *values)
-    return changed(RUN, codes=b"", law=law, reference=reference)
+    r_range = min(values, default=0.0), max(values, default=0.0)
+    return changed(RUN, codes=b"", law=law, reference=reference, r_range=r_range)
 
 
 def rested() -> Bench:

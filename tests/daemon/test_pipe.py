@@ -63,6 +63,7 @@ def test_orders_are_tagged_with_their_names() -> None:
         "Arm",
         "Disarm",
         "Set",
+        "SetReference",
         "Run",
         "Stop",
         "Reset",

@@ -228,6 +228,13 @@ class Checks:
                 self._wrongly(now_ns, f"took {order}")
                 return
             self._n, self.code, self.command_ns = order.n, order.code, given_ns
+        elif isinstance(order, pipe.SetReference):
+            low, high = self.run.r_range if self.run else (1.0, 0.0)
+            if not self._is_valid(order) or self.law is None or not low <= order.r <= high:
+                self._wrongly(now_ns, f"took {order}")
+                return
+            self._n, self.command_ns = order.n, given_ns
+            self.law.set_reference(order.r, order.n)
         elif isinstance(order, pipe.Run):
             if not self._is_valid(order):
                 self._wrongly(now_ns, "took an experiment of nobody who holds the rig")

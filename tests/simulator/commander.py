@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from random import Random
-from struct import pack
+from struct import pack, unpack
 
 from armrig_core.rig.calibration import Calibration, Driver, Potentiometer
 from armrig_daemon.pipe import (
@@ -17,6 +17,7 @@ from armrig_daemon.pipe import (
     Run,
     RunEnded,
     Set,
+    SetReference,
     Stop,
 )
 from armrig_daemon.pipe import State as StateRecord
@@ -26,6 +27,7 @@ from tests.simulator.laws import draw_law
 from tests.simulator.options import Options
 
 _OTHER = Calibration(theta_1=Potentiometer(rad_per_count=-0.1), driver=Driver(gain=10.0))
+_REFERENCES = 0.3  # share of the acts in a run in control
 _PATIENCE = 20
 """Acts after which an answer that has not come is no longer awaited."""
 
@@ -47,6 +49,8 @@ class Commander:
         self._code = options.rest
         self._playing = False
         self._holds_left = 0
+        self._references = Random(0)
+        self._r_range: tuple[float, float] | None = None
 
     @property
     def lease(self) -> str:
@@ -81,6 +85,8 @@ class Commander:
             return self._await(Reset(order=self._next()))
         if self._phase == "safe" and not self._held:
             return self._await(self._arm())
+        if self._held and self._playing and self._r_range is not None:
+            return self._another_reference(*self._r_range)
         if not self._held or self._playing:
             return None
         if self._mode() == "hold":
@@ -90,6 +96,12 @@ class Commander:
         is_control = self._mode() == "control"
         codes = [] if is_control else self.codes()
         law, reference = draw_law(self._rng, self._options) if is_control else (UNSET, UNSET)
+        self._r_range = None
+        if reference:
+            # Of a generator of its own: the schedule is the same without further references.
+            self._references = Random(reference)
+            values = unpack(f"<{len(reference) // 8}d", reference)
+            self._r_range = min(values), max(values)
         return self._await(
             Run(
                 order=self._next(),
@@ -100,8 +112,18 @@ class Commander:
                 scheduled=self._mode() == "scheduled",
                 law=law,
                 reference=reference,
+                r_range=self._r_range or (0.0, 0.0),
             )
         )
+
+    def _another_reference(self, low: float, high: float) -> Order | None:
+        """Return a reference for the run in control, often, and sometimes one out of its range."""
+        if self._references.random() > _REFERENCES:
+            return None
+        self._n += 1
+        beyond = self._references.choice([0.0, 0.0, 0.0, 0.1])
+        r = self._references.uniform(low - beyond, high + beyond)
+        return SetReference(order=self._next(), lease=self._lease, n=self._n, r=r)
 
     def forged(self) -> Order:
         """Return an order with a lease or a number that is not in force."""

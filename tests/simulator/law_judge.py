@@ -45,7 +45,8 @@ class LawJudge:
     def __init__(self, run: Run, options: Options, seen: Counter[str]) -> None:
         """Begin before the first sample of an accepted run."""
         self._law: Any = run.law
-        self._r = unpack(f"<{len(run.reference or b'') // 8}d", run.reference or b"")
+        self._r = [*unpack(f"<{len(run.reference or b'') // 8}d", run.reference or b"")]
+        self._reference_n = 0
         self._options, self._seen = options, seen
         self._bits = options.pwm_bits or 16
         self._low = max(options.u_min, self._law.lo_code)
@@ -96,11 +97,22 @@ class LawJudge:
             self._tick = self._decided(k, k - self.k_first if self.k_first >= 0 else 0)
             self._ends = self._tick.ends
 
+    def set_reference(self, r: float, n: int) -> None:
+        """Take another reference, for the samples whose codes have not left."""
+        decided = len(self.codes)
+        self._r[decided:] = [r] * (len(self._r) - decided)
+        self._reference_n = n
+        self._seen["law: references set"] += 1
+        if self._tick is not None and self._recorded is None and not self._is_over:
+            self.begin_tick(self._tick.k)  # the same step contains the order and the tick
+
     def recorded(self, now_ns: int, record: Control) -> None:
         """Judge the core's record of a tick."""
         self._recorded = record
         i, tick = record.k - self.k_first, self._tick
         r = self._r[i] if 0 <= i < len(self._r) else None
+        if record.reference_n != self._reference_n:
+            raise Violation("S5", now_ns, f"recorded {record}, for command {self._reference_n}")
         facts = record.k, record.r, record.v, record.u_v
         flags = record.is_low, record.is_high, record.is_slewed, record.predicted
         if tick is None or (*facts, *flags) != (tick.k, r, tick.v, _volts(tick.code), *tick[4:]):

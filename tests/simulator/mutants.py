@@ -20,7 +20,7 @@ from armrig_daemon.decisions import (
     stopping,
     transitions,
 )
-from armrig_daemon.decisions.state import ActiveRun, Phase, Rules
+from armrig_daemon.decisions.state import ActiveRun, Control, Phase, Rules
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
 from armrig_protocol import cobs, decoder, frame
@@ -59,6 +59,7 @@ _config, _decide, _started = Rules.config, step._decide, transitions._started
 _observe, _watched, _reset = output_limits.observe, output_limits._watched, orders._reset
 _law_decide, _law_observe, _law_outputs = evaluation.decide, evaluation.observe, evaluation._outputs
 _begin_control, _control_decide = transitions._begin_control, control.decide
+_with_reference = Control.with_reference
 _advance = evaluation._advance
 _alarm, _monitor_advance = monitor.alarm, monitor.advance
 
@@ -308,6 +309,11 @@ def _no_end(*_: Any) -> Any:
     return []
 
 
+def _reference_of_the_past(law: Any, r: float, n: int, first: int) -> Any:
+    """Replace also the reference of samples that are decided and have not arrived."""
+    return _with_reference(law, r, n, min(first, law.state.k))
+
+
 def _one_more(*args: Any) -> Any:
     state, code, done = _control_decide(*args)
     return state, code + 1, done
@@ -350,6 +356,8 @@ MUTANTS = (
     _law("no end by a bound", (control, "_consequences", _no_end)),
     _law("a code that the record does not have", (control, "decide", _one_more)),
     _law("the monitor off", (monitor, "alarm", lambda *_: None)),
+    _law("a reference that was not rehearsed", (orders, "_refuse_reference", _no_end), also="A1"),
+    _law("a reference of the past", (Control, "with_reference", _reference_of_the_past)),
     _law("one lost output is not seen", (monitor, "lost", lambda *_: "")),
     _law("the gate of the other output", (monitor, "alarm", _gate_of_the_other_output)),
     _law("no innovation gate", (monitor, "advance", _no_gate("unlike"))),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -11,12 +12,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
 from pathlib import Path
+from select import select
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 from armrig_core.commands.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.process.options import Commands, argument, chosen, group, option
+from armrig_core.process.printable import printable
 from armrig_core.process.signal_pipe import SignalPipe, until_signal
 from msgspec import structs
 
@@ -52,6 +55,7 @@ DEAD_MAN_S = 1.0
 """Default time in s after which a closed terminal or a lost connection stops the motor."""
 _MAX_NAME_LENGTH = 40  # characters of a kind of experiment that the daemon accepts
 _MAX_SEED = 2**53
+_MAX_LINE_BYTES = 1000
 Seconds = Annotated[
     float | None,
     option(
@@ -404,7 +408,8 @@ def control(
     """Control the rig by a law, and record the run.
 
     The reference holds its first level until the outputs have settled. Sampling time and pacing are
-    those of the law.
+    those of the law. During the run, type a number and Enter for another reference, between the
+    lowest and the highest level.
     """
     from armrig.excitation.reference import profile_of, reference_input
 
@@ -423,8 +428,25 @@ def control(
         law=law,
         unstable=unstable,
         unmonitored=unmonitored,
+        new_reference=None if run.json else _typed_number,
     )
     collect_each([of_law], replace(run, Ts=Ts, pacing="exchange"))
+
+
+def _typed_number() -> float | None:
+    """Return the number in the line that a person has typed in this terminal; None without one."""
+    terminal = sys.stdin.fileno()
+    # A program in the background would be stopped if it read from its terminal.
+    if not os.isatty(terminal) or os.tcgetpgrp(terminal) != os.getpgrp():
+        return None
+    if not select([terminal], [], [], 0)[0]:
+        return None
+    line = os.read(terminal, _MAX_LINE_BYTES).decode(errors="replace").strip()
+    try:
+        return float(line) if line else None
+    except ValueError:
+        inform(f"{printable(line)} is no number: type a number and Enter for another reference")
+        return None
 
 
 class Played(NamedTuple):
@@ -447,6 +469,8 @@ class Played(NamedTuple):
     """As in `Rig.control`."""
     unmonitored: bool = False
     """As in `Rig.control`."""
+    new_reference: Callable[[], float | None] | None = None
+    """As in `armrig.rig.collection.Plan`."""
 
 
 def chosen_inputs(
@@ -541,7 +565,8 @@ def collect_each(played: Iterable[Played], run: _Run, *, without_arm: bool = Fal
     plans = [
         Plan(
             experiment=experiment_name(p.experiment, run.name),
-            **fields_of(p, "make details seconds default_levels is_bare law unstable unmonitored"),
+            **fields_of(p, "make details seconds default_levels is_bare"),
+            **fields_of(p, "law unstable unmonitored new_reference"),
             **fields_of(run, "Ts pacing"),
             owner=this_user() or "armrig collect" if run.owner is None else run.owner,
             dead_man=run.dead_man or None,

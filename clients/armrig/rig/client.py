@@ -618,6 +618,42 @@ class Rig:
         (volts,) = self._allowed(given, {name: [value] for name, value in own.items()})
         self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
 
+    def set_reference(self, r: float) -> None:
+        """Let the current run under a law follow another reference from the next sample on.
+
+        Call it in `progress` of `control`. The recording contains r at each sample, and the number
+        of the command that set it.
+
+        Parameters
+        ----------
+        r : float
+            Reference in the unit of the law, between the least and the largest value of the
+            reference with which the run began: the daemon has rehearsed these.
+
+        Raises
+        ------
+        RefusedError
+            No law controls the rig, r is outside the range, or another client has the lease.
+
+        Examples
+        --------
+        >>> from armrig_core.control.control_law import LawOutput, Reference
+        >>> law = armrig.ControlLaw(
+        ...     Ts_us=10_000, outputs=(LawOutput(name="alpha", unit="rad"),),
+        ...     reference=Reference(name="u", unit="V", low=0, high=5),
+        ...     A=(), B=(), C=(), D=1.0, x0=(), F=((),),
+        ... )
+        >>> def progress(done: int, total: int) -> None:
+        ...     if 20 < done < total:
+        ...         rig.set_reference(1.0)
+        >>> with armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student", Ts=0.01)
+        ...     path = rig.control(law, [1.0] + [3.0] * 99, progress=progress, unmonitored=True)
+        >>> armrig.load(path).r[[1, -1]]
+        array([3., 1.])
+        """
+        self._ask(commands.SetReference(**self._stamp(), r=float(r)), commands.Done)
+
     def stop(self, by: str = "") -> None:
         """Set the motor to 0 V and end every run; no lease is needed.
 

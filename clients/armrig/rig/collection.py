@@ -40,7 +40,13 @@ from armrig.recordings.files.control_run import control_run
 from armrig.recordings.files.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig
-from armrig.rig.replies import Progress, RunEndedError, refusal_sentence, reset_command
+from armrig.rig.replies import (
+    Progress,
+    RefusedError,
+    RunEndedError,
+    refusal_sentence,
+    reset_command,
+)
 from armrig.rig.session import (
     LostLinkError,
     NoReplyError,
@@ -124,6 +130,8 @@ class Plan:
     """As in `Rig.control`."""
     unmonitored: bool = False
     """As in `Rig.control`."""
+    new_reference: Callable[[], float | None] | None = None
+    """Function that returns a new reference during a run under a law, or None for no change."""
 
     def __post_init__(self) -> None:
         """Raise ParameterError for settings that are invalid, whatever the sampling time."""
@@ -374,7 +382,11 @@ def _played(
             nonlocal taken
             taken = done
             progress(done, total)
-
+            if run_id and plan.new_reference and (r := plan.new_reference()) is not None:
+                try:
+                    rig.set_reference(r)
+                except RefusedError as err:
+                    tell(str(err))
             if settled():
                 raise _SettledError
 

@@ -125,6 +125,14 @@ class Set(Leased, frozen=True, kw_only=True):
     """Motor voltage, in V."""
 
 
+class SetReference(Leased, frozen=True, kw_only=True):
+    """Follow another reference from the next sample to the end of a run under a law."""
+
+    name: ClassVar[str] = "set_reference"
+    r: float
+    """Reference, in the unit of the law, inside the range of the rehearsed reference."""
+
+
 class RunOptions(Leased, frozen=True, kw_only=True):
     """Command `run` without its input."""
 
@@ -237,7 +245,20 @@ MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
 """Longest command over a network, in B: 8 MiB minus zenoh's own part of the message."""
 MOST_DETAILS_BYTES = 1 << 20
 """Longest JSON text of a run's `details`, in B."""
-Requests = Arm | Disarm | Run | Control | Renew | Set | Stop | Note | Reset | Calibrate | Status
+Requests = (
+    Arm
+    | Disarm
+    | Run
+    | Control
+    | Renew
+    | Set
+    | SetReference
+    | Stop
+    | Note
+    | Reset
+    | Calibrate
+    | Status
+)
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
 """Class of each command, by the command's name."""

@@ -86,6 +86,7 @@ _CONTROL_FIELDS = (
     ("is_high", "bool"),
     ("is_slewed", "bool"),
     ("predicted", "fixed64"),
+    ("reference_n", "fixed64"),
 )
 
 SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (

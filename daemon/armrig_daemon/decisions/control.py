@@ -98,6 +98,7 @@ def decide(
         is_high=command.is_high,
         is_slewed=command.is_slewed,
         predicted=command.predicted,
+        reference_n=control.reference_n,
     )
     return state, command.code, [Emit(record)]
 

@@ -179,6 +179,10 @@ def _leased(state: State, now_ns: int, order: pipe.Leased) -> Step:
         return state, [outcomes.Halt("disarmed", order, OutcomeCode.DISARMED)]
     if isinstance(order, pipe.Set) and state.phase is Phase.ACTIVE:
         return replace(state, code=order.code), answer(order, {"done": True})
+    if isinstance(order, pipe.SetReference) and state.run is not None and state.run.control:
+        law = state.run.control.with_reference(order.r, order.n, first=state.run.due)
+        state = replace(state, run=replace(state.run, control=law))
+        return state, answer(order, {"done": True})
     if isinstance(order, pipe.Run) and order.scheduled:
         # First a stop: a device accepts another mode in IDLE and READY only.
         return state, [outcomes.Ask(RequestKind.STOP, order)]
@@ -210,6 +214,8 @@ def _refusal(state: State, order: pipe.Leased) -> list[Action]:
             if state.lease is not None and state.ts_us != state.lease.ts_us:
                 return _refuse_as_too_short(state, order)
             return _out_of_range(state, order)
+        case pipe.SetReference():
+            return _refuse_reference(state, order)
         case pipe.Run():
             if state.phase is not Phase.ARMED:
                 return refuse(order, BY_HAND, RefusalCode.BY_HAND)
@@ -223,6 +229,18 @@ def _refusal(state: State, order: pipe.Leased) -> list[Action]:
             if order.law or order.reference:
                 return _refuse_control(state, order)
             return [] if order.codes else refuse(order, "the experiment is empty")
+    return []
+
+
+def _refuse_reference(state: State, order: pipe.SetReference) -> list[Action]:
+    """Return the refusal of a reference that was not rehearsed; [] for an allowed reference."""
+    if state.run is None or not state.run.control:
+        text = "no law controls the rig: begin a run in control, then change its reference"
+        return refuse(order, text, RefusalCode.NOT_ALLOWED)
+    low, high = state.run.control.r_range
+    if not low <= order.r <= high:  # NaN fails this, too
+        text = f"r = {order.r:g} was not rehearsed: this run allows {low:g} to {high:g}"
+        return refuse(order, text, RefusalCode.NOT_ALLOWED)
     return []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from struct import pack
 from typing import Any, NamedTuple
 
 import msgspec
@@ -282,11 +283,21 @@ class Control(msgspec.Struct, frozen=True, gc=False):
     reference: bytes
     """One float64, little-endian, for each sample."""
     state: LawState
+    r_range: tuple[float, float] = (0.0, 0.0)
+    """Least and largest value of the reference that was rehearsed."""
+    reference_n: int = 0
+    """Number of the command that set the reference; 0 for that of the run's beginning."""
 
     @property
     def values(self) -> memoryview[float]:
         """Return the reference as numbers, in the order of bytes of this machine."""
         return memoryview(self.reference).cast("d")
+
+    def with_reference(self, r: float, n: int, first: int) -> Control:
+        """Return this law with the reference r, of command number n, from sample `first` on."""
+        later = len(self.reference) // 8 - first
+        reference = self.reference[: 8 * first] + pack("<d", r) * later
+        return replace(self, reference=reference, reference_n=n)
 
 
 class OwnControl(msgspec.Struct, frozen=True, gc=False):

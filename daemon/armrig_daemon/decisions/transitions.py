@@ -194,7 +194,7 @@ def _begin_control(state: State, order: Run) -> Control | UnsetType:
         return UNSET
     bits = state.device.pwm_bits if state.device else 16
     latch = Latch(rules.rest_code, bits, rules.code_min, rules.code_max, rules.slew)
-    return Control(law, latch, order.reference, begin(law))
+    return Control(law, latch, order.reference, begin(law), order.r_range)
 
 
 def _stopped(state: State, asked: PendingRequest) -> Step:

@@ -271,6 +271,9 @@ class Commands:
                 (volts,) = checked([request.u], replace(self._config.limits, slew_v=0.0))
                 code = code_of(volts)
                 self._order(command, pipe.Set(lease=request.lease, n=request.n, code=code))
+            case commands.SetReference():
+                order = pipe.SetReference(lease=request.lease, n=request.n, r=request.r)
+                self._order(command, order)
             case commands.Renew():
                 self._renew(command, request)
             case commands.Stop():

@@ -57,6 +57,8 @@ class Plan(NamedTuple):
     """Time zone of this host at the time of the plan."""
     law: ControlLaw | UnsetType | None = UNSET
     """Law of a run in control; None if the client sets each voltage, and unset for other runs."""
+    r_range: tuple[float, float] = (0.0, 0.0)
+    """Least and largest value of the reference of a law."""
 
 
 class _Request(RunOptions, frozen=True, kw_only=True):
@@ -189,7 +191,8 @@ def make_control_plan(
     source = reference.astype("<f8").tobytes()
     text = one_a_line(_blocks(reference), f"r_{law.reference.name}")
     plan = _planned(options_of(request), source, text, reference.size, rehearsal)
-    return plan._replace(law=law)
+    r_range = float(reference.min()), float(reference.max())
+    return plan._replace(law=law, r_range=r_range)
 
 
 def _planned(

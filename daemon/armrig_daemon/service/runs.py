@@ -195,6 +195,7 @@ class Runs:
             scheduled=options.pacing == "scheduled",
             law=plan.law.program(self.description) if plan.law else UNSET,
             reference=plan.source if is_control else UNSET,
+            r_range=plan.r_range,
         )
         path = str(recording.path)
         return order, RunAccepted(run_id=run_id, recording=path, rehearsal=plan.rehearsal)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import signal
 import subprocess
@@ -14,7 +15,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.cli import main
+from armrig.cli import main, runs
 from armrig.excitation.named_signals import realisations
 from armrig.rig.collection import Collected, Plan
 from armrig_core.commands import commands
@@ -487,3 +488,23 @@ def test_a_trip_is_reported_with_its_reason(
         "rig 1 is in fault: the link is silent; see to the cable; then `armrig reset --conn" in said
     )
     assert "lease" not in said
+
+
+def test_a_number_that_is_typed_during_a_run_is_its_reference(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A program in the background does not read from its terminal, which would stop it."""
+    person, terminal = os.openpty()
+    with os.fdopen(person, "wb", buffering=0) as typing, os.fdopen(terminal) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        monkeypatch.setattr("os.tcgetpgrp", lambda _: os.getpgrp())
+        assert runs._typed_number() is None
+        typing.write(b"3.5\n")
+        assert runs._typed_number() == 3.5
+        typing.write(b"faster\n")
+        assert runs._typed_number() is None
+        monkeypatch.setattr("os.tcgetpgrp", lambda _: os.getpgrp() + 1)
+        typing.write(b"4\n")
+        assert runs._typed_number() is None
+
+    assert "faster is no number: type a number and Enter" in capsys.readouterr().err

@@ -52,6 +52,12 @@ def _read(bench: Bench, alpha: int) -> None:
     board.reading = lambda channel, _: alpha if channel else MIDDLE
 
 
+def _reference(bench: Bench, r: float) -> pipe.SetReference:
+    lease = bench.loop.state.lease
+    assert lease is not None
+    return pipe.SetReference(order=9, lease=lease.lease, n=lease.n + 1, r=r)
+
+
 def _without(*kinds: type, first: int = 1 << 30) -> Callable[[bytes], bytes]:
     """Return a line that loses the first frames of these kinds."""
     lost = 0
@@ -124,13 +130,53 @@ def test_a_sample_after_a_lost_stop_does_not_advance_the_law() -> None:
     assert _outcome(bench) is OutcomeCode.STOPPED
 
 
+def test_another_reference_holds_from_the_next_sample_to_the_end() -> None:
+    bench = _begun(r=[0.5] * 20 + [2.0] * 20)
+    bench.run_for(9 * TS_MS)
+    bench.order(_reference(bench, 1.5))
+    bench.run_for(TS_MS)
+    assert not bench.of(Answer)[-1].error
+    bench.run_for(50 * TS_MS)
+
+    records = bench.of(pipe.Control)
+    changed = [c.r for c in records].index(1.5)
+    assert 9 <= changed <= 11
+    assert [c.r for c in records] == [0.5] * changed + [1.5] * (40 - changed)
+    assert [c.reference_n for c in records] == [0] * changed + [51] * (40 - changed)
+    assert _outcome(bench) is OutcomeCode.COMPLETE
+
+
+@pytest.mark.parametrize("r", [0.4, 2.1, nan])
+def test_a_reference_that_was_not_rehearsed_is_refused(r: float) -> None:
+    bench = _begun(r=[0.5] * 20 + [2.0] * 20)
+    bench.order(_reference(bench, r))
+    bench.run_for(50 * TS_MS)
+
+    assert "was not rehearsed: this run allows 0.5 to 2" in bench.of(Answer)[-1].error
+    assert [c.r for c in bench.of(pipe.Control)] == [0.5] * 20 + [2.0] * 20
+
+
+def test_a_reference_without_a_law_is_refused() -> None:
+    bench = Bench(Config())
+    bench.run_for(50)
+    bench.arm()
+    bench.order(_reference(bench, 1.0))
+    bench.run_for(TS_MS)
+
+    assert "no law controls the rig" in bench.of(Answer)[-1].error
+
+
 def test_a_run_in_control_is_decided_again_from_its_trace() -> None:
-    bench = _begun(replace(LAW, turning=(True,), channels=(0,)))
+    reference = [0.5, *LONG[1:]]
+    bench = _begun(replace(LAW, turning=(True,), channels=(0,)), r=reference)
+    bench.run_for(9 * TS_MS)
+    bench.order(_reference(bench, 0.7))
     bench.ports.from_device = _without(wire.Sample, first=2)
     bench.run_for(500 * TS_MS)
+    assert bench.of(pipe.Control)[-1].r == 0.7
 
     chunks = bench.of(Trace)
-    state = trace.restored(chunks[0].state, pack(f"<{len(LONG)}d", *LONG))
+    state = trace.restored(chunks[0].state, pack(f"<{len(LONG)}d", *reference))
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
         state, actions = core_step.step(state, step.now_ns, step.events)
         assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent

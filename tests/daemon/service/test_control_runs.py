@@ -131,6 +131,7 @@ def test_another_law_or_reference_is_found_by_its_hash(
         ({"k": np.arange(300) + 1_000_000}, "reference has 300 values"),
         ({"r": np.zeros(300)}, "is not the attached one"),
         ({"u": np.zeros(300)}, "is not that of the law"),
+        ({"reference_n": np.repeat([0, 7], [100, 200])}, "is not the attached one"),
     ],
 )
 def test_a_decision_that_differs_from_the_samples_fails_verification(
@@ -144,6 +145,19 @@ def test_a_decision_that_differs_from_the_samples_fails_verification(
 
     assert result.level == "unusable"
     assert part in result.text
+
+
+def test_a_reference_that_a_command_has_set_passes_verification(path: Path) -> None:
+    recording, run = armrig.load(path), control_run(armrig.load(path))
+    assert run is not None
+    changes = {
+        "r": np.array(STEP[:200] + [3.0] * 100),
+        "reference_n": np.repeat([0, 7], [200, 100]),
+    }
+    changed = type(run)(**{name: getattr(run, name) for name in type(run).__slots__} | changes)
+
+    assert check_control(recording, changed, np.array(STEP)).level == "good"
+    assert "2 to 4 rad/s, set by 1 command" in changed.summary
 
 
 def test_the_same_law_has_the_same_hash_for_whole_and_decimal_numbers() -> None:

@@ -64,7 +64,7 @@ _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # costs in the budget; measur
 # Bytes that a parsed message takes in addition to its payload; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 _OVERHEADS |= {"control": 900}
-_DECISION = ("k", "r", "v", "u_v", "is_low", "is_high", "is_slewed", "predicted")
+_DECISION = ("k", "r", "v", "u_v", "is_low", "is_high", "is_slewed", "predicted", "reference_n")
 READ = tuple(stream for stream in STREAMS if stream != "control")
 """Streams read by default. A replay also needs the stream `trace`, the core's steps, and `control`
 has a message for each sample."""

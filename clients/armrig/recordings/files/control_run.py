@@ -13,6 +13,7 @@ from armrig_core.recording_file.manifest import CONTROLLER
 from numpy.typing import NDArray
 
 from armrig.data.columns import Vector
+from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import Mask
 from armrig.recordings.decisions import DecisionCounts
 from armrig.recordings.files.loading import beginning
@@ -42,6 +43,8 @@ class ControlRun:
     """True if the change of the voltage was limited."""
     predicted: NDArray[np.int64]
     """Number of samples that had not arrived, and that the law predicted."""
+    reference_n: NDArray[np.int64]
+    """Number of the command that set r; 0 for the reference with which the run began."""
 
     @property
     def counts(self) -> DecisionCounts:
@@ -57,6 +60,7 @@ class ControlRun:
             "monitored": self.law.monitor is not None,
             "method": printable(str(self.law.design.get("method", ""))[:_MAX_METHOD]),
             "reference": [float(self.r.min()), float(self.r.max())] if self.k.size else [],
+            "references_set": np.unique(self.reference_n[self.reference_n > 0]).size,
             "decisions": counts.decisions,
             "limited_share": counts.limited / count,
             "slewed_share": counts.slewed / count,
@@ -77,6 +81,8 @@ class ControlRun:
         if self.k.size:
             low, high = facts["reference"]
             text += f", {r.name} {low:.4g} to {high:.4g} {r.unit}"
+        if changed := facts["references_set"]:
+            text += f", set by {plural(changed, 'command')}"
         return f"{text}{'' if facts['monitored'] else ', without a monitor'}; {self.shares}"
 
 
@@ -127,6 +133,7 @@ def control_run(recording: Recording) -> ControlRun | None:
         is_high=found["is_high"].astype(np.bool_),
         is_slewed=found["is_slewed"].astype(np.bool_),
         predicted=found["predicted"].astype(np.int64),
+        reference_n=found["reference_n"].astype(np.int64),
     )
 
 

@@ -407,22 +407,26 @@ def _reference(
 ) -> Vector | None:
     """Return the reference at each row of a run in control; None if the reference is not known.
 
-    The reference of a law is attached; that of a client's controller is in its decisions.
+    The reference with which a law begins is attached. That of a client's controller, and of a law
+    after the command `set_reference`, is in the decisions.
     """
     if manifest.controller_sha256 is msgspec.UNSET:
         return None
     k = rows.k_first + np.arange(rows.N)
     with suppress(DamageError):
-        if manifest.controller_sha256 == "":
-            found = law_decisions(paths)
-            r, row = found["r"], np.searchsorted(found["k"], k, side="right") - 1
-        elif content.input and content.input_sha256:
-            r = read_input(paths[0], content.input, manifest.samples)
-            row = k - max(manifest.k_first, 0)
-        else:
+        decisions = law_decisions(paths)
+        decided, decision = decisions["r"], np.searchsorted(decisions["k"], k, side="right") - 1
+        if not decided.size:
             return None
-        if r.size and np.isfinite(r).all():
-            return np.asarray(r[np.clip(row, 0, r.size - 1)])
+        r = decided[np.maximum(decision, 0)]
+        if manifest.controller_sha256 and content.input and content.input_sha256:
+            attached = read_input(paths[0], content.input, manifest.samples)
+            row = np.clip(k - max(manifest.k_first, 0), 0, attached.size - 1)
+            is_set = decisions["reference_n"][np.maximum(decision, 0)] > 0
+            r = np.where(is_set, r, attached[row])
+        elif manifest.controller_sha256:
+            return None
+        return r if np.isfinite(r).all() else None
     return None
 
 

@@ -298,7 +298,12 @@ def check_control(r: Recording, run: ControlRun | OwnControlRun, reference: Vect
     at = run.k - r.manifest.k_first
     if reference.size != r.manifest.samples or ((at < 0) | (at >= reference.size)).any():
         return unusable("input", f"the attached reference has {plural(reference.size, 'value')}")
-    if (other := reference[at] != run.r).any():
+    expected = reference[at]
+    if isinstance(run, ControlRun):
+        same_command = np.append(False, np.diff(run.reference_n) == 0)  # it set one value
+        before = np.where(same_command, np.append(np.nan, run.r[:-1]), run.r)
+        expected = np.where(run.reference_n > 0, before, expected)
+    if (other := expected != run.r).any():
         k = run.k[other.argmax()]
         return unusable("input", f"the reference at k={k} is not the attached one")
     _, decisions, samples = np.intersect1d(run.k, r.samples["k"], return_indices=True)
