@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import typer
 from armrig_core.process.options import Commands, argument, chosen, group, option
 
@@ -68,6 +69,19 @@ class Settings:
         names="--Ts S",
     )
     draws: int = chosen(500, "Number of draws of the model's parameters.", "500", min=0)
+    overshoot: float | None = chosen(
+        None, "Requirement: largest overshoot of a step, in percent.", names="--overshoot PERCENT"
+    )
+    settling: float | None = chosen(
+        None, "Requirement: longest 5 % settling time of a step, in s.", names="--settling S"
+    )
+
+    def requirement(self) -> dict[str, float]:
+        """Return the requirement on a step, for the file of the law."""
+        from armrig.control.requirement import Requirement
+
+        bounds = {"overshoot": self.overshoot, "settling": self.settling}
+        return Requirement(**{name: x for name, x in bounds.items() if x is not None}).facts
 
     def of_model(self) -> dict[str, Any]:
         """Return the arguments that `check_law` has, too."""
@@ -310,16 +324,15 @@ def _design(
     check_plot(out.plot, [model])
     fit = armrig.load_fit(model)
     data = _data(common.validate, fit)
+    requirement = common.requirement()
+    files = {"model": str(model)} | ({"rig": str(common.rig_file)} if common.rig_file else {})
+    facts = {"files": files} | ({"requirement": requirement} if requirement else {})
     with spinner("designing"):
         law: ControlLaw = of(fit, **own, **common.of_design(), validation=data)
+        law = msgspec.structs.replace(law, design=law.design | facts)
         judged = armrig.check_law(
             law, fit, draws=common.draws, validation=data, **common.of_model()
         )
-    files = {"model": str(model)} | ({"rig": str(common.rig_file)} if common.rig_file else {})
-    law = type(law)(
-        **{name: getattr(law, name) for name in law.__struct_fields__ if name != "design"},
-        design=law.design | {"files": files},
-    )
     _show(judged, law, out, output)
 
 

@@ -27,7 +27,8 @@ from armrig.control.loop import (
     simulate,
     tracked,
 )
-from armrig.control.plant import DesignModel, Plant, design_model
+from armrig.control.plant import DesignModel, Plant, design_model, doubts_about
+from armrig.control.requirement import requirement_of
 from armrig.models.state_space import Complex, Matrix, Vector
 from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import drawn_by
@@ -152,8 +153,13 @@ class LawCheck:
         return float(low), float(high)
 
     @property
+    def latest(self) -> dict[str, float]:
+        """Upper end of the band of overshoot and settling, by name."""
+        return {name: self.band(name)[1] for name in ("overshoot", "settling")}
+
+    @property
     def verdict(self) -> str:
-        """Two lines, and a line of doubts before them if there are any."""
+        """Two lines, a line of doubts before them if there are any, and the requirement."""
         worst = (
             {"the draws": float(np.quantile(self.draws["Ms"], 0.975, method="higher"))}
             if len(self.draws["Ms"])
@@ -177,6 +183,8 @@ class LawCheck:
             f"Phase margin {phase}°, gain margin {gain}, delay margin {delay}; overshoot "
             f"{overshoot} %, 5 % settling {settling}."
         )
+        if requirement := requirement_of(self.law.design):
+            lines.append(requirement.sentence(self.latest, "The step on the model"))
         if self.doubts:
             lines.insert(0, f"In doubt: {'; '.join(self.doubts)}.")
         return "\n".join(lines)
@@ -269,9 +277,7 @@ def check_law(
     if law.input != design.input:
         raise InputError(f"the law drives {law.input}, and the model's input is {design.input}")
     matrices = LawMatrices.of(law, [o.name for o in design.outputs])
-    doubts = design.doubts
-    if law.design.get("model_sha256", design.sha256) != design.sha256:
-        doubts += ("the law was designed on another model",)
+    doubts = doubts_about(law.design, design, validation)
     if law.monitor is None:
         doubts += ("the law has no monitor: it runs only with unmonitored=True (--unmonitored)",)
     plants = [p for p in design.draw(draws) if np.isfinite(p.A).all() and np.isfinite(p.B).all()]

@@ -20,7 +20,8 @@ from armrig_core.rig.volts import code_of, volts_of
 from numpy.typing import NDArray
 
 from armrig.control.loop import tracked
-from armrig.control.plant import DesignModel, Plant, design_model
+from armrig.control.plant import DesignModel, Plant, design_model, doubts_about
+from armrig.control.requirement import requirement_of
 from armrig.models.state_space import Matrix, Vector
 from armrig.numerics.quantities import digits, plural
 from armrig.plots.layout import drawn_by
@@ -148,6 +149,15 @@ class LoopComparison:
         )
 
     @property
+    def worst_step(self) -> dict[str, float]:
+        """Largest measured overshoot and settling of all steps, by name; NaN without a step."""
+        measured = [one for one, _ in self.steps()]
+        return {
+            name: max((getattr(one, name) for one in measured), default=nan)
+            for name in ("overshoot", "settling")
+        }
+
+    @property
     def verdict(self) -> str:
         """Deviation of the run from its prediction, and its steps; a line of doubts comes first."""
         r, share = self.law.reference, 100 * self.deviation / self.height
@@ -167,12 +177,15 @@ class LoopComparison:
         lines.append(
             f"The input is at its limit in {digits(100 * self.limited_share, 2)} % of the samples."
         )
+        if (requirement := requirement_of(self.law.design)) and self.steps():
+            lines.insert(0, requirement.sentence(self.worst_step, "The run"))
         if self.doubts:
             lines.insert(0, f"In doubt: {'; '.join(self.doubts)}.")
         return "\n".join(lines)
 
     def facts(self) -> dict[str, Any]:
         """Return the figures by name, for programs."""
+        requirement = requirement_of(self.law.design)
         return {
             "recording": self.source,
             "law_sha256": self.law.sha256,
@@ -186,6 +199,8 @@ class LoopComparison:
                 {name: _fields(figures) for name, figures in zip(_WHICH, pair, strict=True)}
                 for pair in self.steps()
             ],
+            "requirement": requirement.facts if requirement else None,
+            "missed": requirement.misses(self.worst_step) if requirement else [],
             "doubts": [*self.doubts],
         }
 
@@ -276,9 +291,7 @@ def compare_loop(
             f"the law uses {missing[0]}, and the model has {', '.join(names)}: give the model that "
             "the law was designed on"
         )
-    doubts = design.doubts
-    if law.design.get("model_sha256", design.sha256) != design.sha256:
-        doubts += ("the law was designed on another model",)
+    doubts = doubts_about(law.design, design, validation)
     r, u = _of_decisions(run)
     i, is_rate = tracked(law, design)
     plants = [design.plant, *design.draw(draws)]

@@ -11,7 +11,7 @@ is fixed by construction is the first state: x_1[k+1] = x_1[k] + B_1 u[k-d], exa
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from armrig_core.control.control_law import MAX_TS_US, MIN_TS_US, LawOutput
 from armrig_core.errors import InputError, InputTypeError
+from armrig_core.process.printable import printable
 from armrig_core.rig.channels import COUNTS
 from armrig_core.rig.description import Description, Output, shipped
 from armrig_core.rig.volts import U_MAX_V
@@ -41,6 +42,7 @@ _STEPS = 1024
 """Number of steps of the converter."""
 _STEP = COUNTS // _STEPS
 _EXACT = 1e-9
+_MAX_DOUBT = 200  # characters of a doubt from a file
 """Largest distance from 1 of a pole that counts as exactly 1."""
 _STDS = 3.0
 """Distance from 1, in standard deviations, of a free pole that may be an integrator."""
@@ -287,6 +289,19 @@ def _check_rig(facts: dict[str, Any], rig: Description) -> None:
                 f"the model's output is {name} in {unit or 'no unit'}, and the rig {rig.rig.name} "
                 f"has {known}: this is a model of another rig"
             )
+
+
+def doubts_about(facts: Mapping[str, Any], design: DesignModel, validation: Any) -> tuple[str, ...]:
+    """Return the doubts about a law that has the facts `facts` of its design, on a model.
+
+    Without validation data, those of the law's design hold, if it has the same model.
+    """
+    if facts.get("model_sha256", design.sha256) != design.sha256:
+        return (*design.doubts, "the law was designed on another model")
+    doubts = facts.get("doubts")
+    if validation is not None or not isinstance(doubts, list):
+        return design.doubts
+    return tuple(printable(str(doubt)[:_MAX_DOUBT]) for doubt in doubts)
 
 
 def _validation_doubts(model: Any, validation: Any) -> list[str]:

@@ -13,6 +13,7 @@ from armrig_core.commands.commands import rehearsal_sentence
 from armrig import plots
 from armrig.control.law_check import LawCheck, check_law
 from armrig.control.loop_comparison import LoopComparison, StepFigures, compare_loop
+from armrig.control.requirement import requirement_of
 from armrig.models.equation import typst_form
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import digits, plural
@@ -71,10 +72,30 @@ def control_contents(study: ControlStudy) -> Contents:
             points=tuple(emulation(study.recordings)),
         ),
         sections=numbered(
-            (_result(study), _model(study), _design(study), _robustness(study)),
+            (
+                *_requirement(study),
+                *(section(study) for section in (_result, _model, _design, _robustness)),
+            ),
             appendix=(_recording(study),),
         ),
     )
+
+
+def _requirement(study: ControlStudy) -> list[Section]:
+    """Return the section with the requirement of the law's file; [] without a requirement."""
+    requirement = requirement_of(study.comparison.law.design)
+    if requirement is None:
+        return []
+    measured = study.comparison.worst_step
+    table = Table(
+        caption="Requirement on a step of the reference. The prediction is the upper end of the "
+        "95 % band over draws of the model, without limits of the voltage; the measurement is the "
+        "worst step of the run.",
+        header=("", "at most", "predicted", "measured"),
+        rows=tuple(requirement.rows(study.check.latest, measured)),
+    )
+    sentence = requirement.sentence(measured, "The run")
+    return [Section(title="Requirement", paragraphs=(plain(sentence),), tables=(table,))]
 
 
 def _result(study: ControlStudy) -> Section:
@@ -168,6 +189,7 @@ def _design(study: ControlStudy) -> Section:
         ("monitor", f"{plural(len(monitor.x0), 'state')}" if monitor else "none"),
     ]
     settings = {k: v for k, v in law.design.items() if k not in _ELSEWHERE}
+    settings |= {k: _poles(v) for k, v in settings.items() if k == "poles"}
     facts += [(plain(k), plain(_text(v))) for k, v in settings.items() if _text(v)]
     gains = {k: v for k, v in law.design.get("gains", {}).items() if isinstance(v, int | float)}
     facts += [(f"gain {plain(k)}", _text(v)) for k, v in gains.items()]
@@ -191,9 +213,23 @@ def _design(study: ControlStudy) -> Section:
     )
 
 
-_ELSEWHERE = frozenset({"method", "model_sha256", "doubts", "files", "margins", "gains"})
+_ELSEWHERE = frozenset(
+    {"method", "model_sha256", "doubts", "files", "margins", "gains", "requirement"}
+)
 """Facts of a design that other parts of the report show."""
 _MAX_LENGTH = 80  # characters of a setting
+
+
+def _poles(pairs: Any) -> str:
+    """Return poles of a law's file as text, a conjugate pair once; "" if they are no poles."""
+    try:
+        poles = [(float(real), float(imag)) for real, imag in pairs]
+    except (TypeError, ValueError):
+        return ""
+    texts = [
+        f"{real:.4g} ± {imag:.4g}i" if imag else f"{real:.4g}" for real, imag in poles if imag >= 0
+    ]
+    return f"{', '.join(texts)} rad/s"[:_MAX_LENGTH]
 
 
 def _text(value: Any) -> str:

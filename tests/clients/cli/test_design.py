@@ -74,3 +74,15 @@ def test_check_reads_the_model_that_the_law_names(
     Path("model.json").unlink()
     assert main(["design", "check", "lqg.json"]) == 1
     assert "model.json: No such file" in capsys.readouterr().err
+
+
+def test_a_requirement_is_part_of_the_law(
+    model: armrig.Fit, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["design", "pid", "model.json", "--draws", "20", "--settling", "0.05"]
+    assert main(line) == 0
+    assert "misses the requirement (5 % settling at most 0.05 s)" in capsys.readouterr().out
+    assert armrig.load_law("law.json").design["requirement"] == {"settling": 0.05}
+
+    assert main([*line, "--overshoot=-1"]) == 1
+    assert "--overshoot -1: must be 0 % or more" in capsys.readouterr().err
