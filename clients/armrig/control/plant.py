@@ -195,6 +195,7 @@ def _on_rig(
         if facts["input_unit"] == rig.input.unit:
             scale, offset = rig.input.per_volt, float(rig.input.volts(offset))
         described = [rig.outputs[name] for name in names]
+        units = [o.unit for o in described]  # also of a system of python-control, without units
         ranges = [(o.low, o.high) for o in described]
         rates = [o.rate or rate for o, rate in zip(described, rates, strict=True)]
         turning = [o.turning for o in described]

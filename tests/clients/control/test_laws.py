@@ -11,6 +11,7 @@ import pytest
 from armrig.control.loop import LawMatrices, closed_loop, simulate
 from armrig.control.plant import design_model
 from armrig_core.control.control_law import ControlLaw
+from armrig_core.rig.description import shipped
 
 from tests.clients.control import plants
 
@@ -109,6 +110,13 @@ def test_the_law_of_the_arm_is_that_of_the_design_notes() -> None:
     np.testing.assert_allclose(np.array(law.C)[1:4], [10.43, -0.450, -0.230], rtol=6e-3)
     assert law.C[4] == -1.0
     assert law.F is not None
+
+
+def test_a_law_of_a_system_without_units_has_those_of_its_rig() -> None:
+    law = armrig.place(ARM, POLES, rate=True, Ts=0.01)
+
+    assert [output.unit for output in law.outputs] == ["rad", "rad"]
+    law.check_rig(shipped("arm"), law.Ts_us, 0.0, 5.0)
 
 
 def test_with_a_dead_time_the_poles_are_exact_and_the_others_are_faster() -> None:
