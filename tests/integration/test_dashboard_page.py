@@ -287,6 +287,13 @@ def test_a_run_in_control_shows_its_reference_until_the_space_bar_ends_it(
         until(page, lambda: page.is_enabled("#run"))
         page.click("#run")
         until(page, lambda: text(page, "#value-r") == "115 °/s")
+        assert text(page, "#new-r-range") == "2 to 3 rad/s"
+        page.fill("#new-r", "2.5")
+        page.click("#new-reference button")
+        until(page, lambda: text(page, "#value-r") == "143 °/s")
+        page.fill("#new-r", "9")
+        page.keyboard.press("Enter")
+        until(page, lambda: "r = 9 was not rehearsed" in text(page, "#running-told"))
         until(page, lambda: "input at its limit in" in text(page, "#shares"))
         until(page, lambda: page.evaluate(_CHARTS_WITH_RED) == [0])
         assert page.locator("img").count() == 0

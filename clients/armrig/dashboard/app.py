@@ -64,6 +64,10 @@ class _Noted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     text: str
 
 
+class _Reference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    r: float
+
+
 class RigRoutes:
     """Routes of the live rig for one listening socket, which has its own token."""
 
@@ -107,6 +111,7 @@ class RigRoutes:
                     ("release", lambda _: {"released": self._driver.release()}),
                     ("reset", lambda _: {"was_latched": self._driver.reset()}),
                     ("note", self._note),
+                    ("reference", self._set_reference),
                     ("preview", self._preview),
                     ("laws", self._laws),
                 )
@@ -133,6 +138,10 @@ class RigRoutes:
     def _note(self, body: bytes) -> Any:
         asked = msgspec.json.decode(body, type=_Noted)
         return {"recorded": self._driver.note(asked.text, asked.owner)}
+
+    def _set_reference(self, body: bytes) -> Any:
+        self._driver.set_reference(msgspec.json.decode(body, type=_Reference).r)
+        return {"sent": True}
 
     def _preview(self, body: bytes) -> Any:
         asked = msgspec.json.decode(body, type=Experiment)

@@ -7,8 +7,10 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from math import inf
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import msgspec
@@ -25,6 +27,8 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True):
 
     experiment: str = ""
     is_going: bool = False
+    reference: str = ""
+    """Values of r that a run under a law allows, with their unit; "" for another run."""
     done: int = 0
     total: int = 0
     told: str = ""
@@ -53,6 +57,7 @@ class Driver:
         self._stopping = threading.Lock()
         self._stopped: tuple[float, str] = (-inf, "")  # time and name of the last stop
         self._runner = ThreadPoolExecutor(1, thread_name_prefix="run")
+        self._references: SimpleQueue[float] = SimpleQueue()
         self.run = RunState()
         """The newest run of this page."""
 
@@ -87,13 +92,33 @@ class Driver:
         """
         if not self._one.acquire(blocking=False):
             raise BusyDriverError(_BUSY)
-        before, self.run = self.run, RunState(experiment=plan.experiment, is_going=True)
+        begun = RunState(
+            experiment=plan.experiment, is_going=True, reference=_allowed_references(plan)
+        )
+        before, self.run, self._references = self.run, begun, SimpleQueue()
+        plan = replace(plan, new_reference=self._new_reference)
         try:
             self._runner.submit(self._played, plan, asked_s)
         except RuntimeError as err:
             self.run = before
             self._one.release()
             raise BusyDriverError(_ENDS) from err
+
+    def set_reference(self, r: float) -> None:
+        """Let the current run under a law follow another reference: see `Rig.set_reference`.
+
+        `run.told` has the reason if the daemon refuses the reference.
+
+        Raises BusyDriverError if no run of this page is under a law.
+        """
+        if not (self.run.is_going and self.run.reference):
+            raise BusyDriverError("no run of this page is under a law: start such a run first")
+        self._references.put(r)
+
+    def _new_reference(self) -> float | None:
+        with suppress(Empty):
+            return self._references.get_nowait()
+        return None
 
     def stop(self, by: str) -> None:
         """Stop the rig at 0 V, even if another client is the owner; do not wait for other commands.
@@ -209,6 +234,15 @@ class Driver:
         stopper, self._stopper = self._stopper, None
         if stopper is not None:
             stopper.__exit__()
+
+
+def _allowed_references(plan: Plan) -> str:
+    """Return the values of r that the run of a plan allows, as text; "" without a law."""
+    if plan.law is None:
+        return ""
+    levels = [plan.details[name] for name in ("low", "high") if name in plan.details]
+    values = " to ".join(f"{level:g}" for level in levels)
+    return f"{values} {plan.law.reference.unit}".strip() or "r"
 
 
 _ENDS = "the dashboard is ending"

@@ -71,6 +71,7 @@ def _app(driver: Any, feed: Feed, *, may_command: bool) -> Starlette:
             ("note", "touched", "Ada"),
             [{"recorded": True}, {"recorded": False}],
         ),
+        ("reference", {"r": 2.5}, ("set_reference", 2.5), [{"sent": True}] * 2),
         (
             "run",
             {"owner": "Bob", "experiment": {"kind": "step", "seconds": 2.5, "name": "x"}},
@@ -99,6 +100,7 @@ def test_a_command_is_forwarded_with_all_its_fields(
         ("arm", b'{"owner": "Ada", "Ts": 0}'),
         ("arm", b'{"owner": "Ada", "ts": 0.01}'),
         ("note", b'{"owner": "%s", "text": "a"}' % (81 * b"x")),
+        ("reference", b'{"r": "fast"}'),
         ("run", b'{"owner": "Ada", "experiment": {"kind": "steps"}}'),
         ("run", b'{"owner": "Ada", "experiment": {"kind": "step", "name": "A"}}'),
         ("run", b'{"owner": "Ada", "experiment": {"kind": "step", "at": 9}}'),

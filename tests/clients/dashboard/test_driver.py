@@ -135,6 +135,11 @@ def test_a_trip_is_reported_with_the_page_s_own_button(driver: Driver, daemon: F
     )
 
 
+def test_a_reference_needs_a_run_under_a_law(driver: Driver) -> None:
+    with pytest.raises(BusyDriverError, match="no run of this page is under a law"):
+        driver.set_reference(1.0)
+
+
 def test_a_stop_reaches_a_restarted_daemon(where: str) -> None:
     driver = Driver(rig="1", connect=where)
     with FakeDaemon(where):

@@ -68,6 +68,10 @@ export function setUpControl(lookAt) {
     attempt(preview);
   });
   byId("run").addEventListener("click", () => attempt(run));
+  byId("new-reference").addEventListener("submit", (event) => {
+    event.preventDefault();
+    attempt(() => askJson("reference", { r: Number(byId("new-r").value) }));
+  });
   byId("look").addEventListener("click", () => look(byId("look").dataset.file));
   byId("arm").addEventListener("click", () => attempt(arm));
   byId("release").addEventListener("click", () => attempt(release));
@@ -246,6 +250,8 @@ export function showRun(found) {
   show("running", true);
   byId("progress").value = found.total ? found.done / found.total : 0;
   show("progress", going);
+  show("new-reference", going && Boolean(found.reference));
+  setText("new-r-range", found.reference);
   setText("running-text", runText(found));
   byId("running-text").className = found.error ? "bad-text" : "";
   setText("running-told", going ? found.told : found.verdict);
