@@ -5,13 +5,17 @@ from __future__ import annotations
 import signal
 import time
 
+import armrig
+import numpy as np
 import pytest
 from armrig.recordings.files.control_run import control_run
 from armrig.recordings.files.replay import replay
 from armrig.recordings.files.verification import verify
+from armrig.rig.replies import RefusedError
+from armrig_core.control.control_law import ControlLaw, LawOutput, Reference
 
 from tests.integration.driving import STOPPED_S, begin, outcome, recorded
-from tests.integration.processes import Bench, wait_for
+from tests.integration.processes import Bench, settled, wait_for
 
 LATE_S = 0.5
 """Allowance for a busy machine, in s; docs/safety.md has the measured times."""
@@ -66,3 +70,44 @@ def test_a_stop_ends_a_control_run_whose_recording_is_replayed(bench: Bench) -> 
     assert run.k.size >= 50
     assert verify(recording.path).passed
     assert replay(recording.path).difference == ""
+
+
+def test_references_set_during_a_run_are_recorded_with_their_numbers_and_replayed(
+    bench: Bench,
+) -> None:
+    """The first is set when the run is accepted, which is before its first sample."""
+    law = ControlLaw(
+        Ts_us=100_000, outputs=(LawOutput(name="alpha", unit="rad"),),
+        reference=Reference(name="u", unit="V", low=0, high=5),
+        A=(), B=(), C=(), D=1.0, x0=(), F=((),),
+    )  # fmt: skip
+    begun, later = [2.5], [3.5]
+    bench.emulate()
+    bench.serve()
+
+    def progress(done: int, total: int) -> None:
+        if begun:
+            with pytest.raises(RefusedError, match=r"r = 4.5 was not rehearsed: .* allows 1 to 4"):
+                rig.set_reference(4.5)
+            rig.set_reference(begun.pop())
+        elif later and 10 < done < total:
+            rig.set_reference(later.pop())
+
+    with bench.rig() as rig:
+        settled(rig)
+        rig.arm("a test", Ts=0.1)
+        path = rig.control(law, [1.0] + [4.0] * 39, progress=progress, unmonitored=True)
+
+    recording = armrig.load(path)
+    run = control_run(recording)
+    assert run is not None
+    first, second = (int(n) for n in np.unique(run.reference_n[run.reference_n > 0]))
+    assert 0 < first < second
+    assert set(run.r[run.reference_n == first]) == {2.5}
+    assert set(run.r[run.reference_n == second]) == {3.5}
+    assert ", set by 2 commands" in run.summary
+    np.testing.assert_allclose(run.u, run.r, atol=1e-4)
+    assert recording.r is not None
+    np.testing.assert_array_equal(recording.r[run.k - recording.manifest.k_first], run.r)
+    assert verify(path).passed
+    assert replay(path).difference == ""

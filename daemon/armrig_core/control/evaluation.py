@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf, isfinite, tau
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import msgspec
 from msgspec.structs import replace
@@ -17,6 +17,13 @@ from armrig_core.control import monitor as monitors
 from armrig_core.control.monitor import MonitorProgram, MonitorState
 from armrig_core.control.sums import Row, Rows, products
 from armrig_core.rig.volts import CODES_PER_V, applied_code, volts_of
+
+
+class ReferenceValues(Protocol):
+    """Reference at each sample of a run, in the unit of the law."""
+
+    def __getitem__(self, k: int, /) -> float:
+        """Return r[k]."""
 
 
 class Program(msgspec.Struct, frozen=True, kw_only=True, array_like=True, gc=False):
@@ -115,7 +122,7 @@ def observe(
     state: LawState,
     k: int,
     values: Sequence[float],
-    reference: Sequence[float],
+    reference: ReferenceValues,
     latch: Latch,
 ) -> LawState:
     """Return the state after sample k; samples between the newest one and k are missing.
@@ -128,7 +135,7 @@ def observe(
 
 
 def decide(
-    law: Program, state: LawState, k: int, reference: Sequence[float], latch: Latch
+    law: Program, state: LawState, k: int, reference: ReferenceValues, latch: Latch
 ) -> tuple[LawState, Command]:
     """Return the code for sample k; the state remembers the code, and contains no later sample.
 

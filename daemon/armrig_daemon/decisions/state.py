@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from struct import pack
 from typing import Any, NamedTuple
 
 import msgspec
 from armrig_core.commands.codes import Ending, GapCode, OutcomeCode
-from armrig_core.control.evaluation import Latch, LawState, Program
+from armrig_core.control.evaluation import Latch, LawState, Program, ReferenceValues
 from armrig_core.rig.calibration import Calibration, Potentiometer
 from armrig_core.rig.channels import Conversion
 from armrig_core.rig.emulated import EMULATOR_UID
@@ -275,29 +274,54 @@ class Lease(msgspec.Struct, frozen=True, gc=False):
     """Identity of the owner that the service has verified; empty if none was verified."""
 
 
+class ChangedReference:
+    """Reference of a run after commands that have set another one."""
+
+    __slots__ = ("_attached", "_changes")
+
+    def __init__(self, attached: memoryview[float], changes: tuple[tuple[int, float], ...]) -> None:
+        """Take the attached reference, and the first sample and r of each command."""
+        self._attached, self._changes = attached, changes
+
+    def __getitem__(self, k: int) -> float:
+        """Return r[k]: that of the newest command for this sample, or the attached one."""
+        for first, r in reversed(self._changes):
+            if k >= first:
+                return r
+        return self._attached[k]
+
+
 class Control(msgspec.Struct, frozen=True, gc=False):
     """Law of a run in control, with its reference and its state."""
 
     law: Program
     latch: Latch
     reference: bytes
-    """One float64, little-endian, for each sample."""
+    """Attached reference: one float64, little-endian, for each sample."""
     state: LawState
     r_range: tuple[float, float] = (0.0, 0.0)
     """Least and largest value of the reference that was rehearsed."""
     reference_n: int = 0
     """Number of the command that set the reference; 0 for that of the run's beginning."""
+    changes: tuple[tuple[int, float], ...] = ()
+    """References that commands have set: the first sample of each, ascending, and r. A reference
+    that no later sample needs is left out."""
 
     @property
-    def values(self) -> memoryview[float]:
+    def values(self) -> ReferenceValues:
         """Return the reference as numbers, in the order of bytes of this machine."""
-        return memoryview(self.reference).cast("d")
+        attached = memoryview(self.reference).cast("d")
+        return ChangedReference(attached, self.changes) if self.changes else attached
 
     def with_reference(self, r: float, n: int, first: int) -> Control:
-        """Return this law with the reference r, of command number n, from sample `first` on."""
-        later = len(self.reference) // 8 - first
-        reference = self.reference[: 8 * first] + pack("<d", r) * later
-        return replace(self, reference=reference, reference_n=n)
+        """Return this law with the reference r, of command number n, from sample `first` on.
+
+        The time does not depend on the length of the run, because a tick may be due.
+        """
+        earlier = [change for change in self.changes if change[0] < first]
+        in_force = max((i for i, (k, _) in enumerate(earlier) if k <= self.state.k), default=0)
+        changes = (*earlier[in_force:], (first, r))
+        return replace(self, changes=changes, reference_n=n)
 
 
 class OwnControl(msgspec.Struct, frozen=True, gc=False):

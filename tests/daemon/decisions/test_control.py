@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from armrig_core.commands.codes import OutcomeCode
-from armrig_core.control.evaluation import Program
+from armrig_core.control.evaluation import Latch, Program, begin
 from armrig_core.control.monitor import MonitorProgram
 from armrig_core.rig.volts import applied_code, code_of, volts_of
 from armrig_core.telemetry.telemetry import Sample
@@ -19,14 +19,14 @@ from armrig_daemon.decisions import control, trace
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions.faults import Id
 from armrig_daemon.decisions.outcomes import Halt
-from armrig_daemon.decisions.state import Phase, RequestKind, Send, State, Tick
+from armrig_daemon.decisions.state import Control, Phase, RequestKind, Send, State, Tick
 from armrig_daemon.pipe import Answer, Reset, RunEnded, Stop, Trace
 from armrig_protocol import messages as wire
 from armrig_protocol.decoder import feed
 from msgspec.structs import replace
 
 from tests.daemon.decision_states import LAW, Decided, awaiting, changed, control_run
-from tests.daemon.virtual_bench import MS, Bench
+from tests.daemon.virtual_bench import LEASE, MS, Bench
 
 TS_MS = LAW.Ts_us / 1000
 RAIL, MIDDLE = 65_472, 32_768
@@ -166,6 +166,39 @@ def test_a_reference_without_a_law_is_refused() -> None:
     assert "no law controls the rig" in bench.of(Answer)[-1].error
 
 
+def test_the_reference_of_a_sample_on_its_way_does_not_change() -> None:
+    """Each order has the sample at which it holds; samples before `state.k` have arrived."""
+    r = [float(k) for k in range(40)]
+    law = _control(LAW, r)
+    for arrived, first, value in ((0, 2, 50.0), (1, 3, 60.0), (1, 3, 70.0), (3, 5, 80.0)):
+        law = replace(law, state=replace(law.state, k=arrived)).with_reference(value, 7, first)
+        r[first:] = [value] * (40 - first)
+        assert [law.values[k] for k in range(arrived, 40)] == r[arrived:]
+    law = replace(law, state=replace(law.state, k=9)).with_reference(90.0, 8, 10)
+
+    assert law.changes == ((5, 80.0), (10, 90.0))
+
+
+def _control(law: Program, r: Iterable[float]) -> Control:
+    order = control_run(law, r)
+    return Control(law, Latch(), order.reference, begin(law), order.r_range)
+
+
+def test_a_reference_before_the_first_sample_is_decided_again_from_the_trace() -> None:
+    """The trace begins with the run's first tick, and the attached reference has other values."""
+    bench = Bench(Config())
+    _read(bench, MIDDLE)
+    assert not bench.arm().error
+    bench.order(control_run(LAW, [0.5, *LONG[1:]]))
+    early = pipe.SetReference(order=9, lease=LEASE, n=51, r=0.7)
+    bench.order(early, at_ns=bench.ports.now + 5 * MS)
+    bench.run_for(500 * TS_MS)
+
+    assert not any(answer.error for answer in bench.of(Answer))
+    assert [(c.r, c.reference_n) for c in bench.of(pipe.Control)] == [(0.7, 51)] * len(LONG)
+    _check_trace(bench, [0.5, *LONG[1:]])
+
+
 def test_a_run_in_control_is_decided_again_from_its_trace() -> None:
     reference = [0.5, *LONG[1:]]
     bench = _begun(replace(LAW, turning=(True,), channels=(0,)), r=reference)
@@ -175,8 +208,13 @@ def test_a_run_in_control_is_decided_again_from_its_trace() -> None:
     bench.run_for(500 * TS_MS)
     assert bench.of(pipe.Control)[-1].r == 0.7
 
+    _check_trace(bench, reference)
+
+
+def _check_trace(bench: Bench, reference: list[float]) -> None:
+    """Check that the trace and the attached reference give the same frames again."""
     chunks = bench.of(Trace)
-    state = trace.restored(chunks[0].state, pack(f"<{len(LONG)}d", *reference))
+    state = trace.restored(chunks[0].state, pack(f"<{len(reference)}d", *reference))
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
         state, actions = core_step.step(state, step.now_ns, step.events)
         assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
