@@ -172,6 +172,11 @@ class Checks:
     def _is_valid(self, order: Leased) -> bool:
         return self.lease is not None and order.lease == self.lease and order.n > self._n
 
+    @property
+    def is_by_hand(self) -> bool:
+        """Return whether each code is that of the newest `Set`: by hand, or in a run."""
+        return self.run is None or bool(self.run.reference and not self.run.law)
+
     def is_arming(self) -> bool:
         """Return whether an arming waits for its answer."""
         return any(isinstance(order, pipe.Arm) for _, order in self._given.values())
@@ -204,7 +209,8 @@ class Checks:
             return
         given_ns, order = given
         steps = answer.error.startswith("u steps by") and isinstance(order, pipe.Set)
-        if steps and abs(order.code - self.code) <= self.options.slew:
+        # In a run, of several codes before a tick the last one acts: the slew is that of the tick.
+        if steps and self.run is None and abs(order.code - self.code) <= self.options.slew:
             self._wrongly(now_ns, f"refused {order}, {answer.error}, at {self.code}")
         if answer.error:
             return
@@ -228,6 +234,7 @@ class Checks:
                 self._wrongly(now_ns, f"took {order}")
                 return
             self._n, self.code, self.command_ns = order.n, order.code, given_ns
+            self.seen["own controller: codes"] += self.run is not None
         elif isinstance(order, pipe.SetReference):
             low, high = self.run.r_range if self.run else (1.0, 0.0)
             if not self._is_valid(order) or self.law is None or not low <= order.r <= high:
@@ -300,7 +307,7 @@ class Checks:
             now_ns,
             self._session,
             self.grant if self.lease is not None else 0,
-            self.code if self.run is None else -1,
+            self.code if self.is_by_hand else -1,
             self.command_ns,
             self.step_ns - self.fresh_ns > self._age_ns,
             not self.latched,
@@ -470,7 +477,7 @@ class Checks:
         silent_ns = t_ns - self.fed_ns
         if silent_ns > self._s3_ns:
             raise Violation("S3", t_ns, f"no valid frame for {silent_ns / MS:.1f} ms")
-        if self.run is None and self._is_over(t_ns, self.command_ns):
+        if self.is_by_hand and self._is_over(t_ns, self.command_ns):
             since = t_ns - self.command_ns
             raise Violation("S2", t_ns, f"the last command was given {since / MS:.1f} ms ago")
         if self.ended_ns is not None and self._is_over(t_ns, self.ended_ns):
@@ -590,7 +597,7 @@ class Checks:
         """Note how long it took until the motor had 0 V."""
         if cause == Cause.WATCHDOG:
             self._worst(LINK_GONE, t_ns - self.fed_ns)
-        if self.reason.startswith("the lease") and self.run is None:
+        if self.reason.startswith("the lease") and self.is_by_hand:
             self._worst(COMMANDER_GONE, t_ns - self.command_ns)
         elif self.ended_ns is not None:
             self._worst("stop or trip", t_ns - self.ended_ns)

@@ -87,17 +87,20 @@ class Commander:
             return self._await(self._arm())
         if self._held and self._playing and self._r_range is not None:
             return self._another_reference(*self._r_range)
+        if self._held and self._playing and self._mode() == "own":
+            return self._set_voltage()
         if not self._held or self._playing:
             return None
         if self._mode() == "hold":
             return self._set_voltage()
         self._n += 1
         self._playing = True
-        is_control = self._mode() == "control"
+        is_control = self._mode() in ("control", "own")
         codes = [] if is_control else self.codes()
         law, reference = draw_law(self._rng, self._options) if is_control else (UNSET, UNSET)
+        law = UNSET if self._mode() == "own" else law
         self._r_range = None
-        if reference:
+        if law and reference:
             # Of a generator of its own: the schedule is the same without further references.
             self._references = Random(reference)
             values = unpack(f"<{len(reference) // 8}d", reference)

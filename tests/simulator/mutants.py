@@ -16,6 +16,7 @@ from armrig_daemon.decisions import (
     gaps,
     orders,
     output_limits,
+    own_control,
     step,
     stopping,
     transitions,
@@ -60,6 +61,7 @@ _observe, _watched, _reset = output_limits.observe, output_limits._watched, orde
 _law_decide, _law_observe, _law_outputs = evaluation.decide, evaluation.observe, evaluation._outputs
 _begin_control, _control_decide = transitions._begin_control, control.decide
 _with_reference = Control.with_reference
+_own_decide = own_control.decide
 _advance = evaluation._advance
 _alarm, _monitor_advance = monitor.alarm, monitor.advance
 
@@ -314,6 +316,11 @@ def _reference_of_the_past(law: Any, r: float, n: int, first: int) -> Any:
     return _with_reference(law, r, n, min(first, law.state.k))
 
 
+def _code_of_the_last_tick(state: Any, now_ns: int, n: int, run: Any, own: Any, i: int) -> Any:
+    after, code, done = _own_decide(state, now_ns, n, run, own, i)
+    return after, own.code if code != state.rules.rest_code else code, done
+
+
 def _one_more(*args: Any) -> Any:
     state, code, done = _control_decide(*args)
     return state, code + 1, done
@@ -342,6 +349,16 @@ def _rest(where: str, *puts: tuple[Any, str, Any]) -> Mutant:
 
 
 MUTANTS = (
+    Mutant(
+        name="own controller: its code after its lease",
+        puts=((own_control, "has_run_out", lambda *_: False),),
+        breaks=frozenset({"S2", "S5"}),
+    ),
+    Mutant(
+        name="own controller: the code before the newest",
+        puts=((own_control, "decide", _code_of_the_last_tick),),
+        breaks=frozenset({"S5"}),
+    ),
     _law("no limit", (evaluation, "decide", _no_law_limit)),
     _law("v of the last tick", (evaluation, "decide", _v_of_the_last_tick())),
     _law("a jump at the wrap", (evaluation, "_outputs", _no_turns)),

@@ -223,7 +223,9 @@ def draw(
         drawn = replace(drawn, rest=of_rest.choice(rests))
     # A law keeps rest within its limits, and its limits within those of the rig.
     if has_law and drawn.u_min <= drawn.rest:
-        modes = ["control" if of_law.random() < 0.8 else mode for mode in drawn.modes]
+        of_mode = [of_law.random() for _ in drawn.modes]
+        names = ["control" if p < 0.6 else "own" if p < 0.8 else "" for p in of_mode]
+        modes = [name or mode for name, mode in zip(names, drawn.modes, strict=True)]
         drawn = replace(drawn, modes=tuple(modes))
     return drawn
 
