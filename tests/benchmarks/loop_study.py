@@ -13,16 +13,17 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, NamedTuple
 
 import armrig
+import msgspec
 import numpy as np
 from armrig.control.loop_comparison import _rate
 from armrig.models.fit import Fit
 from armrig_core.commands.commands import Control, Run
 from armrig_core.control.control_law import ControlLaw
-from armrig_core.rig.description import Description, shipped
+from armrig_core.rig.description import Description, read_description, shipped
 from armrig_daemon.config import Config, Timing
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -46,7 +47,8 @@ class Case(NamedTuple):
     reference: tuple[float, float, int]
     """r before and after the step, in the unit of the law, and the samples of each level."""
     true: Callable[[tuple[float, ...]], float]
-    """Function of the emulator's state that returns the output that follows r, or its angle."""
+    """Function of the emulator's state, or of the outputs of own equations, that returns the output
+    that follows r, or its angle."""
     is_rate: bool
 
 
@@ -88,7 +90,62 @@ def _heater() -> Case:
     )
 
 
-CASES = {"arm": lambda: _arm(0.0), "friction": lambda: _arm(FRICTION_V), "heater": _heater}
+def _tank() -> Case:
+    """Return a tank whose outflow is that of a hole: its gain depends on the level."""
+    folder = Path(mkdtemp())
+    (folder / "tank.py").write_text(TANK_EQUATIONS)
+    (folder / "tank.toml").write_text(TANK)
+    rig = read_description(folder / "tank.toml")
+
+    def law(fit: Fit) -> ControlLaw:
+        # The linear model of the operating point is not that of an empty tank.
+        return msgspec.structs.replace(armrig.pid(fit, time_constant=30, rig=rig), monitor=None)
+
+    return Case(
+        Ts=1.0,
+        settings=EmulatorSettings(),
+        description=rig,
+        u=lambda seed: np.concatenate(
+            [np.ones(600), np.repeat(np.random.default_rng(seed).choice([0.85, 1.15], 40), 60)]
+        ),
+        fit=lambda run: armrig.oe(run.dataset("level")[600:], nb=1, nf=1, offset=True),
+        law=law,
+        reference=(15.0, 17.0, 900),
+        true=lambda state: state[0],
+        is_rate=False,
+    )
+
+
+TANK_EQUATIONS = """
+import numpy as np
+import armrig
+
+model = armrig.Ode(
+    f=lambda t, x, u, p: [0.2 * u[0] - 0.05 * np.sqrt(np.maximum(x[0], 0.0) + 1e-6)],
+    output=lambda t, x, u, p: x[0],
+    states=["level"],
+    parameters={},
+)
+"""
+TANK = """
+[rig]
+name = "tank"
+[input]
+name = "pump"
+[outputs.level]
+unit = "cm"
+per_count = 0.001
+high = 60
+valid_rail = "low"
+[model]
+file = "tank.py"
+"""
+CASES = {
+    "arm": lambda: _arm(0.0),
+    "friction": lambda: _arm(FRICTION_V),
+    "heater": _heater,
+    "tank": _tank,
+}
 
 
 def study(case: Case, seed: int, folder: Path) -> tuple[float, float, float]:
@@ -112,12 +169,15 @@ def study(case: Case, seed: int, folder: Path) -> tuple[float, float, float]:
     def watched(channel: int, now_ns: int) -> int:
         counts = reading(channel, now_ns)
         if channel == 0:
-            seen.append(case.true(board.motion(now_ns)))
+            state = board.motion(now_ns)
+            has_equations = getattr(board._rig, "_process", None) is not None
+            seen.append(case.true(board._rig._y if has_equations else state))
         return counts
 
     board.reading = watched
     reference = [low] * length + [high] * length
-    path = rig.record(Control(lease=LEASE, n=0, law=law, reference=reference))
+    request = Control(lease=LEASE, n=0, law=law, reference=reference, unmonitored=True)
+    path = rig.record(request)
     recording = armrig.load(path)
     found = armrig.compare_loop(recording, fit, draws=0)
     true = _aligned(np.array(seen), recording[recording.first])

@@ -63,6 +63,8 @@ def test_the_reference_of_each_sample_is_that_of_the_law(path: Path) -> None:
 
 
 def test_the_last_reference_holds_after_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    decisions = {"k": np.array([7.0, 8.0]), "r": np.array([1.0, 2.0]), "reference_n": np.zeros(2)}
+    monkeypatch.setattr(loading, "law_decisions", lambda _: decisions)
     monkeypatch.setattr(loading, "read_input", lambda *_: np.array([1.0, 2.0, 3.0]))
     content: Any = SimpleNamespace(input=object(), input_sha256="a")
     manifest: Any = SimpleNamespace(controller_sha256="b", k_first=7, samples=5)
@@ -70,6 +72,23 @@ def test_the_last_reference_holds_after_its_end(monkeypatch: pytest.MonkeyPatch)
 
     np.testing.assert_array_equal(
         loading._reference([Path("a.mcap")], content, manifest, rows), [2.0, 3.0, 3.0, 3.0]
+    )
+
+
+def test_a_reference_of_a_command_holds_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    decisions = {
+        "k": np.array([7.0, 8.0, 10.0]),
+        "r": np.array([1.0, 2.0, 5.0]),
+        "reference_n": np.array([0.0, 0.0, 4.0]),
+    }
+    monkeypatch.setattr(loading, "law_decisions", lambda _: decisions)
+    monkeypatch.setattr(loading, "read_input", lambda *_: np.array([1.0, 2.0, 3.0, 3.0, 3.0]))
+    content: Any = SimpleNamespace(input=object(), input_sha256="a")
+    manifest: Any = SimpleNamespace(controller_sha256="b", k_first=7, samples=5)
+    rows: Any = SimpleNamespace(k_first=7, N=5)
+
+    np.testing.assert_array_equal(
+        loading._reference([Path("a.mcap")], content, manifest, rows), [1.0, 2.0, 3.0, 5.0, 5.0]
     )
 
 
