@@ -224,7 +224,7 @@ def draw(
     # A law keeps rest within its limits, and its limits within those of the rig.
     if has_law and drawn.u_min <= drawn.rest:
         of_mode = [of_law.random() for _ in drawn.modes]
-        names = ["control" if p < 0.6 else "own" if p < 0.8 else "" for p in of_mode]
+        names = ["control" if p < 0.8 else "own" if p < 0.9 else "" for p in of_mode]
         modes = [name or mode for name, mode in zip(names, drawn.modes, strict=True)]
         drawn = replace(drawn, modes=tuple(modes))
     return drawn
