@@ -52,6 +52,16 @@ def test_the_speed_of_the_emulated_arm_follows_its_reference(path: Path) -> None
     assert (theta_1[-1] - theta_1[-101]) == pytest.approx(4.0, abs=0.05)
 
 
+def test_the_loop_closes_without_a_jump_at_its_reference(path: Path) -> None:
+    """During the prelude, the law has followed the samples and the applied voltage."""
+    run = control_run(armrig.load(path))
+    assert run is not None
+    changes = np.abs(np.diff(run.u))
+
+    assert changes[48] == 0.0
+    assert 0.0 < changes[49] < changes[60:149].max() < 0.2
+
+
 def test_a_recording_contains_law_reference_and_each_decision(path: Path) -> None:
     recording, run = armrig.load(path), control_run(armrig.load(path))
 
