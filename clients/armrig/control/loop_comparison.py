@@ -123,7 +123,8 @@ class LoopComparison:
     def steps(self) -> list[tuple[StepFigures, StepFigures]]:
         """Return the figures of each step of r after the prelude: measured, and predicted.
 
-        A step is a change of r that is held for 50 samples after 20 samples with one value.
+        A step is a change of r that is held for 50 samples after 20 samples with one value. Next
+        to missing samples, the mean deviation is interpolated.
         """
         changes = [0, *(np.flatnonzero(np.diff(self.r)) + 1).tolist(), self.r.size]
         error = self.z - self.predicted[0]
@@ -140,20 +141,22 @@ class LoopComparison:
         known = np.isfinite(share)
         outside = np.flatnonzero(known & (np.abs(share) > SETTLED))
         settled = int(outside[-1]) + 1 if outside.size else 0
+        if not known.any():
+            settled = b - a
         return StepFigures(
             at=float(self.t[a]),
             before=before,
             after=after,
-            overshoot=100 * max(float(share[known].max(initial=0.0)), 0.0),
+            overshoot=100 * float(share[known].max(initial=0.0)) if known.any() else nan,
             settling=settled * self.Ts if settled < b - a else inf,
         )
 
     @property
     def worst_step(self) -> dict[str, float]:
-        """Largest measured overshoot and settling of all steps, by name; NaN without a step."""
+        """Largest measured overshoot and settling of all steps, by name; NaN if one is unknown."""
         measured = [one for one, _ in self.steps()]
         return {
-            name: max((getattr(one, name) for one in measured), default=nan)
+            name: float(np.max([getattr(one, name) for one in measured] or [nan]))
             for name in ("overshoot", "settling")
         }
 
@@ -212,11 +215,15 @@ class LoopComparison:
 
 
 def _running_mean(x: Vector, count: int) -> Vector:
-    """Return the mean of the finite values among `count` samples around each one."""
-    known, ones = np.isfinite(x), np.ones(count)
-    number = np.convolve(known, ones, "same")
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.convolve(np.where(known, x, 0.0), ones, "same") / number)
+    """Return the mean of `count` samples around each one, interpolated where one is not finite.
+
+    The mean of fewer samples is no substitute: neighbouring errors of a rate cancel in the mean.
+    """
+    mean = np.convolve(x, np.ones(count) / count, "valid") if x.size >= count else x[:0]
+    known = np.flatnonzero(np.isfinite(mean))
+    if not known.size:
+        return np.full(x.size, nan)
+    return np.interp(np.arange(x.size), known + count // 2, mean[known])
 
 
 _WHICH = ("measured", "predicted")

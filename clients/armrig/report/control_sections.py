@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -14,6 +15,7 @@ from armrig import plots
 from armrig.control.law_check import LawCheck, check_law
 from armrig.control.loop_comparison import LoopComparison, StepFigures, compare_loop
 from armrig.control.requirement import requirement_of
+from armrig.data.columns import Vector
 from armrig.models.equation import typst_form
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import digits, plural
@@ -72,20 +74,22 @@ def control_contents(study: ControlStudy) -> Contents:
             points=tuple(emulation(study.recordings)),
         ),
         sections=numbered(
-            (
-                *_requirement(study),
-                *(section(study) for section in (_result, _model, _design, _robustness)),
-            ),
+            (section(study) for section in (_requirement, _result, _model, _design, _robustness)),
             appendix=(_recording(study),),
         ),
     )
 
 
-def _requirement(study: ControlStudy) -> list[Section]:
-    """Return the section with the requirement of the law's file; [] without a requirement."""
-    requirement = requirement_of(study.comparison.law.design)
+def _requirement(study: ControlStudy) -> Section:
+    """Return the section with the requirement of the law's file, and the aim of its design."""
+    law = study.comparison.law
+    requirement, aims = requirement_of(law.design), _aims(law.design)
+    aim = [plain(f"The design asked for {aims}.")] if aims else []
     if requirement is None:
-        return []
+        return Section(
+            title="Requirement",
+            paragraphs=("The file of the law has no requirement on a step.", *aim),
+        )
     measured = study.comparison.worst_step
     table = Table(
         caption="Requirement on a step of the reference. The prediction is the upper end of the "
@@ -95,7 +99,19 @@ def _requirement(study: ControlStudy) -> list[Section]:
         rows=tuple(requirement.rows(study.check.latest, measured)),
     )
     sentence = requirement.sentence(measured, "The run")
-    return [Section(title="Requirement", paragraphs=(plain(sentence),), tables=(table,))]
+    return Section(title="Requirement", paragraphs=(plain(sentence), *aim), tables=(table,))
+
+
+def _aims(design: Mapping[str, Any]) -> str:
+    """Return what the method of a design had to reach, as text; "" if the file has none."""
+    texts = {
+        "poles": f"poles of the loop at {_poles(design.get('poles'))}",
+        "time_constant": f"a time constant of {_text(design.get('time_constant'))} s",
+        "ms": f"the largest integral gain with Ms at most {_text(design.get('ms'))}",
+        "effort": f"the least weighted squares of error and voltage, with an effort of "
+        f"{_text(design.get('effort'))}",
+    }
+    return ", ".join(text for name, text in texts.items() if name in design)
 
 
 def _result(study: ControlStudy) -> Section:
@@ -148,13 +164,21 @@ def _settling(one: StepFigures) -> str:
 def _saturation(study: ControlStudy) -> tuple[str, ...]:
     run, law = control_run(study.run), study.comparison.law
     rehearsal = study.run.manifest.rehearsal
-    said = [f"The law may command {law.lo:g} to {law.hi:g} V."]
+    measured, predicted = map(_range, (study.comparison.u, study.comparison.predicted_u[0]))
+    said = [
+        f"The law may command {law.lo:g} to {law.hi:g} V. It commanded {measured} (predicted "
+        f"{predicted})."
+    ]
     if run is not None:
         said.append(f"{run.shares[0].upper()}{run.shares[1:]}.")
     if rehearsal is not None:
         text = rehearsal_sentence(rehearsal)
         said.append(f"{text[0].upper()}{text[1:]}.")
     return tuple(said)
+
+
+def _range(u: Vector) -> str:
+    return f"{u.min():.3g} to {u.max():.3g} V"
 
 
 def _model(study: ControlStudy) -> Section:
@@ -168,10 +192,6 @@ def _model(study: ControlStudy) -> Section:
             f"The prediction is that of a model of {names}, with $q^(-1)$ the delay by one sample "
             "and $e$ white noise:",
             f"$ {equations} $",
-        ),
-        points=(
-            f"Its parameters have the SHA-256 `{study.comparison.model_sha256}`.",
-            *([f"Its data have the SHA-256 `{model.source}`."] if model.source else []),
         ),
     )
 
@@ -274,7 +294,15 @@ def _robustness(study: ControlStudy) -> Section:
 
 
 def _recording(study: ControlStudy) -> Section:
-    run, law = study.run, study.comparison.law
+    run = study.run
+    hashes = {
+        "the recording": run.sha256,
+        "the law with its requirement": study.comparison.law.sha256,
+        "the reference": run.manifest.input_sha256,
+        "the model's parameters": study.comparison.model_sha256,
+        "the model's data": study.model.source,
+        "the rig's description": run.manifest.description_sha256,
+    }
     table = Table(
         caption="The recording.",
         header=("", "run"),
@@ -285,8 +313,8 @@ def _recording(study: ControlStudy) -> Section:
         title="Recording",
         tables=(table,),
         points=(
-            f"Recording `{run.path.name}`, SHA-256 `{run.sha256}`.",
-            f"Law, SHA-256 `{law.sha256}`.",
+            f"Recording `{run.path.name}`.",
+            *(f"SHA-256 of {name}: `{sha256}`." for name, sha256 in hashes.items() if sha256),
             *notes(study.recordings),
             f"Report by armrig {version('armrig')}.",
         ),

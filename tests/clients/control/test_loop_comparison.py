@@ -85,6 +85,31 @@ def test_a_change_that_is_not_held_is_no_step(tmp_path: Path) -> None:
     assert [(one.before, one.after) for one, _ in found.steps()] == [(2.0, 3.0)]
 
 
+@pytest.mark.parametrize(("gap", "error"), [(220, -1.4), (165, 0.0), (151, 0.0)])
+def test_noise_next_to_missing_samples_does_not_prolong_the_settling(
+    recording: armrig.Recording, gap: int, error: float
+) -> None:
+    """The mean over 15 samples is below 5 % of the step, and that over fewer is not."""
+    found = armrig.compare_loop(recording, armrig.arm(ArmParameters()), draws=0)
+    z = found.predicted[0].copy()
+    z[gap : gap + 20] = np.nan
+    z[gap + 20] += error
+
+    [(measured, model)] = replace(found, z=z).steps()
+
+    assert measured.overshoot == pytest.approx(model.overshoot, abs=0.1)
+    assert measured.settling == pytest.approx(model.settling, abs=0.02)
+
+
+def test_a_step_without_a_measured_sample_has_no_figures(recording: armrig.Recording) -> None:
+    found = armrig.compare_loop(recording, armrig.arm(ArmParameters()), draws=0)
+
+    [(measured, _)] = replace(found, z=np.full_like(found.z, np.nan)).steps()
+
+    assert np.isnan(measured.overshoot)
+    assert np.isinf(measured.settling)
+
+
 def test_a_recording_without_a_law_is_refused() -> None:
     with pytest.raises(InputError, match="is no run in control: it has no law"):
         armrig.compare_loop(armrig.example_recording(), armrig.arm(ArmParameters()))

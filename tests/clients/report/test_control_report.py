@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import armrig
@@ -14,6 +15,7 @@ from armrig_core.commands.commands import Control
 from armrig_core.errors import InputError
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
+from msgspec import structs
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +45,30 @@ def study(run: Path, model: Path) -> ControlStudy:
 def test_a_report_has_the_prediction_beside_the_run(study: ControlStudy) -> None:
     contents = control_contents(study)
 
-    result, model, design, robustness, recording = contents.sections
+    requirement, result, _, design, robustness, recording = contents.sections
+    assert requirement.paragraphs == (
+        "The file of the law has no requirement on a step.",
+        "The design asked for poles of the loop at -18 ± 18i, -42 rad/s.",
+    )
     [step] = result.tables[0].rows
     assert step[:2] == ("2 to 4 rad/s", "1.5 s")
     assert abs(float(step[2].split()[0]) - float(step[3].split()[0])) <= 3
     assert "by its prediction" not in contents.front.paragraphs[0]
     assert "velocity deviates from its prediction" in contents.front.paragraphs[0]
     assert contents.front.warnings[-1].startswith("In doubt: the model was not validated")
-    assert study.comparison.model_sha256 in model.points[0]
     facts = dict(design.tables[0].rows)
     assert (facts["method"], facts["states"]) == ("place", "5")
     assert robustness.tables[0].rows[0][0] == "model"
-    assert study.comparison.law.sha256 in " ".join(recording.points)
-    assert study.run.sha256 in " ".join(recording.points)
+    assert result.points[0].startswith("The law may command 0 to 5 V. It commanded ")
+    hashed = " ".join(recording.points)
+    for sha256 in (
+        study.comparison.law.sha256,
+        study.comparison.model_sha256,
+        study.model.source,
+        study.run.sha256,
+        study.run.manifest.input_sha256,
+    ):
+        assert f"`{sha256}`" in hashed
 
 
 def test_a_law_without_a_monitor_is_a_warning(study: ControlStudy) -> None:
@@ -71,7 +84,30 @@ def test_a_law_without_a_monitor_is_a_warning(study: ControlStudy) -> None:
     )
 
     assert contents.front.warnings[-1] == "The law has no monitor."
-    assert "The law has no prelude." in contents.sections[0].paragraphs[0]
+    assert "The law has no prelude." in contents.sections[1].paragraphs[0]
+
+
+@pytest.mark.parametrize(
+    ("design", "aim"),
+    [
+        ({"time_constant": 0.5}, "a time constant of 0.5 s"),
+        ({"ms": 1.6}, "the largest integral gain with Ms at most 1.6"),
+        ({"effort": 0.1}, "squares of error and voltage, with an effort of 0.1"),
+        ({}, ""),
+    ],
+)
+def test_the_requirement_names_the_aim_of_the_design(
+    study: ControlStudy, design: dict[str, float], aim: str
+) -> None:
+    law = structs.replace(study.comparison.law, design=design | {"requirement": {"settling": 1.0}})
+    comparison = replace(study.comparison, law=law)
+
+    requirement = control_contents(replace(study, comparison=comparison)).sections[0]
+
+    assert requirement.tables[0].rows[0][:2] == ("5 % settling", "1 s")
+    assert requirement.paragraphs[0].startswith("The run meets the requirement")
+    assert " ".join(requirement.paragraphs[1:]).endswith(f"{aim}." if aim else "")
+    assert len(requirement.paragraphs) == 1 + bool(aim)
 
 
 def test_the_command_writes_a_report_of_at_most_six_pages(
