@@ -178,7 +178,7 @@ def _saturation(study: ControlStudy) -> tuple[str, ...]:
 
 
 def _range(u: Vector) -> str:
-    return f"{u.min():.3g} to {u.max():.3g} V"
+    return f"{digits(u.min(), 3)} to {digits(u.max(), 3)} V"
 
 
 def _model(study: ControlStudy) -> Section:
