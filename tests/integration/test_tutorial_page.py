@@ -23,6 +23,9 @@ from armrig.cli import main
 from armrig.cli.recorded_data import recording_path
 from armrig.recordings.usability import all_doubts
 from armrig.report.document import MOST_PAGES
+from armrig_core.commands.commands import Control
+from armrig_daemon.config import Config
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
 
 from tests.clients import pages
 
@@ -32,6 +35,8 @@ BLOCKS: list[tuple[str, str]] = re.findall(r"```(sh|toml|python|text)\n(.*?)```"
 SHORTER = dict(re.findall(r'<!-- the test has "(.+?)" as "(.+?)" -->', TEXT))
 LIVE = ("lab", "status", "calibrate", "collect")
 INSTALLED = ("python3 ", ". ", "pip ")
+CONTROL = "armrig collect control law.json --reference step --low 2 --high 4 --name loop"
+STEP: dict[str, Any] = {"experiment": "control-loop", "reference": [2.0] * 150 + [4.0] * 150}
 
 
 def _shorter(text: str) -> str:
@@ -69,6 +74,9 @@ def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
             if line.startswith("armrig ") and line.split()[1] not in LIVE:
                 assert main(shlex.split(_shorter(line))[1:]) == 0, line
                 commands += 1
+            if line.startswith(CONTROL):
+                loop = Control(lease=LEASE, n=0, law=armrig.load_law("law.json"), **STEP)
+                VirtualService(Config(), recorded, seed=1).record(loop)
         said = capsys.readouterr()
         printed += [*said.out.splitlines(), *said.err.splitlines()]
         if language == "text" and not text.startswith("motor_rad"):
@@ -76,7 +84,7 @@ def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
                 _assert_printed(line, printed)
                 compared += 1
 
-    assert (commands, compared) == (20, 29)
+    assert (commands, compared) == (23, 30)
     count = re.search(rb"/Type/Pages/Count (\d+)", (recorded.parent / "report.pdf").read_bytes())
     assert count is not None
     assert 3 < int(count[1]) <= MOST_PAGES
@@ -133,18 +141,24 @@ def test_every_line_that_needs_a_rig_is_a_valid_command(lab: Lab) -> None:
         if language == "toml":
             Path("chassis.toml").write_text(text)
         if language == "python" and "Rig(" in text:
-            lab.start("armrig lab")
             exec(compile(_shorter(text), str(PAGE), "exec"), names)
         for line in text.splitlines() if language == "sh" else ():
             if line.startswith(INSTALLED) or line.split()[1] not in LIVE:
                 continue
+            if line == CONTROL:
+                arm = armrig.arm(armrig.ArmParameters())
+                law = armrig.place(arm, [-18 + 18j, -18 - 18j, -42], rate=True, Ts=0.01)
+                Path("law.json").write_bytes(law.text)
             if line.split()[1] == "lab":
                 lab.start(line)
             else:
                 said.append(_run(_shorter(line)))
             done.append(line.split()[1])
 
-    assert done == ["lab", "status", "calibrate", "collect", "collect", "lab", "collect"]
+    assert done == [
+        *("lab", "status", "calibrate", "collect", "collect"),
+        *("lab", "collect", "lab", "collect"),
+    ]
     (shown,) = (text for _, text in BLOCKS if text.startswith("motor_rad_per_s_v"))
     (measured,) = (line for line in "".join(said).splitlines() if line.startswith(shown.split()[0]))
     assert pages.numbers(measured)[0] == pytest.approx(pages.numbers(shown)[0], rel=0.01)
@@ -155,7 +169,8 @@ def test_every_line_that_needs_a_rig_is_a_valid_command(lab: Lab) -> None:
     files = sorted(path.name.split("-2")[0] for path in names["path"].parent.glob("*.mcap"))
     assert files == [
         *("1-blackbox-monday", "1-blackbox-tuesday", "1-blackbox-validation-monday"),
-        *("1-calibrate-rest", "1-calibrate-turns", "1-greybox-chassis", "1-step-first"),
+        *("1-calibrate-rest", "1-calibrate-turns", "1-control-loop"),
+        *("1-greybox-chassis", "1-step-first"),
     ]
 
 
