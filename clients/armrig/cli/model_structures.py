@@ -8,8 +8,8 @@ import typer
 from armrig_core.process.options import Group, option, parameter
 
 import armrig
-from armrig.cli.printing import estimating, too_high
-from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
+from armrig.cli.printing import estimating
+from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag, too_high
 from armrig.models.structure_table import (
     COUNTED,
     OFFERED,

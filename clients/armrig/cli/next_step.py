@@ -20,7 +20,7 @@ from msgspec import structs
 
 from armrig.cli.recorded_data import SignalChoice, from_arm, from_recording, has_level
 from armrig.data.files import RECORDING
-from armrig.estimation.request import OPTIONS, Request, flag
+from armrig.estimation.request import Request, options_of
 from armrig.models.structure_table import STRUCTURES
 
 if TYPE_CHECKING:
@@ -387,15 +387,6 @@ def after_validate(
     part = SignalChoice(calibration=signals.calibration, start=signals.start, stop=signals.stop)
     values = {"file": typed(file), "estimation": estimation, "model": quote(str(model))}
     say_next(name, **values, given=channel.options(data), part=part.options())
-
-
-def options_of(request: Request) -> str:
-    """Return the options of `armrig identify` for a request."""
-    asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
-    values = {name: x for name, x in (request.counts | asked).items() if x is not None}
-    flags = {name: x is True or isinstance(x, tuple) for name, x in values.items()}
-    given = [flag(name) if flags[name] else f"{flag(name)} {x}" for name, x in values.items()]
-    return " ".join([f"--structure {request.structure}", *given])
 
 
 def options_after(found: Found, findings: Sequence[Finding]) -> str:

@@ -14,9 +14,11 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
-from armrig_core.errors import InputError, OperationError
+from armrig_core.errors import OperationError
 from armrig_core.process.journal import log_prefix
 from armrig_core.process.printable import brief, json_printable, printable, with_degrees
+
+from armrig.estimation.request import too_high
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -330,8 +332,3 @@ def remaining(done: int, total: int, elapsed_s: float) -> str:
     left_s = elapsed_s / done * (total - done)
     told += f", {digits(done / elapsed_s, 2)}/s, about "
     return told + (f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min")
-
-
-def too_high(orders: str) -> InputError:
-    """Return the error for orders that are too high."""
-    return InputError(f"the orders are too high for these data: lower {orders}")

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
-from math import ceil
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
@@ -23,7 +22,9 @@ from armrig.cli.printing import inform, say, spinner, tell, tell_findings, warne
 from armrig.cli.results import name_runs
 from armrig.data.files import OTHER_DATA, RECORDING
 from armrig.data.finding import few_samples
+from armrig.data.level import far_from_zero
 from armrig.data.step import DOUBT, MEAN, OTHER_INPUTS, codes_of
+from armrig.data.time_range import between
 from armrig.numerics.quantities import listed, plural
 
 if TYPE_CHECKING:
@@ -133,8 +134,6 @@ UNNAMED = ("", "y")
 _FIRST = CHANNELS[0].name
 """First channel of the arm, which a line `next:` does not name."""
 _IS = ("is", "are")
-_MIN_SAMPLES = 20
-"""Smallest number of samples for which a note about the mean is printed."""
 
 
 def names(option: str, text: str | None) -> tuple[str, ...]:
@@ -253,16 +252,6 @@ def hint_at_means(outputs: Named, inputs: Named, *, may_offset: bool = False) ->
             f"{means}; if {y} {_IS[len(outputs) > 1]} not 0 at {u} = 0, {along}subtract the means "
             "with --detrend"
         )
-
-
-def far_from_zero(every: Sequence[Vector]) -> bool:
-    """Return True if a mean is far from 0, as at an operating point, and all signals vary."""
-    import numpy as np
-
-    # Subtracting the mean of a constant signal would leave 0.
-    if any(x.size < _MIN_SAMPLES or not np.ptp(x) for x in every):
-        return False
-    return any(abs(x.mean()) > 2 * x.std() for x in every)
 
 
 def has_level(data: Dataset | Signals) -> bool:
@@ -562,19 +551,6 @@ def data_group(*, without: str = "", several: bool = True) -> Group:
 
 Part = Annotated[SignalChoice, group(DataOptions, PART, SignalChoice)]
 """Options --calibration, --from and --to."""
-
-
-def between(data: Dataset | Signals, start: float | None, stop: float | None) -> Dataset | Signals:
-    """Return the samples with start <= t < stop, in s from the first sample."""
-    if start is None and stop is None:
-        return data
-    Ts = data.Ts or 1.0
-    first, end = (None if t is None else ceil(min(t / Ts, data.N) - 1e-6) for t in (start, stop))
-    if (start or 0) < 0 or (first or 0) >= (data.N if end is None else min(end, data.N)):
-        msg = f"no samples from --from {start or 0:g} s on"
-        msg += f" to --to {stop:g} s" if stop is not None else ""
-        raise InputError(f"{msg}: the data last {data.N * Ts:g} s")
-    return data[first:end]
 
 
 Channel = tuple[str, ...]

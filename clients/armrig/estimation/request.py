@@ -179,6 +179,20 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
+def options_of(request: Request) -> str:
+    """Return the options of `armrig identify` for a request."""
+    asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
+    values = {name: x for name, x in (request.counts | asked).items() if x is not None}
+    flags = {name: x is True or isinstance(x, tuple) for name, x in values.items()}
+    given = [flag(name) if flags[name] else f"{flag(name)} {x}" for name, x in values.items()]
+    return " ".join([f"--structure {request.structure}", *given])
+
+
+def too_high(orders: str) -> InputError:
+    """Return the error for orders that are too high."""
+    return InputError(f"the orders are too high for these data: lower {orders}")
+
+
 def estimator(structure: str) -> Callable[..., Fit]:
     """Return the estimator of a structure: the function of its name in `armrig`, or `_of_row`."""
     found: Callable[..., Fit] | None = getattr(import_module("armrig"), structure, None)

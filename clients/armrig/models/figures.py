@@ -187,8 +187,8 @@ def _curve(
     ax: Axes, below: Axes, model: Any, name: str, omega: NDArray[np.float64], pen: dict[str, Any]
 ) -> tuple[NDArray[np.float64], Draws | None]:
     """Draw one model; return its magnitude in dB, and the parameter draws for its bands."""
-    x, G, bands, draws = _response(model, omega)
-    level, phase = decibels(G), _phase(G)
+    x, G, bands, draws = response_and_bands(model, omega)
+    level, phase = decibels(G), continuous_phase(G)
     shade: dict[str, Any] = {"color": pen["color"], "alpha": 0.25, "lw": 0}
     if bands is not None:
         low = np.maximum(bands[0].low, np.abs(G) * 1e-3)  # 0 has no decibels
@@ -210,7 +210,7 @@ def _dots(
     known = np.isfinite(estimate.G) & (w >= omega[0]) & (w <= omega[-1]) & (np.abs(estimate.G) > 0)
     at = _spread(w, np.flatnonzero(known))
     w, G = w[at], estimate.G[at]
-    magnitude, level, phase = np.abs(G), decibels(G), _phase(G)
+    magnitude, level, phase = np.abs(G), decibels(G), continuous_phase(G)
     if below.lines and w.size:
         # Noise could unwrap the phase of the dots wrongly. Therefore each dot is moved by full
         # turns to the phase of the last model.
@@ -240,7 +240,7 @@ def _spread(w: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.intp]
     return np.unique(known[np.argmin(np.abs(wanted[:, None] - w[known][None, :]), axis=1)])
 
 
-def _response(
+def response_and_bands(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
     """Return G, its frequencies (at most pi/Ts), its bands, and the draws for the bands."""
@@ -255,7 +255,7 @@ def _response(
     return w, answer.G, frequency_bands(model, answer, draws), draws
 
 
-def _phase(G: NDArray[Any]) -> NDArray[np.float64]:
+def continuous_phase(G: NDArray[Any]) -> NDArray[np.float64]:
     """Return the phase without jumps by 360°, beginning between -360° and 0°."""
     # At a weakly damped zero the sign of a jump by 180° is arbitrary.
     phase = np.degrees(np.angle(G)) % 360 - 360

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig import Signals
 from armrig.cli import recorded_data
+from armrig.data.level import far_from_zero
 
 
 def _about(mean: float, n: int = 20) -> Any:
@@ -17,11 +18,11 @@ def _about(mean: float, n: int = 20) -> Any:
 
 
 def test_a_mean_is_far_from_zero_from_two_standard_deviations_on() -> None:
-    assert recorded_data.far_from_zero([_about(0), _about(-2.1)])
-    assert recorded_data.far_from_zero([_about(2.1), _about(0)])
-    assert not recorded_data.far_from_zero([_about(1.9), _about(-1.9)])
-    assert not recorded_data.far_from_zero([_about(9, n=18), _about(9)])
-    assert not recorded_data.far_from_zero([_about(9), np.full(20, 9.0)])
+    assert far_from_zero([_about(0), _about(-2.1)])
+    assert far_from_zero([_about(2.1), _about(0)])
+    assert not far_from_zero([_about(1.9), _about(-1.9)])
+    assert not far_from_zero([_about(9, n=18), _about(9)])
+    assert not far_from_zero([_about(9), np.full(20, 9.0)])
 
 
 def test_the_option_for_the_means_is_offered_for_each_signal(

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import typer
 from armrig.cli import app
-from armrig.cli.recorded_data import between, loaded
+from armrig.cli.recorded_data import loaded
 from armrig.data.dataset import Dataset
+from armrig.data.time_range import between
 from armrig_core.recording_file.manifest import Outcome
 
 from tests.clients.made_recordings import manifest, recorded, turning, written

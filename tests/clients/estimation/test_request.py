@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.model_structures import requested
-from armrig.cli.next_step import options_of
-from armrig.estimation.request import OPTIONS, Request, flag, require_sensible
+from armrig.estimation.request import OPTIONS, Request, flag, options_of, require_sensible
 from armrig.models.structure_table import OFFERED, users
 from armrig.report.batch.tasks import Identify
 from armrig_core.errors import InputError, OperationError

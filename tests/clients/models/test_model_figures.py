@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.models.figures import _phase, plot_bode, plot_step
+from armrig.models.figures import continuous_phase, plot_bode, plot_step
 from armrig.models.fit import Fit
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -88,7 +88,7 @@ def test_a_band_of_a_step_is_1_96_deviations_wide_but_does_not_flatten_the_curve
 
 def test_a_phase_that_jumps_by_half_a_turn_stays_between_minus_360_and_0() -> None:
     for angles in ([-100, -160, 170, 100], [-10, -170, 20, 10, -350], [-300, -350, 5, 20]):
-        phase = _phase(np.exp(1j * np.radians(np.array(angles, float))))
+        phase = continuous_phase(np.exp(1j * np.radians(np.array(angles, float))))
 
         known = np.isfinite(phase)
         turned = (phase[known] - np.array(angles, float)[known]) / 360
