@@ -268,17 +268,39 @@ def study(
         size: dict[str, Any] = {"samples": one.N - one.missing, "nk": own.nk, "nb": own.nb}
         require_sensible(na=own.na, **size)
         require_sensible(**size, nf=own.nf, integrator=own.integrator)
-    whole, tests = _fits(estimation, orders, of_arm=of_arm), dict[str, ResidualTest]()
+    fits = _fits(estimation, orders, of_arm=of_arm)
+    halves = len(excited) == 1
+    return study_of_fits(recordings, estimation, validation, fits, halves=halves, doubt=doubt)
+
+
+def study_of_fits(
+    recordings: Sequence[Recording],
+    estimation: Dataset | Signals,
+    validation: Dataset | Signals,
+    whole: Mapping[str, Fit],
+    *,
+    halves: bool,
+    doubt: str = "",
+) -> Study:
+    """Compare models of all outputs, and the physical model of the arm, with validation data.
+
+    The keys are the names of the models in the report.
+    """
+    tests = dict[str, ResidualTest]()
+    each = [
+        [one.dataset(name) for name in one.outputs] if isinstance(one, Signals) else [one]
+        for one in (estimation, validation)
+    ]
     fits = [whole]
-    if several:
+    if isinstance(estimation, Signals):
         tests = {name: residuals(fit, validation) for name, fit in whole.items()}
         fits = [
             {name: replace(fit[one.output], digest=one.digest) for name, fit in whole.items()}
             for one in each[0]
         ]
-    shared: dict[str, Any] = {"recordings": tuple(recordings), "halves": len(excited) == 1}
-    shared["doubt"] = doubt
-    has_arm = of_arm and all(second_moves(r) for r in excited[:2])
+    shared: dict[str, Any] = {"recordings": tuple(recordings), "halves": halves, "doubt": doubt}
+    excited = [r for r in recordings if r.manifest.kind not in NO_MODEL] or recordings
+    has_arm = all(r.description.arm and second_moves(r) for r in excited[:2])
     physics = [physical_model(ArmParameters(), one) if has_arm else None for one in each[0]]
     first, *others = (
         Study(

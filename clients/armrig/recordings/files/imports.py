@@ -68,15 +68,15 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
         )
     description = Description(
         rig=RigTable(name=IMPORTED, title=", ".join(s.name for s in data.facts.sources)[:60]),
-        input=Input(name=_name(inputs[0], "input"), unit=units[inputs[0]]),
-        outputs={_name(x, "output"): Output(unit=units[x], per_count=_NO_STEP) for x in outputs},
+        input=Input(name=rig_name(inputs[0], "input"), unit=units[inputs[0]]),
+        outputs={rig_name(x): Output(unit=units[x], per_count=_NO_STEP) for x in outputs},
         model=None,
         text=b"",
     )
     metadata = read_metadata(path)
     present = np.zeros(data.size, np.bool_)
     present[data.at] = True
-    channels = {_name(x, "output"): Channel(columns[x], np.isfinite(columns[x])) for x in outputs}
+    channels = {rig_name(x): Channel(columns[x], np.isfinite(columns[x])) for x in outputs}
     names = sample_names(description.channels)
     kinds = [(x, SAMPLE_DTYPE[i]) for i, x in enumerate(names)]
     return Recording(
@@ -95,7 +95,7 @@ def recording_of(path: Path, name: str, data: ImportedData) -> Recording:
     )
 
 
-def _name(column: str, what: str) -> str:
+def rig_name(column: str, what: str = "output") -> str:
     """Return the name of a column as a rig's description may have it."""
     name = re.sub(r"\W+", "_", column, flags=re.A).strip("_")[:32]
     return name if re.match("[A-Za-z]", name) else f"{what}_{name}"[:32]
