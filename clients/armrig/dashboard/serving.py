@@ -29,6 +29,7 @@ from armrig.dashboard.app import RigRoutes, application, value
 from armrig.dashboard.driver import Driver
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Connections, Guard, Pass
+from armrig.dashboard.model_routes import ModelRoutes
 from armrig.dashboard.recording_routes import RecordingRoutes
 from armrig.dashboard.share import PORT as SHARED_PORT
 from armrig.dashboard.share import Certificate, certificate
@@ -114,7 +115,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     sys.setswitchinterval(_SWITCH_S)
     feed = Feed(read_description(path_of(settings.rig_file)) if settings.rig_file else None)
     driver = Driver(rig=settings.rig, connect=settings.connect)
-    recorded = RecordingRoutes(feed, settings.rig)
+    recorded, models = RecordingRoutes(feed, settings.rig), ModelRoutes(feed, settings.rig)
     listener = Listener(
         feed,
         rig=settings.rig,
@@ -126,7 +127,9 @@ def dashboard(settings: Settings) -> Iterator[Served]:
         own = _Door(_listening(HOST, PORT, settings.port), names=(HOST, "localhost"))
         stream = Stream(feed, driver, may_command=True, command=settings.command)
         live = RigRoutes(feed, driver, stream)
-        threads = [own.served([*live.commanding(), *recorded.routes()], live, stream)]
+        threads = [
+            own.served([*live.commanding(), *recorded.routes(), *models.routes()], live, stream)
+        ]
         served = Served(url=own.url, browser_url=own.browser_url)
         if settings.share is not None:
             made = open_files.enter_context(certificate(settings.share))
@@ -143,6 +146,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
         finally:
             driver.end()
             recorded.end()
+            models.end()
             for thread in threads:
                 thread.end()
             listener.end()

@@ -198,7 +198,9 @@ def _loaded(path: Path) -> Recording:
     return load(path)
 
 
-def drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | None]]:
+def drawn(
+    t: NDArray[np.float64], y: NDArray[np.float64], decimals: int = 4
+) -> list[list[float | None]]:
     """Return t, the least y and the largest y of each point to draw; y is None if it is missing."""
     n = -(-t.size // _POINTS)
     first = np.arange(0, t.size, n)
@@ -206,8 +208,8 @@ def drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | N
     least, largest = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
     return [
         t[first].round(6).tolist(),
-        [None if v != v else round(v, 4) for v in least.tolist()],
-        [None if v != v else round(v, 4) for v in largest.tolist()],
+        [None if v != v else round(v, decimals) for v in least.tolist()],
+        [None if v != v else round(v, decimals) for v in largest.tolist()],
     ]
 
 

@@ -4,12 +4,13 @@ import { placedNames, ROWS } from "./marks.js";
 
 const colours = new Map(); // colours of the theme; reading the style 30 times a second would be slow
 
-function colour(name) {
+// Return a colour of the theme.
+export function colour(name) {
   if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim());
   return colours.get(name);
 }
 
-const charts = new Set(); // all charts on the page
+export const charts = new Set(); // all charts on the page
 
 // Draw all charts again, in the colours of another theme.
 export function redrawCharts() {
@@ -123,20 +124,21 @@ function withNear([low, high], limits) {
 
 // Handle the wheel: it zooms the time axis at the pointer. With Shift it moves in time; with Alt it
 // zooms the values.
-function wheel(u, event, onZoom) {
+export function wheel(u, event, onZoom) {
   event.preventDefault();
   const factor = (event.deltaY || event.deltaX) > 0 ? 1.25 : 0.8;
-  const { min, max } = u.scales.x;
+  const [there, back] = u.scales.x.distr === 3 ? [Math.log, Math.exp] : [(x) => x, (x) => x]; // logarithmic
+  const [min, max] = [there(u.scales.x.min), there(u.scales.x.max)];
   if (event.altKey) {
     const at = u.posToVal(u.cursor.top, "y");
     u.wantedY = [u.scales.y.min, u.scales.y.max].map((y) => at + (y - at) * factor);
     u.setData(u.data, true);
   } else if (event.shiftKey || Math.abs(event.deltaX) > Math.abs(event.deltaY)) {
     const step = ((max - min) / 10) * (factor > 1 ? 1 : -1);
-    onZoom?.(min + step, max + step);
+    onZoom?.(back(min + step), back(max + step));
   } else {
-    const at = u.posToVal(u.cursor.left, "x");
-    onZoom?.(at + (min - at) * factor, at + (max - at) * factor);
+    const at = there(u.posToVal(u.cursor.left, "x"));
+    onZoom?.(back(at + (min - at) * factor), back(at + (max - at) * factor));
   }
 }
 

@@ -5,12 +5,14 @@ import { redrawCharts } from "./chart.js";
 import { allow, describeRig, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
 import { ask, attempt, byId, notice, owner, setText, show, token, useCommand } from "./elements.js";
 import { LivePlots } from "./live_plots.js";
+import { isInAddress, noteView, openModels, setUpModels } from "./models.js";
 import { setUpNote, takesBlank } from "./note.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
 import { begin as beginStatus, dated, isStale, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
 import { outputsOf } from "./signals.js";
 import { Stream } from "./stream.js";
 
+const VIEWS = ["live", "recordings", "models"];
 const THEMES = ["system", "light", "dark"];
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
 const WIDE = 900; // pixels; a narrower screen has no space for names next to the charts
@@ -61,16 +63,19 @@ function onKey(event) {
   if (event.type !== "keydown" || typing || event.target instanceof HTMLSelectElement) return;
   if (event.key === "Escape") plots.follow();
   if (event.key.toLowerCase() === "l") choose("live");
-  if (event.key.toLowerCase() === "r" && !byId("tab-recordings").hidden) choose("recordings");
+  for (const tab of ["recordings", "models"]) {
+    if (event.key.toLowerCase() === tab[0] && !byId(`tab-${tab}`).hidden) choose(tab);
+  }
 }
 
 function choose(name) {
-  for (const tab of ["live", "recordings"]) {
+  for (const tab of VIEWS) {
     byId(tab).hidden = tab !== name;
     byId(`tab-${tab}`).setAttribute("aria-selected", String(tab === name));
   }
+  noteView(name);
   if (name === "live") plots.wants();
-  else attempt(listRecordings);
+  else attempt(name === "models" ? openModels : listRecordings);
 }
 
 // Show the rig. If the page has shown the default rig before, it asks for the rows of this one.
@@ -103,8 +108,9 @@ function begin() {
   byId("undelivered-seen").addEventListener("click", () => show("undelivered", false));
   addEventListener("keydown", onKey, true);
   addEventListener("keyup", onKey, true);
+  addEventListener("hashchange", () => isInAddress() && !byId("tab-models").hidden && choose("models"));
   document.addEventListener("visibilitychange", () => plots.wants());
-  for (const tab of ["live", "recordings"]) byId(`tab-${tab}`).addEventListener("click", () => choose(tab));
+  for (const tab of VIEWS) byId(`tab-${tab}`).addEventListener("click", () => choose(tab));
   const showAges = () => {
     arm.setAge(isStale() ? dated(arm.text(plots.signals[1]?.label)) : "");
     if (isStale()) plots.tell();
@@ -115,6 +121,7 @@ function begin() {
     attempt(() => listRecordings(file));
   });
   setUpRecordings();
+  setUpModels();
   setUpNote();
   if (!token) notice("open the address in the dashboard's terminal: it ends with a token");
   stream = new Stream(
@@ -126,6 +133,7 @@ function begin() {
         useCommand(hello.command);
         document.body.classList.toggle("viewer", !hello.may_command);
         for (const part of document.querySelectorAll("[data-commands]")) part.hidden = !hello.may_command;
+        if (hello.may_command && isInAddress() && byId("models").hidden) choose("models");
       },
       rig: (found) => {
         if (rig && (!found.hash || found.hash === rig.hash)) return; // without a hash it is a default
