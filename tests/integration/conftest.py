@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.integration.browsing import CHROMIUM
 from tests.integration.driving import bring_to_rest
 from tests.integration.fork_server import ForkServer
 from tests.integration.processes import Bench
@@ -43,6 +45,15 @@ def forks() -> Iterator[ForkServer]:
     forks = ForkServer()
     yield forks
     forks.end()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Give Debian's chromium."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    with playwright.sync_playwright() as started:
+        yield (made := started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"]))
+        made.close()
 
 
 @pytest.fixture

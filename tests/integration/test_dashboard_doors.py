@@ -50,7 +50,7 @@ def test_a_visitor_can_watch_and_stop(doors: tuple[Client, Client], served: Benc
 
 def test_a_visitor_has_no_command_except_stop(doors: tuple[Client, Client], served: Bench) -> None:
     own, visitor = doors
-    rest = ("note", "preview", "recordings", "mcap", "identify")
+    rest = ("note", "preview", "recordings", "mcap", "identify", "models/data", "models/estimate")
     for command in ("arm", "release", "reset", "run", *rest):
         assert visitor.ask(f"/api/{command}", {"owner": "x"})[0] == 404
         stolen = f"Bearer {visitor.token}"

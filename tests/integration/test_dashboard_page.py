@@ -5,11 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import shutil
 import signal
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,56 +15,17 @@ from armrig_core.rig.description import path_of
 
 from tests.clients import made_recordings
 from tests.core.control.laws import arm_law, arm_monitor
+from tests.integration.browsing import KEEP_NOTICES, PHONE, WIDE, opened, text, until
 from tests.integration.driving import bring_to_rest
-from tests.integration.processes import WITHIN_S, Bench, freeze
+from tests.integration.processes import Bench, freeze
 from tests.integration.watching import Client, begin, recorded, watched
 from tests.tools import needs
 
-playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-CHROMIUM = shutil.which("chromium")
 pytestmark = needs("chromium")
 
-WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
-SMALL = {"width": 640, "height": 480}  # to draw it costs a third
-_KEEP_NOTICES = """
-window.notices = [];
-document.addEventListener("DOMContentLoaded", () => {
-  const shown = document.querySelector("#notice");
-  const keep = () => window.notices.push(shown.textContent);
-  new MutationObserver(keep).observe(shown, {childList: true, characterData: true, subtree: true});
-});
-"""
-_PATIENCE_MS = 1000 * WITHIN_S
 _CONNECTIONS = 6
 MARKUP = "<img src=x onerror=document.title='owned'>"
 LONG_WORD = "W" * 500
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Give Debian's chromium."""
-    with playwright.sync_playwright() as started:
-        yield (made := started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"]))
-        made.close()
-
-
-@contextmanager
-def opened(browser: Any, url: str, size: dict[str, int] = SMALL, **how: Any) -> Iterator[Any]:
-    """Give a page that shows a rig that is not stale; in its console there must be no error."""
-    page = browser.new_page(viewport=size, **how)
-    page.set_default_timeout(_PATIENCE_MS)
-    errors: list[str] = []
-    page.on("pageerror", lambda error: errors.append(str(error)))
-    page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
-    page.add_init_script(_KEEP_NOTICES)
-    try:
-        page.goto(url)
-        page.wait_for_selector(".pill.safe")
-        yield page
-        # The browser itself reports a server that is gone.
-        assert [text for text in errors if "Failed to load resource" not in text] == []
-    finally:
-        page.close()
 
 
 def show_step(page: Any, seconds: str = "20") -> None:
@@ -92,14 +49,6 @@ def run_step(page: Any, bench: Bench, seconds: str = "20") -> None:
     assert bench.volts() > 0, text(page, "#running-text")
 
 
-def until(page: Any, what: Callable[[], object], within_s: float = WITHIN_S) -> None:
-    """Wait until `what` is true; the page's policy forbids a script of the browser's driver."""
-    last_s = time.monotonic() + within_s
-    while not what():
-        assert time.monotonic() < last_s, "it did not happen in time"
-        page.wait_for_timeout(100)
-
-
 def has_noticed(page: Any, words: str) -> bool:
     """Return whether a notice with these words was shown; the next notice may have replaced it."""
     return words in "\n".join(page.evaluate("window.notices"))
@@ -111,11 +60,6 @@ def is_in_view(page: Any, selector: str) -> bool:
     top = page.locator("#top").bounding_box()
     least = 0 if page.locator(f"#top {selector}").count() else top["y"] + top["height"]
     return bool(least <= box["y"] and box["y"] + box["height"] <= size["height"])
-
-
-def text(page: Any, selector: str) -> str:
-    """Return the text of an element."""
-    return str(page.text_content(selector))
 
 
 @pytest.mark.exhaustive
@@ -414,7 +358,7 @@ def test_the_address_on_a_browser_command_line_opens_once(browser: Any, served: 
             page.wait_for_selector(".pill.safe")
         status, told = Client(found.url).ask("/api/token", {}, Authorization=f"Bearer {code}")
         late = browser.new_page()
-        late.add_init_script(_KEEP_NOTICES)
+        late.add_init_script(KEEP_NOTICES)
         late.goto(found.browser_url)
         until(late, lambda: has_noticed(late, "terminal"))
         late.close()
