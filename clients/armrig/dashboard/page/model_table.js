@@ -112,9 +112,16 @@ function figures(column, found, best = {}) {
 const nameOf = ({ found, request }) => found?.name ?? request.file ?? `${String(request.structure).toUpperCase()} ${Object.values(request.orders ?? {}).join(" ")}`;
 
 function switchOf(row, acts) {
-  const made = keyed(`switch ${row.id}`, "", () => acts.toggle(row), { className: "switch", "aria-pressed": String(row.isOn), title: row.isOn ? "Hide the curves of this model" : "Show the curves of this model" });
+  const made = keyed(`switch ${row.id}`, "", () => acts.toggle(row, made), { className: "switch" });
   made.append(swatch(row.colour), ` ${nameOf(row)}`);
-  return made;
+  return showSwitch(made, row);
+}
+
+// Show the state of a model's switch, and return the switch.
+export function showSwitch(button, { isOn }) {
+  button.setAttribute("aria-pressed", String(isOn));
+  button.title = isOn ? "Hide the curves of this model" : "Show the curves of this model";
+  return button;
 }
 
 const STRUCTURE_FIELDS = ["structure", "orders", "nk"];

@@ -3,7 +3,7 @@
 import { ask, askJson, attempt, button, byId, make, notice, plural, setText, show, token } from "./elements.js";
 import { showData, showHandForm } from "./model_forms.js";
 import { legendItems, onModelPlotKey, resizePlots, savePlots, showPlots, showWhole } from "./model_plots.js";
-import { COLOURS, keyed, refill, showTable } from "./model_table.js";
+import { COLOURS, keyed, refill, showSwitch, showTable } from "./model_table.js";
 import { KINDS, keyOf, MOST_ROWS, readState, setAddress, viewOfAddress, writeState } from "./model_state.js";
 import { save } from "./picture.js";
 
@@ -66,7 +66,11 @@ const redrawData = () => showData(byId("model-data"), state, (changes) => useDat
 function redraw() {
   showTable(byId("model-table"), state.rows, { toggle, remove, retry, beginSave, save: saveModel, copy });
   show("model-empty", !state.rows.length);
-  for (const one of byId("model-actions").children) one.disabled = !visible().length;
+  allowActions();
+}
+
+function allowActions() {
+  for (const button of byId("model-actions").children) button.disabled = !visible().length;
 }
 
 // Write the state into the address, soon: a browser takes some ms for it, and only 200 in 30 s.
@@ -153,9 +157,10 @@ async function estimate(row) {
   drawPlots();
 }
 
-function toggle(row) {
+function toggle(row, button) {
   row.isOn = !row.isOn;
-  redraw();
+  showSwitch(button, row);
+  allowActions();
   drawPlots();
   store();
 }
