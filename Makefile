@@ -47,6 +47,7 @@ check: .venv/dev
 	$(BIN)/python tests/rooms.py
 	$(BIN)/python tests/arm_names.py
 	$(BIN)/python tests/words.py
+	$(BIN)/python tests/name_counts.py
 	$(BIN)/python tests/budget.py
 
 # Every branch of the core and of the device's state machine, without tests that add nothing to it.
